@@ -1,8 +1,8 @@
-"""The Physics Corrector: coarse layouts in, scenes that are exactly clean out.
+"""The Physics Corrector: turns coarse layouts into scenes that are exactly clean.
 
-The learned flow moves all objects at once; ``certify`` proves the result or repairs it. Both are reported apart: a
-:class:`~models.physics_corrector.certify.correction.Correction` holds the raw result of the flow and the certified one, with the cards
-of all three.
+The learned flow moves all objects at once; ``certify`` proves the result or repairs it. A
+:class:`~models.physics_corrector.certify.correction.Correction` reports both: the raw result of the flow and the certified
+result, with the cards of these and of the input.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,22 +28,22 @@ from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.scene import Scene
 
 Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
-"""Moves the objects of scenes: scenes, the shapes of their objects, the fixed instances of each -> the scenes after."""
+"""Moves the objects of scenes: scenes, the shapes of their objects, the fixed instances of each -> the moved scenes."""
 
-_FREE = CorrectionOptions()
+_DEFAULT_OPTIONS = CorrectionOptions()
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicsCorrector:
-    """Corrects scenes: the flow moves all of them as one batch, then each is certified.
+    """Corrects scenes: the flow moves all scenes as one batch, then each scene is certified.
 
-    :meth:`correct` does both. A job that certifies each scene in a process of its own calls :meth:`move` once and
-    :meth:`certify` for each request.
+    :meth:`correct` does both. A job that certifies scenes in separate processes calls :meth:`move` once and :meth:`certify` for
+    each request.
 
     Attributes:
-        flow: The learned part, such as :class:`~models.physics_corrector.learned_flow.LearnedFlow`; None certifies alone.
-        options: What `certify` may do.
-        judges_raw: Whether the raw result of the flow is audited too, which costs as much as any audit.
+        flow: The learned part, such as :class:`~models.physics_corrector.learned_flow.LearnedFlow`; None certifies without it.
+        options: Options of `certify`.
+        judges_raw: Whether the raw result of the flow is audited too; this costs one more audit per scene.
     """
 
     flow: Flow | None = None
@@ -54,22 +54,23 @@ class PhysicsCorrector:
         self,
         scenes: Sequence[Scene],
         assets: Assets,
-        options: CorrectionOptions | Sequence[CorrectionOptions] = _FREE,
+        options: CorrectionOptions | Sequence[CorrectionOptions] = _DEFAULT_OPTIONS,
         audits: Sequence[Audit] | None = None,
     ) -> list[Correction]:
-        """Corrects scenes; each result equals that of the scene alone, except for the rounding of the flow's batch.
+        """Corrects scenes; a result does not depend on the other scenes, except for rounding in the flow's batch.
 
         Args:
-            scenes: The scenes; with stages where task objects are known, so that those are not dropped.
+            scenes: The scenes; with stages if task objects are known, so that these are not dropped.
             assets: Geometry of their objects.
-            options: What may be changed: for all scenes, or one for each.
-            audits: The exact audits of the scenes, where the caller has them.
+            options: Permitted changes: one for all scenes, or one for each.
+            audits: The exact audits of the scenes, if the caller has them.
 
         Returns:
-            One correction a scene, in order.
+            One correction per scene, in order.
 
         Raises:
-            ConfigError: MuJoCo is asked, or tilts may change, and ``assets`` is no :class:`AssetStore`.
+            ConfigError: MuJoCo is needed, or tilts may change, and ``assets`` is not an :class:`AssetStore`
+                (``assets_missing``).
         """
         return [self.certify(request, assets) for request in self.move(scenes, assets, options, audits)]
 
@@ -77,19 +78,13 @@ class PhysicsCorrector:
         self,
         scenes: Sequence[Scene],
         assets: Assets,
-        options: CorrectionOptions | Sequence[CorrectionOptions] = _FREE,
+        options: CorrectionOptions | Sequence[CorrectionOptions] = _DEFAULT_OPTIONS,
         audits: Sequence[Audit] | None = None,
     ) -> list[CertificationRequest]:
-        """The first half of :meth:`correct`: moves the objects of all scenes by the flow, in one batch.
-
-        Args:
-            scenes: As for :meth:`correct`.
-            assets: Likewise.
-            options: Likewise.
-            audits: Likewise.
+        """The first half of :meth:`correct`, with the same arguments: moves the objects of all scenes by the flow, in one batch.
 
         Returns:
-            One request a scene, in order; without a flow nothing is moved.
+            One request per scene, in order; without a flow, objects do not move.
         """
         each = [options] * len(scenes) if isinstance(options, CorrectionOptions) else options
         resolved = [assets.resolved(scene)[:2] for scene in scenes]
@@ -118,7 +113,7 @@ class PhysicsCorrector:
         if not isinstance(assets, AssetStore):
             found = type(assets).__name__
             raise ConfigError(f"{scene.scene_id}: assets is {found}, expected an AssetStore to simulate with", "assets_missing")
-        # The engine takes long to import.
+        # Imported here because MuJoCo's import is slow.
         from models.physics_corrector.stabilization.drop_simulation import drop_new_objects
         from models.physics_corrector.stabilization.settle_repair import repair_settling
         from models.physics_corrector.stabilization.stabilize import stabilize

@@ -1,4 +1,4 @@
-"""The learned flow with its weights: it moves the objects of scenes, which ``certify`` then proves or repairs."""
+"""The learned flow with its weights: moves the objects of scenes before ``certify`` proves or repairs the result."""
 
 import hashlib
 from collections.abc import Sequence
@@ -25,8 +25,8 @@ AUTO, NONE = "auto", "none"
 """Values of the setting ``weights``: the weights of the repository, and no flow."""
 
 _BATCH = 64  # scenes in one batch of the network
-_MAX_CACHED_CODES = 20_000  # point features of shapes that are kept in memory: 5 MB
-_DIGITS = 6  # decimals of a shape whose largest side is 1: the same mesh at another scale is the same key
+_MAX_CACHED_CODES = 20_000  # point features of shapes in memory: 5 MB
+_DIGITS = 6  # decimals of a shape whose largest side is 1: one mesh at two scales has one key in spite of rounding errors
 
 
 class LearnedFlow:
@@ -34,22 +34,23 @@ class LearnedFlow:
 
     Args:
         checkpoint: The network and its settings.
-        encoder: Encodes the point features of objects; None for a network that reads none.
-        steps: Steps of the solver; 0 as its settings say.
+        encoder: Computes the point features of objects; None for a network without features.
+        steps: Solver steps; 0 uses those of the settings.
 
     Raises:
-        ConfigError: The network reads features, and there is no encoder, or the network was trained with another one, or it
-            reads a number of features other than 64.
+        ConfigError: The network reads features, but not 64 (``checkpoint_mismatch``), or the encoder is missing or not the one of
+            its training (``encoder_mismatch``).
     """
 
     def __init__(self, checkpoint: Checkpoint, encoder: PointEncoder | None = None, steps: int = 0) -> None:
         self._checkpoint, self._steps = checkpoint, steps
         self._encoder = encoder if checkpoint.settings.network.num_features else None
         self._codes: dict[bytes, npt.NDArray[np.float32]] = {}
-        if wanted := checkpoint.settings.network.num_features:
-            if wanted != FEATURE_CHANNELS:
+        if num_features := checkpoint.settings.network.num_features:
+            if num_features != FEATURE_CHANNELS:
                 raise ConfigError(
-                    f"the corrector reads {wanted} point features an object, expected {FEATURE_CHANNELS} or none; train it anew",
+                    f"the corrector reads {num_features} point features per object, expected {FEATURE_CHANNELS} or none; "
+                    "train it again",
                     "checkpoint_mismatch",
                 )
             trained_on = checkpoint.notes.get("encoder_fingerprint", "")
@@ -57,26 +58,26 @@ class LearnedFlow:
             if found != trained_on:
                 raise ConfigError(
                     f"the corrector was trained on the features of encoder {trained_on or 'unknown'}, found {found}; "
-                    "give the encoder that belongs to it",
+                    "use the encoder of its training",
                     "encoder_mismatch",
                 )
 
     @torch.no_grad()
     def __call__(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-        """Moves the objects of scenes; fixed objects keep their poses bit by bit, and so does a scene without finite new poses.
+        """Moves the objects of scenes; fixed objects, and scenes whose new poses are not finite, are unchanged bit by bit.
 
         Args:
-            scenes: Positions at the centres of the boxes, with supports where they are known.
-            shapes: The geometry of their objects, in their order.
-            fixed: The instances of each that must stay.
+            scenes: The scenes, positions at the centres of the boxes, with known supports.
+            shapes: The geometry of the objects of each scene, in their order.
+            fixed: The instances of each scene that must not move.
         """
         moved: list[Scene] = []
         for start in range(0, len(scenes), _BATCH):
             part = slice(start, start + _BATCH)
-            moved += self._moved(scenes[part], shapes[part], fixed[part])
+            moved += self._move_batch(scenes[part], shapes[part], fixed[part])
         return moved
 
-    def _moved(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
+    def _move_batch(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
         arrays = {name: torch.from_numpy(value) for name, value in pad_scenes(scenes, shapes, fixed).items()}
         features = None if self._encoder is None else self._features(shapes, arrays["mask"].shape[1])
         condition = Condition(**arrays, features=features)
@@ -84,19 +85,19 @@ class LearnedFlow:
             return list(scenes)
         network, flow = self._checkpoint.network, self._checkpoint.flow
         poses = flow.sample(network, condition, steps=self._steps or None).double().numpy()
-        found = []
-        for b, (scene, stays) in enumerate(zip(scenes, fixed, strict=True)):
+        moved = []
+        for b, (scene, fixed_instances) in enumerate(zip(scenes, fixed, strict=True)):
             own = poses[b, : len(scene.objects)]
-            if not np.isfinite(own).all():  # coordinates beyond 32 bits: `certify` begins at the scene itself
-                found.append(scene)
+            if not np.isfinite(own).all():  # coordinates that overflow float32: `certify` starts at the input scene
+                moved.append(scene)
                 continue
-            start = scene.poses()
-            still = np.array([o.instance in stays for o in scene.objects], np.bool_)
-            found.append(scene.with_poses(np.where(still[:, None], start, own)) if len(own) else scene)
-        return found
+            # The fixed poses of the network's output were rounded to float32.
+            is_fixed = np.array([o.instance in fixed_instances for o in scene.objects], np.bool_)
+            moved.append(scene.with_poses(np.where(is_fixed[:, None], scene.poses(), own)) if len(own) else scene)
+        return moved
 
     def _features(self, shapes: Sequence[Sequence[Shape]], num_slots: int) -> Tensor:
-        """Point features of the objects, (B, N, 64) float32."""
+        """Computes the point features of the objects, (B, N, 64) float32."""
         features = np.zeros((len(shapes), num_slots, self._checkpoint.settings.network.num_features), np.float32)
         for b, own in enumerate(shapes):
             for n, shape in enumerate(own):
@@ -104,35 +105,35 @@ class LearnedFlow:
         return torch.from_numpy(features)
 
     def _code(self, shape: Shape) -> npt.NDArray[np.float32]:
-        """The point feature of a shape, encoded once for all scales.
+        """Returns the point feature of a shape, computed once for all scales.
 
         Shapes are encoded one by one: in a batch the last bits would depend on the other shapes of the batch.
         """
         assert self._encoder is not None
-        alike = shape
-        if self._encoder.preprocessing.normalise != "centre":  # then the feature does not depend on the scale
-            alike = Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
-        key = hashlib.sha256(alike.vertices.tobytes() + alike.faces.tobytes()).digest()
+        unit_shape = shape
+        if self._encoder.preprocessing.normalise != "centre":  # all other rules make the feature independent of the scale
+            unit_shape = Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
+        key = hashlib.sha256(unit_shape.vertices.tobytes() + unit_shape.faces.tobytes()).digest()
         if key not in self._codes:
             if len(self._codes) >= _MAX_CACHED_CODES:
-                self._codes.pop(next(iter(self._codes)))
-            cloud = PointCloud.of_shape(alike, self._encoder.preprocessing.num_points)
+                self._codes.pop(next(iter(self._codes)))  # the oldest
+            cloud = PointCloud.of_shape(unit_shape, self._encoder.preprocessing.num_points)
             self._codes[key] = self._encoder.codes([cloud])[0]
         return self._codes[key]
 
 
 def load_flow(weights: str = AUTO, steps: int = 0) -> LearnedFlow | None:
-    """The flow of some weights.
+    """Loads the flow.
 
     Args:
-        weights: ``auto``, ``none``, or a file; the encoder lies beside it or is the one in the repository.
-        steps: Steps of the solver; 0 as its settings say.
+        weights: ``auto``, ``none``, or a file. The encoder is the one beside the file, else the one of the repository.
+        steps: Solver steps; 0 uses those of the settings.
 
     Returns:
         The flow; None for ``none``.
 
     Raises:
-        ConfigError: The weights cannot be used, or not together.
+        ConfigError: The weights cannot be read, or corrector and encoder do not match.
     """
     if weights == NONE:
         return None
@@ -143,7 +144,11 @@ def load_flow(weights: str = AUTO, steps: int = 0) -> LearnedFlow | None:
 
 
 def weights_fingerprint(weights: str) -> str:
-    """Hash of the content of the files that :func:`load_flow` reads."""
+    """Hashes the content of the files that :func:`load_flow` reads; ``none`` for no flow.
+
+    Raises:
+        ConfigError: The file does not exist.
+    """
     if weights == NONE:
         return NONE
     path = CORRECTOR if weights == AUTO else Path(weights)

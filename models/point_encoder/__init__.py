@@ -1,7 +1,7 @@
-"""Point encoder: Point Transformer V3 in plain torch, from an object's surface points to 64 numbers.
+"""Point encoder: Point Transformer V3 in plain torch, which maps an object's surface points to 64 numbers.
 
-``cloud`` is what goes in, ``encoder`` what it is asked, ``checkpoint`` its weights on disk, ``pretrain`` how they are made;
-below them ``transformer``, ``blocks``, ``level`` and ``serialization`` are the network.
+``cloud`` prepares the input, ``encoder`` computes features, ``checkpoint`` reads and writes weights, and ``pretrain`` trains
+them. The network is in ``transformer``, ``blocks``, ``level`` and ``serialization``.
 """
 
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS, load, load_default, load_published, save

@@ -1,6 +1,6 @@
 """The layers of Point Transformer V3: sparse convolution, patch attention, their block, pooling and unpooling.
 
-Names of the parts are those of published checkpoints, so that a state dict loads as it is.
+Submodules have the names of published checkpoints, so that their state dicts load unchanged.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,13 @@ from models.point_encoder.level import KernelMap, VoxelLevel
 
 
 class SubMConv3d(nn.Module):
-    """Convolution over occupied voxels only, cross-correlation, weight (out, kx, ky, kz, in) as published ("KRSC").
+    """Convolution (cross-correlation) over occupied voxels only, weight (out, kx, ky, kz, in) as published ("KRSC").
 
     Args:
-        in_channels: Read.
-        out_channels: Written.
-        kernel_size: Odd.
-        bias: Whether one is added.
+        in_channels: Input channels.
+        out_channels: Output channels.
+        kernel_size: Odd kernel size.
+        bias: Whether to add a bias.
     """
 
     def __init__(self, in_channels: int, out_channels: int, kernel_size: int, *, bias: bool) -> None:
@@ -31,14 +31,14 @@ class SubMConv3d(nn.Module):
         nn.init.trunc_normal_(self.weight, std=0.02)
 
     def forward(self, features: Tensor, level: VoxelLevel) -> Tensor:
-        """Features of a level's voxels, (V, in) to (V, out)."""
+        """Maps features of a level's voxels, (V, in) to (V, out)."""
         kernel = level.kernel_map(self.kernel_size)
         result: Tensor = _SubM.apply(features, self.weight.flatten(1, 3), kernel)  # type: ignore[no-untyped-call]
         return result if self.bias is None else result + self.bias
 
 
 class _SubM(torch.autograd.Function):
-    """One matrix product for each kernel place; a voxel is written once by each, so that sums have a fixed order everywhere."""
+    """One matrix product per kernel offset; each product adds to a voxel at most once, so sums have a fixed order everywhere."""
 
     @staticmethod
     def forward(ctx: Any, features: Tensor, weight: Tensor, kernel: KernelMap) -> Tensor:
@@ -66,13 +66,13 @@ class _SubM(torch.autograd.Function):
 
 
 class PatchAttention(nn.Module):
-    """Softmax attention within patches along a curve.
+    """Softmax attention within patches along a space-filling curve.
 
     Args:
         channels: C.
-        num_heads: Heads.
-        patch_size: Longest patch.
-        curve: Number of the curve.
+        num_heads: Number of attention heads.
+        patch_size: Largest number of voxels in a patch.
+        curve: Index of the curve.
     """
 
     def __init__(self, channels: int, num_heads: int, patch_size: int, curve: int) -> None:
@@ -82,7 +82,7 @@ class PatchAttention(nn.Module):
         self.proj = nn.Linear(channels, channels)
 
     def forward(self, features: Tensor, level: VoxelLevel) -> Tensor:
-        """Features of a level's voxels, (V, C)."""
+        """Maps features of a level's voxels, (V, C) to (V, C)."""
         patches, channels = level.patches(self.curve, self.patch_size), features.shape[1]
         qkv, found = self.qkv(features), []
         for bucket in patches.buckets:
@@ -95,7 +95,7 @@ class PatchAttention(nn.Module):
 
 
 class Mlp(nn.Module):
-    """Two layers, per voxel."""
+    """A two-layer perceptron per voxel."""
 
     def __init__(self, channels: int, ratio: int = 4) -> None:
         super().__init__()
@@ -109,7 +109,7 @@ class Mlp(nn.Module):
 
 
 class LayerScale(nn.Module):
-    """A factor for each channel."""
+    """A learned factor for each channel."""
 
     def __init__(self, channels: int, value: float) -> None:
         super().__init__()
@@ -121,14 +121,14 @@ class LayerScale(nn.Module):
 
 
 class Block(nn.Module):
-    """Conditional position by convolution, then attention, then an MLP, each added to what comes in.
+    """Conditional positional encoding by convolution, then attention, then an MLP, each with a residual connection.
 
     Args:
         channels: C.
-        num_heads: Heads of the attention.
-        patch_size: Its longest patch.
-        curve: Number of its curve.
-        layer_scale: First value of the factors on what attention and MLP add; None for none.
+        num_heads: Number of attention heads.
+        patch_size: Largest number of voxels in a patch.
+        curve: Index of the curve.
+        layer_scale: Initial factor of the outputs of attention and MLP; None for no factor.
     """
 
     def __init__(self, channels: int, num_heads: int, patch_size: int, curve: int, layer_scale: float | None) -> None:
@@ -148,7 +148,7 @@ class Block(nn.Module):
         self.mlp = nn.Sequential(Mlp(channels))
 
     def forward(self, features: Tensor, level: VoxelLevel, convolved: Tensor | None = None) -> Tensor:
-        """Features of a level's voxels, (V, C); ``convolved`` is what the convolution sees where that is something else."""
+        """Maps features of a level's voxels, (V, C) to (V, C); the convolution reads ``convolved`` instead, if given."""
         position = self.cpe[0](features if convolved is None else convolved, level)
         features = features + self.cpe[2](self.cpe[1](position))
         features = features + self.ls1(self.attn(self.norm1(features), level))
@@ -157,7 +157,7 @@ class Block(nn.Module):
 
 
 class VoxelPooling(nn.Module):
-    """Features of a coarser level: projected, then the largest of the voxels that merged."""
+    """Projects features to a coarser level and takes the maximum over merged voxels."""
 
     def __init__(self, in_channels: int, out_channels: int, norm: nn.Module) -> None:
         super().__init__()
@@ -165,7 +165,7 @@ class VoxelPooling(nn.Module):
         self.norm = nn.Sequential(norm)
 
     def forward(self, features: Tensor, cluster: Tensor, num_voxels: int) -> Tensor:
-        """(V, in) to (num_voxels, out), by the coarse voxel of each, (V,)."""
+        """Maps (V, in) to (num_voxels, out); ``cluster`` is the coarse voxel of each voxel, (V,)."""
         features = self.proj(features)
         index = cluster[:, None].expand_as(features)
         largest = features.new_zeros(num_voxels, features.shape[1]).scatter_reduce(
@@ -175,7 +175,7 @@ class VoxelPooling(nn.Module):
 
 
 class VoxelUnpooling(nn.Module):
-    """Features of a finer level: those of the coarser one handed down, and the encoder's own."""
+    """Adds projected features of a coarser level to projected features of the encoder at a finer level."""
 
     def __init__(self, in_channels: int, skip_channels: int, out_channels: int, norms: Sequence[nn.Module]) -> None:
         super().__init__()
@@ -183,6 +183,6 @@ class VoxelUnpooling(nn.Module):
         self.proj_skip = nn.Sequential(nn.Linear(skip_channels, out_channels), norms[1], nn.GELU())
 
     def forward(self, features: Tensor, skip: Tensor, cluster: Tensor) -> tuple[Tensor, Tensor]:
-        """Features of the finer voxels (V, out), and the encoder's part of them alone, (V, out)."""
+        """Returns the features of the finer voxels, (V, out), and the encoder's part of the sum, (V, out)."""
         own = self.proj_skip(skip)
         return own + self.proj(features).index_select(0, cluster), own

@@ -1,4 +1,4 @@
-"""Clearance of the boxes of two objects: what is known of it without their shapes."""
+"""Clearance of the boxes of two objects: the estimate without their shapes."""
 
 import torch
 from torch import Tensor
@@ -7,24 +7,23 @@ _TICKS = 9  # along each edge of a box
 
 
 def box_clearance(boxes: Tensor, poses: Tensor) -> Tensor:
-    """Smallest signed distance between samples of either of two upright boxes and the other, (R,), as pairs are labelled.
+    """Computes the smallest signed distance between samples of one upright box and the other box, (R,), as in the labels.
 
     Args:
-        boxes: Sides of both, (R, 6).
-        poses: Of the second in the frame of the first: offset, cosine and sine of its yaw, (R, 5).
+        boxes: Sizes of the first and the second box, (R, 6).
+        poses: Pose of the second box in the frame of the first: offset, cosine and sine of yaw, (R, 5).
     """
     ticks = torch.linspace(-1, 1, _TICKS, device=boxes.device)
     grid = torch.cartesian_prod(ticks, ticks, ticks)
     surface = grid[grid.abs().amax(1) == 1]  # (P, 3)
     first, second = (boxes[:, None, k : k + 3] / 2 for k in (0, 3))
     offset, (c, s) = poses[:, None, :3], (poses[:, 3, None], poses[:, 4, None])
-    theirs, ours = second * surface, first * surface - offset
-    to_first = _box_distance(_turned(theirs, c, s) + offset, first)
-    to_second = _box_distance(_turned(ours, c, -s), second)
+    to_first = _box_distance(_rotate(second * surface, c, s) + offset, first)
+    to_second = _box_distance(_rotate(first * surface - offset, c, -s), second)
     return torch.minimum(to_first.amin(1), to_second.amin(1))
 
 
-def _turned(points: Tensor, c: Tensor, s: Tensor) -> Tensor:
+def _rotate(points: Tensor, c: Tensor, s: Tensor) -> Tensor:
     x, y, z = points.unbind(-1)
     return torch.stack([c * x - s * y, s * x + c * y, z], dim=-1)
 

@@ -1,8 +1,7 @@
-"""Weights of point encoders on disk: ours, with all that makes them one, and published ones, loaded strictly or refused.
+"""Weights of point encoders on disk: our own format, and published checkpoints. Mismatches are refused.
 
-Ours are safetensors files whose metadata hold configuration, preprocessing and fingerprint. Published ones are whatever
-Pointcept's tools wrote: the variant is read off the names and shapes of the tensors. Nothing is ever unpickled but tensors and
-plain values.
+Our files are safetensors, whose metadata are configuration, preprocessing and fingerprint. Published checkpoints are files of
+Pointcept's tools; the names and shapes of their tensors determine the variant. Only tensors and plain values are unpickled.
 """
 
 import json
@@ -28,21 +27,21 @@ from stable_data.errors import ConfigError
 FORMAT = "stable-data point encoder 1"
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "point_encoder.safetensors"
-"""Our own small encoder; models/weights/README.md says how it was made and what it knows."""
+"""The small encoder of this repository; models/weights/README.md describes its training and its results."""
 
 _PREFIXES = ("module.student.backbone.", "student.backbone.", "module.backbone.", "backbone.", "module.", "")
-_NOT_ENCODING = re.compile(r"(seg_head|cls_head)\.|embedding\.mask_token$")  # heads, and what only pre-training uses
-_HEAD_CHANNELS = 16  # of each attention head, in all published models
-_SHOWN = 12
+_NOT_ENCODING = re.compile(r"(seg_head|cls_head)\.|embedding\.mask_token$")  # task heads, and the token of masked pre-training
+_HEAD_CHANNELS = 16  # channels of an attention head, in all published models
+_MAX_LISTED = 12  # names that a message lists
 
 
 def save(encoder: PointEncoder, path: Path) -> None:
-    """Writes an encoder, whole or not at all."""
+    """Writes an encoder atomically."""
     settings = {name: json.dumps(value) for name, value in encoder.settings().items()}
     metadata = {"format": FORMAT, "fingerprint": encoder.fingerprint(), **settings}
     path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in encoder.state_dict().items()}
-    # Not by the library's own writer of files, whose files nobody but their owner may read.
+    # safetensors.save_file would write a file that only its owner may read.
     write_file_atomically(path, serialized(tensors, metadata))
 
 
@@ -50,7 +49,8 @@ def load(path: Path) -> PointEncoder:
     """Reads an encoder that `save` wrote.
 
     Raises:
-        ConfigError: It is none, it is of another version, or it is not what was written.
+        ConfigError: The file is not an encoder or of another version (``weights_invalid``), its tensors do not match its
+            configuration (``weights_mismatch``), or its content has changed (``weights_changed``).
     """
     try:
         with safe_open(path, "pt") as file:
@@ -60,27 +60,30 @@ def load(path: Path) -> PointEncoder:
         raise ConfigError(f"{path}: {error}, expected a safetensors file of a point encoder", "weights_invalid") from error
     if metadata.get("format") != FORMAT:
         message = (
-            f"{path} has format {metadata.get('format')!r}, expected {FORMAT!r}; is it a published one? use load_published"
+            f"{path} has format {metadata.get('format')!r}, expected {FORMAT!r}; for published weights, use load_published"
         )
         raise ConfigError(message, "weights_invalid")
     try:
         config, preprocessing = (json.loads(metadata[name]) for name in ("config", "preprocessing"))
         encoder = PointEncoder(TransformerConfig(**_tuples(config)), Preprocessing(**_tuples(preprocessing)))
     except (KeyError, TypeError, ValueError) as error:
-        message = f"{path}: its configuration cannot be read ({error}), expected that of this version; make it again"
+        message = (
+            f"{path}: its configuration cannot be read ({error}), expected that of this version; train or convert it again"
+        )
         raise ConfigError(message, "weights_invalid") from error
     _fill(encoder, tensors, str(path))
     if encoder.fingerprint() != metadata.get("fingerprint"):
-        message = f"{path} has fingerprint {encoder.fingerprint()}, expected {metadata.get('fingerprint')}; it was changed: fetch it again"
+        found, expected = encoder.fingerprint(), metadata.get("fingerprint")
+        message = f"{path} has fingerprint {found}, expected {expected}; the file was changed: download it again"
         raise ConfigError(message, "weights_changed")
     return encoder
 
 
 def load_default() -> PointEncoder:
-    """Our own small encoder, with its pre-trained weights.
+    """Loads the small encoder of this repository.
 
     Raises:
-        ConfigError: They are not there or not whole.
+        ConfigError: Its weights are missing or damaged.
     """
     return load(DEFAULT_WEIGHTS)
 
@@ -90,20 +93,22 @@ def load_published(path: Path, preprocessing: Preprocessing) -> PointEncoder:
 
     Args:
         path: A ``.pth`` or ``.safetensors`` file.
-        preprocessing: What it was trained on, which the file does not say, such as :data:`models.point_encoder.cloud.SCANNET`.
+        preprocessing: The preprocessing of its training, which the file does not contain, such as
+            :data:`models.point_encoder.cloud.SCANNET`.
 
     Returns:
-        The encoder; where it gives other than 64 channels, `PointEncoder.fit_projection` is to be called next.
+        The encoder; if its output has not 64 channels, call `PointEncoder.fit_projection` next.
 
     Raises:
-        ConfigError: The file is none of these, or something in it does not fit; the message lists what.
+        ConfigError: The file cannot be read (``weights_invalid``), its variant is not supported (``weights_unsupported``), or its
+            tensors do not match the variant (``weights_mismatch``); the message lists them.
     """
     content = _read(path)
     inner, stated = content.get("state_dict", content), content.get("config", {})
     if not (isinstance(inner, Mapping) and isinstance(stated, Mapping)):
         raise ConfigError(f"{path} holds no state dict, expected one of Point Transformer V3", "weights_invalid")
     tensors = _encoder_part({str(name): value for name, value in inner.items()}, str(path))
-    encoder = PointEncoder(_sniffed(tensors, stated, str(path)), preprocessing)
+    encoder = PointEncoder(_detect_config(tensors, stated, str(path)), preprocessing)
     _fill(encoder.backbone, tensors, str(path))
     return encoder
 
@@ -112,7 +117,7 @@ def _read(path: Path) -> Mapping[str, Any]:
     try:
         content = load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError) as error:
-        # What torch says of such a file is how to run the code in it.
+        # torch's own message for a file with code explains how to execute the code.
         what = "more than data" if isinstance(error, pickle.UnpicklingError) else str(error).splitlines()[0]
         message = f"{path}: found {what}, expected a checkpoint of tensors and plain values alone"
         raise ConfigError(message, "weights_invalid") from error
@@ -122,26 +127,22 @@ def _read(path: Path) -> Mapping[str, Any]:
 
 
 def _encoder_part(content: Mapping[str, Any], origin: str) -> dict[str, Tensor]:
-    """The tensors of the network, their prefix off; what stands beside it under another prefix is left out."""
+    """Returns the network's tensors without their common prefix; tensors with other prefixes are left out."""
     for prefix in _PREFIXES:
         if any(name.startswith(f"{prefix}embedding.stem.") for name in content):
             found = {name.removeprefix(prefix): value for name, value in content.items() if name.startswith(prefix)}
             found = {name: value for name, value in found.items() if not _NOT_ENCODING.match(name)}
-            odd = [name for name, value in found.items() if not isinstance(value, Tensor)]
-            if odd:
-                raise ConfigError(f"{origin}: {_some(odd)} are no tensors, expected a state dict", "weights_invalid")
+            if others := [name for name, value in found.items() if not isinstance(value, Tensor)]:
+                raise ConfigError(f"{origin}: {_first(others)} are not tensors, expected a state dict", "weights_invalid")
             return found
-    message = f"{origin} has no embedding.stem ({_some(list(content))}), expected Point Transformer V3"
+    message = f"{origin} has no embedding.stem ({_first(list(content))}), expected Point Transformer V3"
     raise ConfigError(message, "weights_invalid")
 
 
-def _sniffed(tensors: Mapping[str, Tensor], stated: Mapping[str, Any], origin: str) -> TransformerConfig:
-    """The variant, from names and shapes; heads, patches and curves from the stated configuration where there is one."""
-    rope = [name for name in tensors if "rope" in name]
-    if rope:
-        message = (
-            f"{origin} has rotary positions ({_some(rope)}), expected a model without (first generation, Sonata, Concerto)"
-        )
+def _detect_config(tensors: Mapping[str, Tensor], stated: Mapping[str, Any], origin: str) -> TransformerConfig:
+    """Detects the variant from names and shapes; heads, patches and curves are from the stated configuration, if any."""
+    if rope := [name for name in tensors if "rope" in name]:
+        message = f"{origin} has rotary positions ({_first(rope)}), expected first generation, Sonata or Concerto"
         raise ConfigError(message, "weights_unsupported")
     is_conv = "embedding.stem.conv.weight" in tensors
     stem = tensors.get(f"embedding.stem.{'conv' if is_conv else 'linear'}.weight")
@@ -158,7 +159,7 @@ def _sniffed(tensors: Mapping[str, Tensor], stated: Mapping[str, Any], origin: s
     scales = [tensor for name, tensor in tensors.items() if name.endswith(".ls1.0.gamma")]
     patch_sizes = {*stated.get("enc_patch_size", (1024,)), *(stated.get("dec_patch_size", ()) if depths["dec"] else ())}
     if len(patch_sizes) != 1:
-        message = f"{origin}: patch sizes {sorted(patch_sizes)}, expected the same in every stage"
+        message = f"{origin} has patch sizes {sorted(patch_sizes)}, expected the same in every stage"
         raise ConfigError(message, "weights_unsupported")
     order = stated.get("order", CURVES)
     return TransformerConfig(
@@ -181,7 +182,7 @@ def _sniffed(tensors: Mapping[str, Tensor], stated: Mapping[str, Any], origin: s
 
 
 def _stages(tensors: Mapping[str, Tensor], part: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Depth and channels of each stage."""
+    """The depth and channels of each stage."""
     blocks: dict[int, set[int]] = {}
     for name in tensors:
         if found := re.match(rf"{part}\.{part}(\d+)\.block(\d+)\.", name):
@@ -194,25 +195,25 @@ def _stages(tensors: Mapping[str, Tensor], part: str) -> tuple[tuple[int, ...], 
 
 
 def _fill(module: torch.nn.Module, tensors: Mapping[str, Tensor], origin: str) -> None:
-    """Loads every tensor into its place, or refuses with the list of those that have none, are missing or of another shape."""
-    wanted = module.state_dict()
+    """Loads all tensors, or refuses with lists of missing, unexpected and differently shaped ones."""
+    required = module.state_dict()
     wrong = [
-        f"{name} is {tuple(tensors[name].shape)}, expected {tuple(wanted[name].shape)}"
-        for name in wanted
-        if name in tensors and tensors[name].shape != wanted[name].shape
+        f"{name} is {tuple(tensors[name].shape)}, expected {tuple(required[name].shape)}"
+        for name in required
+        if name in tensors and tensors[name].shape != required[name].shape
     ]
-    missing, unexpected = [n for n in wanted if n not in tensors], [n for n in tensors if n not in wanted]
+    missing, unexpected = [n for n in required if n not in tensors], [n for n in tensors if n not in required]
     found = (("missing", missing), ("unexpected", unexpected), ("shape", wrong))
     if any(names for _, names in found):
-        listed = "; ".join(f"{len(names)} {what}: {_some(names)}" for what, names in found if names)
-        raise ConfigError(f"{origin} does not fit its variant of Point Transformer V3: {listed}", "weights_mismatch")
+        listed = "; ".join(f"{len(names)} {what}: {_first(names)}" for what, names in found if names)
+        raise ConfigError(f"{origin} does not match its variant of Point Transformer V3: {listed}", "weights_mismatch")
     module.load_state_dict(dict(tensors))
 
 
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+def _first(names: list[str]) -> str:
+    return ", ".join(names[:_MAX_LISTED]) + (f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else "")
 
 
 def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Lists as tuples: JSON knows no other."""
+    """Converts lists to tuples, which JSON does not have."""
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}

@@ -1,4 +1,4 @@
-"""The point encoder: clouds of objects to 64 numbers each, and the logarithm of their extents."""
+"""The point encoder: maps the cloud of an object to 64 numbers."""
 
 import hashlib
 import json
@@ -17,17 +17,17 @@ from stable_data.errors import ConfigError, MeshError
 
 FEATURE_CHANNELS = 64
 
-_SMALLEST_EXTENT = 1e-4  # metres: a sheet has a logarithm too
+_SMALLEST_EXTENT = 1e-4  # metres: lower bound, so that the logarithm of a flat object's extent is finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCodes:
-    """What is known of B clouds.
+    """Point features of B clouds.
 
     Attributes:
-        codes: (B, 64) float32, of the normalised cloud.
-        log_extents: Natural logarithm of the box of the cloud as given, metres, (B, 3) float32.
-        fingerprint: The encoder that made them; features of different encoders are never mixed.
+        codes: Features of the normalised clouds, (B, 64) float32.
+        log_extents: Natural logarithms of the sizes before normalisation, metres, (B, 3) float32.
+        fingerprint: Fingerprint of the encoder; features of different encoders must not be mixed.
     """
 
     codes: npt.NDArray[np.float32]
@@ -38,15 +38,15 @@ class PointCodes:
 class PointEncoder(nn.Module):
     """Point Transformer V3, mean-pooled over the voxels of each cloud.
 
-    Where the network gives more or less than 64 channels, `fit_projection` must be called once, on the assets it will serve,
-    unless its weights came with a projection that was learned with them.
+    If the network's output has not 64 channels, `fit_projection` must be called once, with the assets that will be encoded,
+    unless the weights include a learned projection.
 
     Args:
-        config: The network.
-        preprocessing: What its weights expect of a cloud.
+        config: Configuration of the network.
+        preprocessing: Preprocessing of the weights.
 
     Raises:
-        ConfigError: The preprocessing makes other channels than the network takes.
+        ConfigError: The preprocessing and the network have different numbers of channels (``encoder_config``).
     """
 
     def __init__(self, config: TransformerConfig, preprocessing: Preprocessing) -> None:
@@ -54,7 +54,7 @@ class PointEncoder(nn.Module):
         if config.in_channels != preprocessing.num_channels:
             message = (
                 f"point encoder takes {config.in_channels} channels, its preprocessing makes {preprocessing.num_channels} "
-                f"({', '.join(preprocessing.channels)}); give the preprocessing that the weights were trained with"
+                f"({', '.join(preprocessing.channels)}); use the preprocessing that the weights were trained with"
             )
             raise ConfigError(message, "encoder_config")
         self.preprocessing = preprocessing
@@ -66,39 +66,39 @@ class PointEncoder(nn.Module):
 
     @property
     def config(self) -> TransformerConfig:
-        """What the network looks like."""
+        """The configuration of the network."""
         return self.backbone.config
 
     @property
     def device(self) -> torch.device:
-        """Where it is."""
+        """The device of the weights."""
         return next(self.parameters()).device
 
     def forward(self, clouds: Sequence[PointCloud]) -> Tensor:
-        """Means over the voxels of each cloud, (B, out_channels) float32, not yet projected."""
+        """Computes means over the voxels of each cloud, (B, out_channels) float32, before the projection."""
         voxels = voxelise(clouds, self.preprocessing, self.device)
         features, level = self.backbone(voxels.coords, voxels.batch, voxels.features)
         lengths = torch.tensor(level.lengths, device=features.device)
-        # Not index_add_: it sums in a fixed order on every device.
+        # Unlike index_add_, segment_reduce sums in a fixed order on every device.
         return torch.segment_reduce(features, "mean", lengths=lengths, axis=0, unsafe=True)
 
     def encode(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> PointCodes:
-        """Features of clouds with what they are kept with; see :meth:`codes`."""
+        """Computes features with log extents and fingerprint; see :meth:`codes`."""
         extents = np.array([cloud.size for cloud in clouds], np.float32).reshape(-1, 3)
         return PointCodes(self.codes(clouds, batch_size), np.log(np.maximum(extents, _SMALLEST_EXTENT)), self.fingerprint())
 
     def codes(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> npt.NDArray[np.float32]:
-        """Features of clouds, (B, 64) float32, each independent of the others and of the order of its points.
+        """Computes features, (B, 64) float32, each independent of the other clouds and of the order of points.
 
         Args:
-            clouds: Any number, as :meth:`PointCloud.of_shape` makes them with ``preprocessing.num_points``.
-            batch_size: Clouds at once.
+            clouds: Any number of clouds of :meth:`PointCloud.of_shape` with ``preprocessing.num_points``.
+            batch_size: Clouds per batch.
 
         Raises:
-            MeshError: A cloud has other than ``preprocessing.num_points`` points: its code would be another.
-            ConfigError: The encoder gives other than 64 channels and no projection was fitted.
+            MeshError: A cloud has not ``preprocessing.num_points`` points, which would change its code (``cloud_invalid``).
+            ConfigError: The output has not 64 channels and no projection was fitted (``encoder_unprojected``).
         """
-        codes = self._pooled(clouds, batch_size)
+        codes = self._pool(clouds, batch_size)
         if self.needs_projection:
             if not self.basis.any():
                 message = (
@@ -109,30 +109,29 @@ class PointEncoder(nn.Module):
         return codes.numpy()
 
     def fit_projection(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> None:
-        """Fits what turns the network's channels into 64: the whitened principal directions over clouds, more than 64 of them.
+        """Fits the projection to 64 channels: whitened principal directions over clouds, more than 64 of them.
 
         Raises:
-            ConfigError: They span less than 64 dimensions, or there is nothing to fit.
+            ConfigError: The output has 64 channels already (``encoder_config``), or the clouds span less than 64 dimensions
+                (``encoder_rank``).
         """
         if not self.needs_projection:
-            raise ConfigError("point encoder gives 64 channels by itself, expected others to project", "encoder_config")
-        codes = self._pooled(clouds, batch_size).double()
+            raise ConfigError("point encoder has 64 output channels, expected another number to project", "encoder_config")
+        codes = self._pool(clouds, batch_size).double()
         mean = codes.mean(0)
         _, spread, directions = torch.linalg.svd(codes - mean, full_matrices=False)
         rank = int((spread > 1e-6 * spread.max()).sum())
         if rank < FEATURE_CHANNELS:
-            message = (
-                f"{len(codes)} clouds span {rank} dimensions, expected at least {FEATURE_CHANNELS}; give more, unlike ones"
-            )
+            message = f"{len(codes)} clouds span {rank} dimensions, expected at least {FEATURE_CHANNELS}; use more and different clouds"
             raise ConfigError(message, "encoder_rank")
         deviation = spread[:FEATURE_CHANNELS, None] / len(codes) ** 0.5
-        # The sign of a direction is the solver's choice: its largest part is made positive.
-        kept = directions[:FEATURE_CHANNELS]
-        kept = kept * kept.gather(1, kept.abs().argmax(1, keepdim=True)).sign()
-        self.set_projection(mean.float(), (kept / deviation).float())
+        # The sign of a singular vector is arbitrary: the largest component becomes positive.
+        basis = directions[:FEATURE_CHANNELS]
+        basis = basis * basis.gather(1, basis.abs().argmax(1, keepdim=True)).sign()
+        self.set_projection(mean.float(), (basis / deviation).float())
 
     def set_projection(self, mean: Tensor, basis: Tensor) -> None:
-        """Sets what turns the network's C channels into 64: ``basis @ (channels - mean)``.
+        """Sets the projection of the network's C channels to 64: ``basis @ (channels - mean)``.
 
         Args:
             mean: (C,) float32.
@@ -142,7 +141,7 @@ class PointEncoder(nn.Module):
         self.mean, self.basis = mean.clone().to(self.device), basis.clone().to(self.device)
 
     def fingerprint(self) -> str:
-        """Names the encoder: a hash of weights, configuration and preprocessing, 32 hexadecimal digits."""
+        """Hashes weights, configuration and preprocessing, 32 hexadecimal digits."""
         digest = hashlib.sha256(json.dumps(self.settings(), sort_keys=True).encode())
         for name, tensor in sorted(self.state_dict().items()):
             digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
@@ -150,14 +149,15 @@ class PointEncoder(nn.Module):
         return digest.hexdigest()[:32]
 
     def settings(self) -> dict[str, dict[str, object]]:
-        """Configuration and preprocessing, plain values."""
+        """Configuration and preprocessing as plain values."""
         return {"config": asdict(self.config), "preprocessing": asdict(self.preprocessing)}
 
     @torch.no_grad()
-    def _pooled(self, clouds: Sequence[PointCloud], batch_size: int) -> Tensor:
-        wanted = self.preprocessing.num_points
-        if odd := sorted({len(cloud.points) for cloud in clouds} - {wanted}):
-            raise MeshError(f"clouds have {odd} points, expected the {wanted} of this encoder's preprocessing", "cloud_invalid")
+    def _pool(self, clouds: Sequence[PointCloud], batch_size: int) -> Tensor:
+        expected = self.preprocessing.num_points
+        if others := sorted({len(cloud.points) for cloud in clouds} - {expected}):
+            message = f"clouds have {others} points, expected the {expected} of this encoder's preprocessing"
+            raise MeshError(message, "cloud_invalid")
         was_training = self.training
         self.eval()
         try:
@@ -169,7 +169,7 @@ class PointEncoder(nn.Module):
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Lets torch use one thread: how sums are cut among threads shows in their last bits."""
+    """Limits torch to one thread: the last bits of sums depend on the number of threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

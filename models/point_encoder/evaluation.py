@@ -1,4 +1,4 @@
-"""What pre-trained codes know: errors on shapes and pairs that were never trained on, beside baselines, and their rank."""
+"""Evaluation of pre-trained codes: errors on held-out shapes and pairs, errors of baselines, and the effective rank."""
 
 from collections.abc import Sequence
 
@@ -13,13 +13,13 @@ from models.point_encoder.pretraining_targets import CLEARANCE_LIMIT, DISTANCE_L
 
 @torch.no_grad()
 def evaluate(model: PretrainingModel, shapes: Sequence[TrainingShape], batch_size: int = 16, seed: int = 1) -> dict[str, float]:
-    """Errors on shapes, always the same questions.
+    """Computes errors on shapes, with the same queries and pairs at every call.
 
     Returns:
-        ``distance_error``: mean error of the signed distance, share of the largest extent, and ``distance_error_of_mean`` of
-        who always answers the mean; ``iou`` of inside and outside over the boxes; ``clearance_mm`` and ``overlap_accuracy`` of
-        pairs, and of the two baselines: ``box_head_`` learned from boxes alone, ``box_`` the distance of the boxes itself;
-        ``effective_rank`` of the codes, 64 at most.
+        ``distance_error``, the mean error of the signed distance as a share of the largest extent, and
+        ``distance_error_of_mean``, the error of the constant mean; ``iou`` of the insides within the boxes; ``clearance_mm`` and
+        ``overlap_accuracy`` of pairs, also of two baselines: ``box_head_``, learned from boxes alone, and ``box_``, the distance
+        of the boxes; ``effective_rank`` of the codes, at most 64.
     """
     model.eval()
     found: dict[str, list[Tensor]] = {}
@@ -31,7 +31,7 @@ def evaluate(model: PretrainingModel, shapes: Sequence[TrainingShape], batch_siz
         )
         codes, distances, clearances, of_boxes = model(x)
         inside, is_in_box = x.distances < 0, (x.places.abs() <= x.proportions.exp()[:, None] / 2).all(-1)
-        answers = {
+        values = {
             "codes": codes,
             "distance": (distances - x.distances).abs().mean(1),
             "distances": x.distances.flatten(),
@@ -42,11 +42,11 @@ def evaluate(model: PretrainingModel, shapes: Sequence[TrainingShape], batch_siz
             "box_head": of_boxes.clamp(-1, 1) * x.units,
             "box": x.box_clearances * x.units,
         }
-        for name, value in answers.items():
+        for name, value in values.items():
             found.setdefault(name, []).append(value)
     model.train()
     v = {name: torch.cat(parts).cpu() for name, parts in found.items()}
-    extent = DISTANCE_LIMIT / 2  # of the largest extent
+    extent = DISTANCE_LIMIT / 2  # distances are in half the largest extent, errors in the whole
     result = {
         "distance_error": extent * float(v["distance"].mean()),
         "distance_error_of_mean": extent * float((v["distances"] - v["distances"].mean()).abs().mean()),
@@ -61,7 +61,7 @@ def evaluate(model: PretrainingModel, shapes: Sequence[TrainingShape], batch_siz
 
 
 def effective_rank(codes: Tensor) -> float:
-    """How many dimensions codes (B, C) use: the exponential of the entropy of their covariance's spectrum (Roy and Vetterli)."""
+    """The effective rank of codes (B, C): the exponential of the entropy of their covariance's spectrum (Roy and Vetterli)."""
     variance = torch.linalg.svdvals((codes - codes.mean(0)).double()).square()
     share = variance / variance.sum()
     return float(torch.exp(-(share * share.clamp(min=1e-30).log()).sum()))

@@ -1,4 +1,4 @@
-"""What is asked of codes in pre-training: the signed distance around an object, and the clearance between two."""
+"""The heads of pre-training: they predict the signed distance around an object and the clearance of two objects from codes."""
 
 import math
 
@@ -16,20 +16,20 @@ _HARMONICS = 4
 
 
 def fourier_features(values: Tensor, frequencies: int = _FREQUENCIES) -> Tensor:
-    """Numbers with sines and cosines of them, (…, n) to (…, n (1 + 2 · frequencies))."""
+    """Appends sines and cosines at increasing frequencies to values, (…, n) to (…, n (1 + 2 · frequencies))."""
     angles = values[..., None] * (math.pi * 2.0 ** torch.arange(-1, frequencies - 1, device=values.device))
     return torch.cat([values, angles.sin().flatten(-2), angles.cos().flatten(-2)], dim=-1)
 
 
 class _Answers(nn.Module):
-    """A network of what is asked, in which every layer is scaled and shifted by what is known (Perez et al., FiLM, AAAI 2018).
+    """A network of queries whose layers are scaled and shifted by a condition (Perez et al., FiLM, AAAI 2018).
 
     Args:
-        known_channels: Of what is known.
-        asked_channels: Of what is asked.
-        out_channels: Of an answer.
-        width: Of the layers.
-        depth: Layers between the first and the last.
+        known_channels: Channels of the condition.
+        asked_channels: Channels of a query.
+        out_channels: Channels of the output.
+        width: Width of the layers.
+        depth: Number of layers between the first and the last.
     """
 
     def __init__(self, known_channels: int, asked_channels: int, out_channels: int, width: int, depth: int) -> None:
@@ -40,7 +40,7 @@ class _Answers(nn.Module):
         self.last = nn.Linear(width, out_channels)
 
     def forward(self, known: Tensor, asked: Tensor) -> Tensor:
-        """Known (N, K) and asked (N, Q, A) to answers (N, Q, out)."""
+        """Maps conditions (N, K) and queries (N, Q, A) to outputs (N, Q, out)."""
         factors = self.of_known(known)[:, None].chunk(2 * len(self.layers), dim=-1)
         hidden = self.of_asked(asked)
         for k, layer in enumerate(self.layers):
@@ -50,35 +50,33 @@ class _Answers(nn.Module):
 
 
 class DistanceHead(nn.Module):
-    """Signed distance at points around an object, from its code and the proportions of its box."""
+    """Predicts the signed distance at points around an object from its code and the proportions of its box."""
 
     def __init__(self, width: int = 160) -> None:
         super().__init__()
         self.answers = _Answers(FEATURE_CHANNELS + 3, 3 + 6 * _FREQUENCIES, 1, width, 3)
 
     def forward(self, codes: Tensor, proportions: Tensor, places: Tensor) -> Tensor:
-        """Distances in units of ``DISTANCE_LIMIT``; what is asked lies within [-1, 1].
+        """Predicts distances (B, Q) in units of ``DISTANCE_LIMIT``; true values are within [-1, 1].
 
         Args:
             codes: (B, 64).
-            proportions: Logarithm of the box over half its largest side, (B, 3).
-            places: In half the largest extent, (B, Q, 3).
-
-        Returns:
-            (B, Q).
+            proportions: Logarithms of the box's sides over half the largest, (B, 3).
+            places: Query points, in units of half the largest extent, (B, Q, 3).
         """
         result: Tensor = self.answers(torch.cat([codes, proportions], dim=1), fourier_features(places))
         return result[..., 0]
 
 
 class ClearanceHead(nn.Module):
-    """Clearance of pairs, from their codes, boxes and relative pose; without codes it is the baseline that knows boxes alone.
+    """Predicts the clearance of pairs from their codes, boxes and relative pose; without codes, it is the baseline of boxes.
 
-    Each of the two says what it is towards the other, as seen from itself, by one network for both; the answer is of the sum.
+    One network encodes each object's view of the other, in its own frame; the prediction is a function of the sum, so it does
+    not depend on the order of the two.
 
     Args:
-        with_codes: Whether it sees the codes.
-        width: Of its layers.
+        with_codes: Whether it reads the codes.
+        width: Width of its layers.
     """
 
     def __init__(self, *, with_codes: bool, width: int = 256) -> None:
@@ -89,19 +87,17 @@ class ClearanceHead(nn.Module):
         self.rest = nn.Sequential(nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, 1))
 
     def forward(self, first: Tensor, second: Tensor, x: PretrainingTargets) -> Tensor:
-        """Clearances in units of ``CLEARANCE_LIMIT``.
+        """Predicts clearances (R,) in units of ``CLEARANCE_LIMIT``.
 
         Args:
-            first: Codes, (R, 64).
-            second: Codes, (R, 64).
-            x: What is asked of the pairs.
-
-        Returns:
-            (R,).
+            first: Codes of the first objects, (R, 64).
+            second: Codes of the second objects, (R, 64).
+            x: Boxes and relative poses of the pairs.
         """
+        # `back` is the offset of the first object in the frame of the second.
         offset, (c, s), z = x.poses[:, :2], x.poses[:, 3:].unbind(1), x.poses[:, 2:3]
         back = -torch.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], dim=1)
-        said = []
+        views = []
         for code, box, other, way, up, turn in (
             (first, x.boxes[:, :3], x.boxes[:, 3:], offset, z, s),
             (second, x.boxes[:, 3:], x.boxes[:, :3], back, -z, -s),
@@ -110,37 +106,37 @@ class ClearanceHead(nn.Module):
             angles = torch.stack([torch.atan2(way[:, 1], way[:, 0]), torch.atan2(turn, c)], dim=1)
             asked = [box, other, x.box_clearances[:, None], fourier_features(place, _PAIR_FREQUENCIES), _harmonics(angles)]
             known = torch.cat([box, code], dim=1) if self.with_codes else box
-            said.append(self.towards(known, torch.cat(asked, dim=1)[:, None])[:, 0])
-        result: Tensor = self.rest(said[0] + said[1])
+            views.append(self.towards(known, torch.cat(asked, dim=1)[:, None])[:, 0])
+        result: Tensor = self.rest(views[0] + views[1])
         return result[:, 0]
 
 
 def _harmonics(angles: Tensor) -> Tensor:
-    """Cosines and sines of angles (R, n) and their multiples: what is seen of a shape from around it is a series of these."""
+    """Cosines and sines of angles (R, n) and their multiples: the basis of a Fourier series over viewing directions."""
     multiples = angles[..., None] * torch.arange(1, _HARMONICS + 1, device=angles.device)
     return torch.cat([multiples.cos(), multiples.sin()], dim=-1).flatten(1)
 
 
 class PretrainingModel(nn.Module):
-    """The encoder and the heads that question it.
+    """The encoder with the heads of pre-training.
 
     Args:
-        config: Of the encoder; one that gives other than 64 channels.
-        preprocessing: Of the encoder.
+        config: Configuration of the encoder; its output must not have 64 channels.
+        preprocessing: Preprocessing of the encoder.
     """
 
     def __init__(self, config: TransformerConfig, preprocessing: Preprocessing) -> None:
         super().__init__()
         self.encoder = PointEncoder(config, preprocessing)
-        # What untrained weights give hardly differs between shapes; levelled over a batch, what differs is what goes on.
+        # Outputs of an untrained encoder hardly differ between shapes; normalisation over the batch amplifies the differences.
         self.level = nn.BatchNorm1d(config.out_channels, affine=False)
         self.projection = nn.Linear(config.out_channels, FEATURE_CHANNELS, bias=False)
         nn.init.orthogonal_(self.projection.weight)
         self.distance, self.clearance = DistanceHead(), ClearanceHead(with_codes=True)
-        self.box_clearance = ClearanceHead(with_codes=False)  # the baseline: learns beside, and teaches the encoder nothing
+        self.box_clearance = ClearanceHead(with_codes=False)  # the baseline: its gradient does not reach the encoder
 
     def forward(self, x: PretrainingTargets) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Codes (B, 64), distances (B, Q), clearances (R,), and those of the baseline (R,)."""
+        """Returns codes (B, 64), distances (B, Q), clearances (R,), and clearances of the baseline (R,)."""
         codes: Tensor = self.projection(self.level(self.encoder([p.cloud for p in x.posed])))
         first, second = codes[x.first], codes[x.second]
         return (
@@ -151,7 +147,7 @@ class PretrainingModel(nn.Module):
         )
 
     def loss(self, x: PretrainingTargets, pair_weight: float, spread_weight: float) -> tuple[Tensor, dict[str, float]]:
-        """What is minimised, and its parts: mean absolute errors of distance, clearance and the baseline's clearance, and spread."""
+        """Computes the loss and its parts: mean absolute errors of distance, clearance and the baseline's clearance, and spread."""
         codes, distances, clearances, of_boxes = self(x)
         parts = {
             "distance": (distances - x.distances).abs().mean(),
@@ -162,8 +158,8 @@ class PretrainingModel(nn.Module):
         total = parts["distance"] + pair_weight * (parts["clearance"] + parts["box_clearance"])
         return total + spread_weight * parts["spread"], {name: float(part.detach()) for name, part in parts.items()}
 
-    def hand_over(self) -> None:
-        """Gives the encoder the levelling and projection that were learned with it: from then on its codes are those of the heads."""
+    def set_encoder_projection(self) -> None:
+        """Sets the encoder's projection to the learned normalisation and projection: its codes become those of the heads."""
         assert self.level.running_mean is not None
         assert self.level.running_var is not None
         deviation = (self.level.running_var + self.level.eps).sqrt()
@@ -171,14 +167,14 @@ class PretrainingModel(nn.Module):
 
 
 def spread_loss(codes: Tensor) -> Tensor:
-    """How far codes (B, 64) are from unit deviation and from no correlation.
+    """Penalises channels of codes (B, 64) with a deviation below 1, and correlation between channels.
 
-    The variance term of VICReg (Bardes et al., ICLR 2022, eq. 1), and its covariance term (eq. 4) of levelled codes, so that
-    one is not bought with the other.
+    The terms are the variance term of VICReg (Bardes et al., ICLR 2022, eq. 1), and its covariance term (eq. 4) of normalised
+    codes, so that a smaller deviation does not reduce the second term.
     """
     centred = codes - codes.mean(0)
     deviation = (centred.square().sum(0) / (len(codes) - 1) + 1e-4).sqrt()
-    levelled = centred / deviation
-    correlation = levelled.T @ levelled / (len(codes) - 1)
-    apart = correlation.square().sum() - correlation.diag().square().sum()
-    return functional.relu(1 - deviation).mean() + apart / codes.shape[1]
+    normalised = centred / deviation
+    correlation = normalised.T @ normalised / (len(codes) - 1)
+    off_diagonal = correlation.square().sum() - correlation.diag().square().sum()
+    return functional.relu(1 - deviation).mean() + off_diagonal / codes.shape[1]

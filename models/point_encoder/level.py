@@ -1,7 +1,7 @@
-"""One resolution of a batch of clouds: its voxels, who neighbours whom, who attends to whom, and the next coarser one.
+"""One resolution of a batch of clouds: voxels, neighbours for convolution, patches for attention, and the next coarser level.
 
-What is derived is kept, because every block of a stage and of the decoder asks for the same again. Nothing of one cloud depends
-on another: curves turn by each cloud's own depth, and patches are cut cloud by cloud.
+Derived tables are cached, because all blocks of a stage and of the decoder use the same ones. Clouds are independent of each
+other: the orientation of curves depends on the cloud's own depth, and patches are formed per cloud.
 """
 
 from dataclasses import dataclass
@@ -12,24 +12,25 @@ from torch import Tensor
 
 from models.point_encoder.serialization import CODE_BITS, MAX_DEPTH, SpaceFillingCurve, bit_length, encode
 
-_BUCKETS = tuple(sorted({n for k in range(4, 13) for n in (2**k, 3 * 2 ** (k - 1))}))  # 16, 24, 32, 48, …
+# Padded lengths of patches: 16, 24, 32, 48, …: few lengths, so few batches, yet little padding (a third at most from 16 on).
+_BUCKETS = tuple(sorted({n for k in range(4, 13) for n in (2**k, 3 * 2 ** (k - 1))}))
 _MAX_CLOUDS = 1 << (62 - CODE_BITS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelMap:
-    """Which voxels a convolution joins: ``pairs[k]`` are the rows (written, read) of kernel place k; None for the middle."""
+    """Neighbours of a convolution: ``pairs[k]`` are the rows (written, read) of kernel offset k; None for the middle."""
 
     pairs: tuple[tuple[Tensor, Tensor] | None, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchBucket:
-    """Patches of about one length, padded to the same.
+    """Patches padded to one length.
 
     Attributes:
-        rows: Voxel of each place, (P, K) int64.
-        is_key: Which places are attended to, (P, 1, 1, K) bool; None where all are.
+        rows: Voxels of each patch, (P, K) int64.
+        is_key: False for padding, (P, 1, 1, K) bool; None without padding.
     """
 
     rows: Tensor
@@ -38,11 +39,11 @@ class PatchBucket:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttentionPatches:
-    """How attention cuts the clouds of a level along a curve.
+    """The patches of a level along a curve.
 
     Attributes:
-        buckets: The patches.
-        places: Where each voxel's own result is among the flattened places of all buckets, (V,) int64.
+        buckets: The patches, grouped by padded length.
+        places: Index of each voxel's result in the concatenated, flattened buckets, (V,) int64.
     """
 
     buckets: tuple[PatchBucket, ...]
@@ -50,13 +51,13 @@ class AttentionPatches:
 
 
 class VoxelLevel:
-    """Voxels of a batch of clouds at one resolution, rows in order of cloud and of the first curve's code.
+    """Voxels of a batch of clouds at one resolution, sorted by cloud and by code of the first curve.
 
     Args:
-        coords: (V, 3) int64, from 0, no two alike in a cloud.
-        batch: Cloud of each, (V,) int64, ascending; every cloud has a voxel.
-        lengths: Voxels of each cloud.
-        codes: Place of each along each curve, (curves, V) int64.
+        coords: (V, 3) int64, from 0, distinct in each cloud.
+        batch: Cloud of each voxel, (V,) int64, ascending; every cloud has a voxel.
+        lengths: Number of voxels of each cloud.
+        codes: Codes of the voxels along each curve, (curves, V) int64.
     """
 
     def __init__(self, coords: Tensor, batch: Tensor, lengths: list[int], codes: Tensor) -> None:
@@ -69,16 +70,16 @@ class VoxelLevel:
     def of_voxels(
         cls, coords: Tensor, batch: Tensor, curves: tuple[SpaceFillingCurve, ...], *, with_margin: bool
     ) -> tuple["VoxelLevel", Tensor]:
-        """The level of voxels in any order.
+        """Builds the level of voxels in any order.
 
         Args:
-            coords: (V, 3) int64, from 0, below 2**16, no two alike in a cloud.
-            batch: Cloud of each, (V,) int64; every cloud has a voxel.
-            curves: Curves to order them by.
-            with_margin: Whether the depth leaves room for one more coordinate, as the second generation of models has it.
+            coords: (V, 3) int64, from 0, below 2**16, distinct in each cloud.
+            batch: Cloud of each voxel, (V,) int64; every cloud has a voxel.
+            curves: The space-filling curves.
+            with_margin: Whether the depth includes one more coordinate, as in the second generation of models.
 
         Returns:
-            The level, and which row of the input each of its voxels was, (V,) int64.
+            The level, and the input row of each of its voxels, (V,) int64.
         """
         assert int(batch.max()) < _MAX_CLOUDS
         num_clouds = int(batch.max()) + 1
@@ -94,16 +95,16 @@ class VoxelLevel:
         return len(self.batch)
 
     def pooled(self, curves: tuple[SpaceFillingCurve, ...], *, by_code: bool) -> tuple["VoxelLevel", Tensor]:
-        """The level of half the resolution.
+        """Builds the level of half the resolution.
 
-        The voxels that merge are the same either way; what differs is the turn of the Hilbert curves.
+        ``by_code`` does not change which voxels merge, but the orientation of the Hilbert curves.
 
         Args:
-            curves: Curves to order it by.
-            by_code: Whether its codes are these, shortened; else they are made anew from its coordinates.
+            curves: The space-filling curves.
+            by_code: Whether codes are the present ones without their last 3 bits; else they are computed from coordinates.
 
         Returns:
-            The level, and which of its voxels each of these became, (V,) int64.
+            The level, and the coarse voxel of each of the present voxels, (V,) int64.
         """
         key = _by_cloud(self.batch, self.codes[0] >> 3)
         _, cluster, count = torch.unique_consecutive(key, return_inverse=True, return_counts=True)
@@ -116,16 +117,16 @@ class VoxelLevel:
         return level, torch.empty_like(rows).scatter_(0, rows, torch.arange(len(rows), device=rows.device))[cluster]
 
     def kernel_map(self, size: int) -> KernelMap:
-        """Which voxels a convolution of that (odd) size joins."""
+        """Returns the neighbours for a convolution of an odd kernel size."""
         if size not in self._kernel_maps:
             self._kernel_maps[size] = self._make_kernel_map(size)
         return self._kernel_maps[size]
 
     def patches(self, curve: int, size: int) -> AttentionPatches:
-        """How attention cuts the clouds along a curve: a cloud of at most ``size`` voxels is one patch.
+        """Returns the patches for attention along a curve: a cloud of at most ``size`` voxels is one patch.
 
-        A larger one is cut into patches of ``size``; the last has its own first, then borrows what stands at the same places of
-        the patch before it.
+        A larger cloud is split into patches of ``size``. The last patch starts with its own voxels and is filled with the voxels
+        at the same positions of the patch before it.
         """
         if (curve, size) not in self._patches:
             self._patches[curve, size] = self._make_patches(curve, size)
@@ -133,19 +134,20 @@ class VoxelLevel:
 
     def _make_kernel_map(self, size: int) -> KernelMap:
         reach = size // 2
-        span = (self.coords.amax(0) + 1 + 2 * reach).tolist()  # room on both sides: an offset is one number, and never wraps
+        # With a margin on both sides, a kernel offset is one addition to the key and never reaches another row or cloud.
+        span = (self.coords.amax(0) + 1 + 2 * reach).tolist()
         assert len(self.lengths) * span[0] * span[1] * span[2] < 2**62
         step = torch.tensor([span[1] * span[2], span[2], 1], device=self.coords.device)
         key = self.batch * (span[0] * span[1] * span[2]) + ((self.coords + reach) * step).sum(1)
         sorted_key, rows = key.sort()
         offsets = torch.tensor(list(product(range(-reach, reach + 1), repeat=3)), device=self.coords.device)
         middle = len(offsets) // 2
-        # The other half of the kernel joins the same voxels the other way round.
-        wanted = key + (offsets[:middle] * step).sum(1)[:, None]
-        found = torch.searchsorted(sorted_key, wanted).clamp(max=len(key) - 1)
-        place, written = (sorted_key[found] == wanted).nonzero(as_tuple=True)
-        read = rows[found[place, written]]
-        counts = place.bincount(minlength=middle).tolist()
+        # Only half of the offsets is searched: the opposite offset has the same pairs with read and written exchanged.
+        neighbour = key + (offsets[:middle] * step).sum(1)[:, None]
+        found = torch.searchsorted(sorted_key, neighbour).clamp(max=len(key) - 1)
+        offset, written = (sorted_key[found] == neighbour).nonzero(as_tuple=True)
+        read = rows[found[offset, written]]
+        counts = offset.bincount(minlength=middle).tolist()
         half = list(zip(written.split(counts), read.split(counts), strict=True))
         return KernelMap((*half, None, *((r, w) for w, r in reversed(half))))
 
@@ -153,7 +155,7 @@ class VoxelLevel:
         if self._orders is None:
             self._orders = _by_cloud(self.batch, self.codes).argsort(dim=1)
         order = self._orders[curve]
-        own: list[int] = []  # voxels of each patch that no patch before it has
+        own: list[int] = []  # voxels of each patch that are in no earlier patch
         keys: list[int] = []
         for length in self.lengths:
             whole, rest = divmod(length, size)
@@ -167,9 +169,9 @@ class VoxelLevel:
         buckets, places, written = [], torch.empty_like(order), 0
         for length in sorted(set(padded)):
             chosen = torch.tensor([n for n, b in enumerate(padded) if b == length], device=device)
-            place = torch.arange(length, device=device)
-            is_own, is_key = (n[chosen, None] > place for n in (own_of, keys_of))
-            position = start[chosen, None] + place - torch.where(is_own, 0, size)
+            slot = torch.arange(length, device=device)
+            is_own, is_key = (n[chosen, None] > slot for n in (own_of, keys_of))
+            position = start[chosen, None] + slot - torch.where(is_own, 0, size)
             rows = order[torch.where(is_key, position, start[chosen, None])]
             all_keys = all(keys[n] == length for n in chosen.tolist())
             buckets.append(PatchBucket(rows, None if all_keys else is_key[:, None, None]))
@@ -179,5 +181,5 @@ class VoxelLevel:
 
 
 def _by_cloud(batch: Tensor, code: Tensor) -> Tensor:
-    """Codes that sort by cloud first."""
+    """Prefixes codes with the cloud, so that they sort by cloud first."""
     return (batch << CODE_BITS) | code

@@ -1,8 +1,8 @@
 """Self-supervised pre-training of the point encoder on the embedded assets: ``python -m models.point_encoder.pretrain``.
 
-Two questions are asked of the codes: the signed distance around an object, and the clearance between two. Both are what the
-corrector needs to know of a shape in its yaw frame. Step k draws from a stream of its own, so that a run that was stopped and
-resumed ends with the same weights as one that was not.
+Two heads predict from the codes: the signed distance around an object, and the clearance of two objects. The corrector needs
+both of a shape in its yaw frame. Step k has its own random stream, so that a resumed run ends with the same weights as an
+uninterrupted one.
 """
 
 import json
@@ -32,7 +32,7 @@ from stable_data.errors import ConfigError
 
 STATE, LABELS, ENCODER, REPORT = "state.pt", "labels.npz", "encoder.safetensors", "report.json"
 CONFIGS = {"base": replace(BASE, enc_mode=True), "embedded": EMBEDDED}
-"""Networks without a decoder: what they give, a projection that is learned with them turns into 64 channels."""
+"""Networks without a decoder; pre-training learns a projection of their output to 64 channels."""
 
 _SAVE_EVERY = 60.0  # seconds
 _WARM_UP = 0.05  # of the steps
@@ -40,34 +40,34 @@ _WARM_UP = 0.05  # of the steps
 
 @dataclass(frozen=True, slots=True)
 class PretrainSettings(Settings):
-    """What shapes the weights."""
+    """Settings that determine the weights."""
 
     config: str = "embedded"
     """The network: ``embedded`` or ``base``."""
 
     steps: Count = 0
-    """Optimizer steps; 0 takes as many as fit the minutes that are given."""
+    """Optimizer steps; 0 performs as many as fit into the given minutes."""
 
     seed: int = 0
-    """Seed of the first weights and of every draw."""
+    """Seed of the initial weights and of all draws."""
 
     batch_size: PositiveCount = 32
-    """Shapes of a step."""
+    """Shapes per step."""
 
     pairs_a_shape: PositiveCount = 4
-    """Pairs of a step for each of its shapes."""
+    """Pairs per shape of a step."""
 
     queries_a_shape: PositiveCount = 192
-    """Distances asked of each shape of a step."""
+    """Distance queries per shape of a step."""
 
     num_categories: PositiveCount | None = None
-    """Categories of the catalogue; None takes all."""
+    """Number of categories of the catalogue; None uses all."""
 
     num_copies: PositiveCount = 2
-    """Aspects and tilts of each shape."""
+    """Number of aspects and tilts of each shape."""
 
     num_queries: PositiveCount = 2048
-    """Distances that are computed for each shape."""
+    """Distance labels that are computed per shape."""
 
     learning_rate: Positive = 2e-3
     """Learning rate of AdamW, after the warm-up."""
@@ -76,13 +76,13 @@ class PretrainSettings(Settings):
     """Weight decay of AdamW."""
 
     pair_weight: NonNegative = 1.0
-    """Weight of the clearance loss beside the distance loss."""
+    """Weight of the clearance loss; the distance loss has weight 1."""
 
     spread_weight: NonNegative = 0.4
-    """Weight of the loss that keeps codes from using few dimensions."""
+    """Weight of the loss that makes codes use all dimensions."""
 
     def check(self) -> None:
-        """Refuses networks that are not known, and batches of too few shapes; see the base class."""
+        """Refuses unknown networks and batches of too few shapes; see the base class."""
         if self.config not in CONFIGS:
             raise ConfigError(f"pretrain: config {self.config!r}, expected one of {sorted(CONFIGS)}", "pretrain_settings")
         if self.batch_size <= self.pairs_a_shape:
@@ -93,27 +93,27 @@ class PretrainSettings(Settings):
 def pretrain(
     out: Path, settings: PretrainSettings, minutes: float | None = None, stop_after: int | None = None
 ) -> dict[str, Any]:
-    """Pre-trains an encoder, or goes on with a run that was stopped.
+    """Pre-trains an encoder, or resumes a stopped run.
 
     Args:
-        out: Folder of the run: ``state.pt`` while it runs, ``encoder.safetensors`` and ``report.json`` at its end.
-        settings: What shapes the weights. Where ``steps`` is 0, as many are taken as fit the minutes; a run that goes on keeps
-            the number that it began with.
-        minutes: What the training may take on this machine, labels left out; read where ``steps`` is 0.
-        stop_after: Step at which this call stops, to be resumed by another.
+        out: Folder of the run: ``state.pt`` during the run, ``encoder.safetensors`` and ``report.json`` at its end.
+        settings: Settings that determine the weights. If ``steps`` is 0, the number of steps is computed from the minutes; a
+            resumed run uses the number of its start.
+        minutes: Time of the training on this machine, without labels; read only if ``steps`` is 0.
+        stop_after: Step at which this call stops; another call may resume.
 
     Returns:
-        The report: errors on assets held out, effective rank, time.
+        The report: errors on held-out assets, effective rank, time.
 
     Raises:
-        ConfigError: The folder holds a run of other settings, or neither steps nor minutes are given.
+        ConfigError: The folder has a run of other settings, or neither steps nor minutes are given (``pretrain_settings``).
     """
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(settings.seed)
     preprocessing = Preprocessing()
     model = PretrainingModel(CONFIGS[settings.config], preprocessing).to("cuda" if torch.cuda.is_available() else "cpu")
     optimiser = torch.optim.AdamW(model.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
-    step, losses, settings = _resumed(out / STATE, settings, model, optimiser)
+    step, losses, settings = _resume(out / STATE, settings, model, optimiser)
     shapes, held_out = pretraining_corpus(
         settings.num_categories, settings.num_copies, preprocessing.num_points, settings.num_queries, out / LABELS
     )
@@ -126,7 +126,7 @@ def pretrain(
     last = max(first, settings.steps if stop_after is None else min(stop_after, settings.steps))
     progress = tqdm(range(step, last), desc="pretrain", initial=step, total=settings.steps, unit="step")
     for step in progress:
-        parts = _step(model, optimiser, _drawn(shapes, settings, step), settings, step)
+        parts = _step(model, optimiser, _draw_batch(shapes, settings, step), settings, step)
         losses.append(parts)
         progress.set_postfix({name: f"{value:.3f}" for name, value in parts.items()}, refresh=False)
         if time.monotonic() - saved > _SAVE_EVERY:
@@ -144,7 +144,7 @@ def pretrain(
         **(evaluate(model, held_out) if held_out else {}),
     }
     if last == settings.steps:
-        model.hand_over()
+        model.set_encoder_projection()
         save(model.encoder, out / ENCODER)
         report["fingerprint"] = model.encoder.fingerprint()
     (out / REPORT).write_text(json.dumps(report, indent=1) + "\n", "utf-8")
@@ -152,12 +152,12 @@ def pretrain(
 
 
 def _step(
-    model: PretrainingModel, optimiser: torch.optim.Optimizer, asked: PretrainingTargets, settings: PretrainSettings, step: int
+    model: PretrainingModel, optimiser: torch.optim.Optimizer, batch: PretrainingTargets, settings: PretrainSettings, step: int
 ) -> dict[str, float]:
-    """Learns from one batch; the parts of its loss."""
+    """Performs one optimizer step and returns the parts of its loss."""
     for group in optimiser.param_groups:
         group["lr"] = settings.learning_rate * _schedule(step, settings.steps)
-    total, parts = model.loss(asked.to(model.encoder.device), settings.pair_weight, settings.spread_weight)
+    total, parts = model.loss(batch.to(model.encoder.device), settings.pair_weight, settings.spread_weight)
     optimiser.zero_grad()
     total.backward()  # type: ignore[no-untyped-call]
     nn.utils.clip_grad_norm_(model.parameters(), 1.0)
@@ -165,7 +165,7 @@ def _step(
     return parts
 
 
-def _drawn(shapes: Sequence[TrainingShape], settings: PretrainSettings, step: int) -> PretrainingTargets:
+def _draw_batch(shapes: Sequence[TrainingShape], settings: PretrainSettings, step: int) -> PretrainingTargets:
     rng = np.random.default_rng([settings.seed, step])
     chosen = rng.choice(len(shapes), settings.batch_size, replace=len(shapes) < settings.batch_size)
     return draw_targets([shapes[n] for n in chosen], settings.queries_a_shape, settings.pairs_a_shape, rng)
@@ -173,24 +173,25 @@ def _drawn(shapes: Sequence[TrainingShape], settings: PretrainSettings, step: in
 
 def _schedule(step: int, steps: int) -> float:
     warm_up = max(1.0, _WARM_UP * steps)
+    # Linear warm-up, then cosine decay to 1 % of the learning rate.
     return min((step + 1) / warm_up, 0.5 * (1 + math.cos(math.pi * step / steps)) + 1e-2)
 
 
 def _seconds_a_step(model: PretrainingModel, shapes: Sequence[TrainingShape], settings: PretrainSettings) -> float:
-    """What a step takes here; nothing is learned."""
-    taken = []
-    model.eval()  # batch norms keep no memory of it either
+    """Measures the time of a step on this machine, without an update of the weights."""
+    seconds = []
+    model.eval()  # batch norms must not update their running statistics
     for k in range(3):
         began = time.monotonic()
-        model.loss(_drawn(shapes, settings, k).to(model.encoder.device), settings.pair_weight, settings.spread_weight)[
-            0
-        ].backward()  # type: ignore[no-untyped-call]
-        taken.append(time.monotonic() - began)
+        batch = _draw_batch(shapes, settings, k).to(model.encoder.device)
+        total, _ = model.loss(batch, settings.pair_weight, settings.spread_weight)
+        total.backward()  # type: ignore[no-untyped-call]
+        seconds.append(time.monotonic() - began)
     model.train()
-    return sum(taken) / len(taken)
+    return sum(seconds) / len(seconds)
 
 
-def _resumed(
+def _resume(
     path: Path, settings: PretrainSettings, model: PretrainingModel, optimiser: torch.optim.Optimizer
 ) -> tuple[int, list[dict[str, float]], PretrainSettings]:
     if not path.exists():
@@ -199,7 +200,7 @@ def _resumed(
     was = PretrainSettings(**state["settings"])
     now = settings if settings.steps else replace(settings, steps=was.steps)
     if changed := config_differences(asdict(was), asdict(now)):
-        message = f"{path} holds a run of other settings ({'; '.join(changed)}); give the same, or another folder"
+        message = f"{path} has a run of other settings ({'; '.join(changed)}); use the same settings or another folder"
         raise ConfigError(message, "pretrain_settings")
     model.load_state_dict(state["model"])
     optimiser.load_state_dict(state["optimiser"])
@@ -222,15 +223,13 @@ def _save_state(
 
 def main(
     out: Annotated[Path, typer.Option(help="Folder of the run.")],
-    minutes: Annotated[float, typer.Option(help="What training may take on this machine.")] = 30.0,
-    steps: Annotated[int, typer.Option(help="Steps, instead of minutes.")] = 0,
+    minutes: Annotated[float, typer.Option(help="Time of the training on this machine.")] = 30.0,
+    steps: Annotated[int, typer.Option(help="Number of steps, instead of minutes.")] = 0,
     config: Annotated[str, typer.Option(help="embedded or base.")] = "embedded",
-    seed: Annotated[int, typer.Option(help="Of weights and draws.")] = 0,
-    num_categories: Annotated[
-        int | None, typer.Option(help="So many categories of the catalogue; all where not given.")
-    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of weights and draws.")] = 0,
+    num_categories: Annotated[int | None, typer.Option(help="Number of categories of the catalogue; by default all.")] = None,
 ) -> None:
-    """Pre-trains the point encoder on the embedded assets; goes on where a run of the same settings was stopped."""
+    """Pre-trains the point encoder on the embedded assets; resumes a stopped run with the same settings."""
     try:
         report = pretrain(out, PretrainSettings(config, steps=steps, seed=seed, num_categories=num_categories), minutes)
     except ConfigError as error:

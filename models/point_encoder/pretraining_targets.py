@@ -1,4 +1,4 @@
-"""What is asked in one step of pre-training: distances around shapes, clearances of pairs, and the true answers."""
+"""The queries of one step of pre-training, distances around shapes and clearances of pairs, with their labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -12,28 +12,28 @@ from models.point_encoder.boxes import box_clearance
 from models.point_encoder.pretraining_data import PosedShape, ShapePair, TrainingShape
 
 DISTANCE_LIMIT = 0.25
-"""Distances are asked up to this, in half the largest extent."""
+"""Distances are clipped at this, in units of half the largest extent."""
 
 CLEARANCE_LIMIT = 0.4
-"""Clearances are asked up to this, in a pair's unit: the mean of the two objects' half largest extents."""
+"""Clearances are clipped at this, in a pair's unit: the mean of the two objects' half largest extents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PretrainingTargets:
-    """Shapes and pairs of a batch, with what is true of them.
+    """Shapes and pairs of a batch with their labels.
 
     Attributes:
         posed: The shapes, B of them.
-        proportions: Logarithm of the box over half its largest side, (B, 3).
-        places: Queries in half the largest extent, (B, Q, 3).
-        distances: There, in units of ``DISTANCE_LIMIT``, within [-1, 1], (B, Q).
-        first: First of each pair, (R,) int64.
-        second: Second of each pair, (R,) int64.
-        boxes: Logarithm of both boxes in the pair's unit, (R, 6).
-        poses: Of the second in the frame of the first, (R, 5).
-        clearances: In units of ``CLEARANCE_LIMIT``, within [-1, 1], (R,).
-        box_clearances: The same of their boxes, (R,).
-        units: Metres in a pair's unit, (R,).
+        proportions: Logarithms of the box's sides over half the largest, (B, 3).
+        places: Query points, in units of half the largest extent, (B, Q, 3).
+        distances: Signed distances there, in units of ``DISTANCE_LIMIT``, within [-1, 1], (B, Q).
+        first: Index of each pair's first shape, (R,) int64.
+        second: Index of each pair's second shape, (R,) int64.
+        boxes: Logarithms of the sides of both boxes in the pair's unit, (R, 6).
+        poses: Pose of the second in the frame of the first: offset in the pair's unit, cosine and sine of yaw, (R, 5).
+        clearances: Clearances in units of ``CLEARANCE_LIMIT``, within [-1, 1], (R,).
+        box_clearances: Clearances of the boxes, in the same form, (R,).
+        units: Metres per pair's unit, (R,).
     """
 
     posed: Sequence[PosedShape]
@@ -49,7 +49,7 @@ class PretrainingTargets:
     units: Tensor
 
     def to(self, device: torch.device | str) -> "PretrainingTargets":
-        """The same where a network is."""
+        """Copies the tensors to a device."""
         moved = {f.name: getattr(self, f.name).to(device) for f in fields(self) if f.name != "posed"}
         return replace(self, **moved)
 
@@ -57,18 +57,18 @@ class PretrainingTargets:
 def draw_targets(
     shapes: Sequence[TrainingShape], num_queries: int, pairs_a_shape: int, rng: np.random.Generator
 ) -> PretrainingTargets:
-    """Draws a pose for each shape, queries around it, and pairs among them: each shape with the next few in the list."""
-    posed = [PosedShape.drawn(shape, rng) for shape in shapes]
+    """Draws a pose of each shape, queries around it, and pairs: each shape with the next ``pairs_a_shape`` of the list."""
+    posed = [PosedShape.sample(shape, rng) for shape in shapes]
     sizes = np.stack([p.cloud.size for p in posed]).astype(np.float64)
     half = sizes.max(axis=1) / 2
     places, distances = [], []
     for p, h in zip(posed, half, strict=True):
         chosen = rng.choice(len(p.shape.queries), num_queries, replace=False)
-        places.append(p.shown(p.shape.queries[chosen]) / h)
+        places.append(p.transform(p.shape.queries[chosen]) / h)
         distances.append(p.shape.distances[chosen] / h)
     first = np.tile(np.arange(len(posed)), pairs_a_shape)
     second = (first + np.repeat(np.arange(1, pairs_a_shape + 1), len(posed))) % len(posed)
-    pairs = [ShapePair.drawn(posed[i], posed[j], rng) for i, j in zip(first, second, strict=True)]
+    pairs = [ShapePair.sample(posed[i], posed[j], rng) for i, j in zip(first, second, strict=True)]
     units = (half[first] + half[second]) / 2
     offsets = np.stack([pair.offset for pair in pairs]) / units[:, None]
     yaws = np.array([pair.yaw for pair in pairs])
@@ -95,6 +95,6 @@ def _tensor(values: np.ndarray[Any, Any]) -> Tensor:
 
 
 def _log(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Logarithms; a sheet has one too."""
+    """Logarithms with a lower bound, which flat objects need."""
     logs: np.ndarray[Any, Any] = np.log(np.maximum(values, 1e-3))
     return logs

@@ -1,9 +1,10 @@
-"""Space-filling curves: integer coordinates to places on a line, so that neighbours on the line are neighbours in space.
+"""Space-filling curves: map integer coordinates to positions on a line such that neighbours on the line are neighbours in space.
 
-Four curves, as Point Transformer V3 uses them: z-order, Hilbert, and both with x and y exchanged. All in whole numbers, so that
-they are the same on every device. The Hilbert curve follows J. Skilling, Programming the Hilbert curve, AIP 707 (2004).
+There are four curves, as in Point Transformer V3: z-order, Hilbert, and both with x and y exchanged. The arithmetic is on
+integers, so results are equal on every device. The Hilbert curve follows J. Skilling, Programming the Hilbert curve, AIP 707
+(2004).
 
-Both have the prefix property that pooling rests on: the code of ``coords >> 1`` at ``depth - 1`` is ``code >> 3``.
+Pooling needs the prefix property of both: the code of ``coords >> 1`` at ``depth - 1`` is ``code >> 3``.
 
 Dimension letters of this package: B clouds, V voxels, C channels, K points of an attention patch.
 """
@@ -14,13 +15,13 @@ import torch
 from torch import Tensor
 
 MAX_DEPTH = 16
-"""Bits of a coordinate; three of them and the number of a cloud share 63 bits."""
+"""Bits of a coordinate; three coordinates and the index of the cloud share 63 bits."""
 
 CODE_BITS = 3 * MAX_DEPTH
 
 
 class SpaceFillingCurve(StrEnum):
-    """The curves, by the names that published configurations use."""
+    """The curves, with the names of published configurations."""
 
     Z = "z"
     Z_TRANS = "z-trans"
@@ -32,12 +33,12 @@ CURVES = tuple(SpaceFillingCurve)
 
 
 def encode(coords: Tensor, depth: Tensor, curve: SpaceFillingCurve) -> Tensor:
-    """Places of coordinates on a curve.
+    """Computes positions on a curve.
 
     Args:
         coords: (V, 3) int64, each in [0, 2**depth).
-        depth: Bits of the cube that each lies in, (V,) int64, at most 16. A Hilbert curve turns with it.
-        curve: Which one.
+        depth: Bits of the cube around each voxel's cloud, (V,) int64, at most 16. The orientation of a Hilbert curve depends on it.
+        curve: The curve.
 
     Returns:
         Codes, (V,) int64, in [0, 8**depth).
@@ -49,7 +50,7 @@ def encode(coords: Tensor, depth: Tensor, curve: SpaceFillingCurve) -> Tensor:
 
 
 def bit_length(values: Tensor) -> Tensor:
-    """Bits that numbers take, same shape, int64: 0 for 0, 3 for 5."""
+    """The number of bits of each value, same shape, int64: 0 for 0, 3 for 5."""
     bits = torch.arange(MAX_DEPTH + 2, device=values.device)
     return ((values.unsqueeze(-1) >> bits) > 0).sum(-1)
 
@@ -70,7 +71,7 @@ def _spread(value: Tensor) -> Tensor:
 def _hilbert(x: Tensor, y: Tensor, z: Tensor, depth: Tensor) -> Tensor:
     axes = [x, y, z]
     for bit in range(int(depth.max()) - 1 if len(depth) else 0, 0, -1):
-        # Bits above a cloud's own cube are zero and must not turn it.
+        # Bits above a cloud's own cube are zero and must not change the orientation.
         low = torch.where(depth > bit, (1 << bit) - 1, 0)
         for k in range(3):
             is_set = (axes[k] >> bit) & 1 == 1
@@ -79,6 +80,6 @@ def _hilbert(x: Tensor, y: Tensor, z: Tensor, depth: Tensor) -> Tensor:
             if k:
                 axes[k] = axes[k] ^ exchange
     code = _interleaved(*axes)
-    for shift in (1, 2, 4, 8, 16, 32):  # Gray code to binary: each bit is the parity of those from it upwards
+    for shift in (1, 2, 4, 8, 16, 32):  # Gray code to binary: each bit becomes the parity of itself and all higher bits
         code = code ^ (code >> shift)
     return code

@@ -1,4 +1,4 @@
-"""Point Transformer V3 (Wu et al., CVPR 2024) in plain torch: voxels of a batch of clouds to features of the same voxels."""
+"""Point Transformer V3 (Wu et al., CVPR 2024) in plain torch: computes features of the voxels of a batch of clouds."""
 
 from dataclasses import dataclass
 
@@ -15,25 +15,25 @@ STEMS, NORMS, POOLS = ("conv", "linear"), ("bn", "ln"), ("code", "grid")
 
 @dataclass(frozen=True, slots=True)
 class TransformerConfig:
-    """What a Point Transformer V3 looks like. The published generations differ in the flags.
+    """Configuration of a Point Transformer V3. The flags distinguish the published generations.
 
     Attributes:
-        in_channels: Features of a voxel that go in.
+        in_channels: Input features of a voxel.
         stem: ``conv`` (5x5x5, first generation) or ``linear`` (Sonata, Concerto).
-        norm: Of stem, pooling and unpooling: ``bn`` or ``ln``; inside blocks it is always ``ln``.
-        pool: What a coarser level's curves come from: ``code`` (the finer one's codes >> 3) or ``grid`` (coordinates // 2).
-        enc_mode: Without a decoder: features of the coarsest voxels come out.
-        layer_scale: First value of the factors within blocks; None for none.
-        legacy_stale_cpe: The first convolution after an unpooling sees the encoder's part alone, as first-generation weights
-            were trained.
-        curves: Block k of a stage attends along curve k mod their number.
-        patch_size: Longest attention patch.
-        enc_depths: Blocks of each stage.
-        enc_channels: Their channels.
-        enc_heads: Their heads.
-        dec_depths: Blocks of each decoder stage, the finest first; one stage less than the encoder has.
-        dec_channels: Their channels.
-        dec_heads: Their heads.
+        norm: Normalisation of stem, pooling and unpooling, ``bn`` or ``ln``; blocks always have ``ln``.
+        pool: Source of a coarser level's codes: ``code`` (the finer codes >> 3) or ``grid`` (coordinates // 2).
+        enc_mode: Whether the network has no decoder; its output is then features of the coarsest voxels.
+        layer_scale: Initial factor of the residual branches of blocks; None for no factor.
+        legacy_stale_cpe: Whether the first convolution after an unpooling reads only the encoder's part of the features, as in
+            the training of first-generation weights.
+        curves: Curves of attention; block k of a stage uses curve k modulo their number.
+        patch_size: Largest number of voxels in an attention patch.
+        enc_depths: Number of blocks of each encoder stage.
+        enc_channels: Channels of each encoder stage.
+        enc_heads: Attention heads of each encoder stage.
+        dec_depths: Number of blocks of each decoder stage, the finest first; one stage less than the encoder.
+        dec_channels: Channels of each decoder stage.
+        dec_heads: Attention heads of each decoder stage.
     """
 
     in_channels: int = 6
@@ -53,7 +53,11 @@ class TransformerConfig:
     dec_heads: tuple[int, ...] = (4, 4, 8, 16)
 
     def __post_init__(self) -> None:
-        """Refuses what no network can be made of."""
+        """Checks the values.
+
+        Raises:
+            ConfigError: A value is unknown, or depths, channels and heads do not match (``encoder_config``).
+        """
         for name, allowed in (("stem", STEMS), ("norm", NORMS), ("pool", POOLS)):
             if getattr(self, name) not in allowed:
                 raise ConfigError(
@@ -73,12 +77,12 @@ class TransformerConfig:
 
     @property
     def out_channels(self) -> int:
-        """Channels that come out."""
+        """Number of output channels."""
         return self.enc_channels[-1] if self.enc_mode or not self.dec_channels else self.dec_channels[0]
 
 
 BASE = TransformerConfig(legacy_stale_cpe=True)
-"""The published first generation, 46.17 M parameters."""
+"""The published network of the first generation, 46.17 M parameters."""
 
 EMBEDDED = TransformerConfig(
     norm="ln",
@@ -91,14 +95,14 @@ EMBEDDED = TransformerConfig(
     dec_channels=(),
     dec_heads=(),
 )
-"""Small enough for a CPU: one code a cloud needs no decoder. Layer norms alone, so that training too sees every cloud by itself."""
+"""A network for a CPU. One code per cloud needs no decoder. With layer norms only, clouds are independent in training too."""
 
 
 class PointTransformer(nn.Module):
     """The network.
 
     Args:
-        config: What it looks like.
+        config: Its configuration.
     """
 
     def __init__(self, config: TransformerConfig) -> None:
@@ -136,11 +140,11 @@ class PointTransformer(nn.Module):
         return nn.BatchNorm1d(channels, eps=1e-3, momentum=0.01) if self.config.norm == "bn" else nn.LayerNorm(channels)
 
     def forward(self, coords: Tensor, batch: Tensor, features: Tensor) -> tuple[Tensor, VoxelLevel]:
-        """Features of voxels.
+        """Computes features of voxels.
 
         Args:
-            coords: (V, 3) int64, from 0, below 2**16, no two alike in a cloud.
-            batch: Cloud of each, (V,) int64; every cloud has a voxel.
+            coords: (V, 3) int64, from 0, below 2**16, distinct in each cloud.
+            batch: Cloud of each voxel, (V,) int64; every cloud has a voxel.
             features: (V, in_channels) float32.
 
         Returns:
@@ -163,9 +167,9 @@ class PointTransformer(nn.Module):
                     features, level = part(features, cluster, len(coarse)), coarse
                 else:
                     features = part(features, level)
-        return (features, level) if self.config.enc_mode else self._decoded(features, finer)
+        return (features, level) if self.config.enc_mode else self._decode(features, finer)
 
-    def _decoded(self, features: Tensor, finer: list[tuple[Tensor, VoxelLevel, Tensor]]) -> tuple[Tensor, VoxelLevel]:
+    def _decode(self, features: Tensor, finer: list[tuple[Tensor, VoxelLevel, Tensor]]) -> tuple[Tensor, VoxelLevel]:
         for stage in self.dec.values():
             assert isinstance(stage, nn.ModuleDict)
             skip, level, cluster = finer.pop()

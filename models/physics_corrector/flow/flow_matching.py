@@ -2,11 +2,11 @@
 
     x_0 = x^c + σ ε        x_t = (1 − t) x_0 + t x_1        v_target = x_1 − x_0        x̂_1 = x_t + (1 − t) v_θ(x_t, t, C)
 
-All of it in the coordinates y of :mod:`~models.physics_corrector.flow.pose_coordinates`. Yaw goes the short way round from x_0
-to x_1. Fixed objects and padding have x_0 = x_1 = x^c: they stand still on every path and in every sample.
+All equations are in the coordinates y of :mod:`~models.physics_corrector.flow.pose_coordinates`. Yaw follows the shorter arc from
+x_0 to x_1. Fixed objects and padding have x_0 = x_1 = x^c: they do not move on any path or in any sample.
 
-The paper's method starts at x^c + σ ε, its training details speak of a standard Gaussian: ``source`` has both. Inference starts
-at the source's mean, which is x^c in the first case, or at a draw from it.
+The paper's method starts at x^c + σ ε, but its training details mention a standard Gaussian: ``source`` offers both. Inference
+starts at the mean of the source, which is x^c in the first case, or at a sample of it.
 """
 
 from collections.abc import Callable
@@ -29,30 +29,30 @@ Velocity: TypeAlias = Callable[[Tensor, Tensor, Condition, Tensor, Tensor | None
 
 @dataclass(frozen=True, slots=True)
 class FlowSettings(Settings):
-    """How paths are drawn and followed."""
+    """Settings of the paths and of the ODE solver."""
 
     coordinates: PoseCoordinates = field(default_factory=PoseCoordinates)
-    """Coordinates in which the flow runs."""
+    """Coordinates of the flow."""
 
     source: Source = "coarse"
     """Start of a path: ``coarse`` is x_0 = x^c + σ ε, ``gaussian`` is y_0 = ε, standard normal in the coordinates."""
 
     sigma: NonNegative = 0.2
-    """σ in coordinate units: times ``length_unit`` metres, times ``yaw_unit`` radians."""
+    """σ in coordinate units: one unit is ``length_unit`` metres or ``yaw_unit`` radians."""
 
     self_condition: Share = 0.5
-    """Probability that training feeds the clean estimate back to the network; 0 switches it off at inference too."""
+    """Probability that training gives the network its earlier clean estimate; 0 also disables it at inference."""
 
     solver: Solver = "euler"
     """``euler``, ``midpoint`` or ``heun``."""
 
     steps: Annotated[int, Interval(ge=1, le=10_000)] = 8
-    """Solver steps from t = 0 to 1; midpoint and heun evaluate the network twice a step."""
+    """Solver steps from t = 0 to 1; midpoint and heun evaluate the network twice per step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowPath:
-    """A point on each scene's path.
+    """One point on the path of each scene.
 
     Attributes:
         y: y_t, (B, N, 4) float32.
@@ -67,12 +67,12 @@ class FlowPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowPrediction:
-    """What the network makes of a point on a path.
+    """The network's prediction at a point on a path.
 
     Attributes:
         velocity: v_θ, (B, N, 4) float32, coordinate units.
-        poses: The clean estimate x̂_1, (B, N, 4) float32: x, y, z in metres and yaw in radians, world frame; x^c itself for
-            fixed objects and padding.
+        poses: The clean estimate x̂_1, (B, N, 4) float32: x, y, z in metres and yaw in radians, world frame; exactly x^c for fixed
+            objects and padding.
     """
 
     velocity: Tensor
@@ -81,12 +81,12 @@ class FlowPrediction:
 
 @dataclass(frozen=True, slots=True)
 class FlowMatching:
-    """Draws paths to learn from, and follows the learned field. Knows no network, only a function of :data:`Velocity`."""
+    """Draws training paths and integrates the learned field. It depends on no network, only on a function :data:`Velocity`."""
 
     settings: FlowSettings
 
     def start(self, condition: Condition, generator: torch.Generator | None = None, *, draw: bool = True) -> Tensor:
-        """y_0 of every object, (B, N, 4) float32: drawn from the source, or its mean."""
+        """Returns y_0 of every object, (B, N, 4) float32: a draw from the source, or its mean."""
         coarse = self.settings.coordinates.encode(condition.poses, condition.poses)
         is_coarse = self.settings.source == "coarse"
         start = coarse if is_coarse else torch.zeros_like(coarse)
@@ -98,12 +98,12 @@ class FlowMatching:
     def path(
         self, condition: Condition, targets: Tensor, generator: torch.Generator | None = None, t: Tensor | None = None
     ) -> FlowPath:
-        """A point on the linear path to each scene's target.
+        """Returns a point on the linear path to each scene's target.
 
         Args:
-            condition: The scenes, coarse poses among them.
+            condition: The scenes with their coarse poses.
             targets: Clean poses x_1 = x^*, (B, N, 4) float32, metres and radians, world frame.
-            generator: Randomness, on the condition's device.
+            generator: Random generator on the condition's device.
             t: Flow times, (B,) float32; by default drawn from U[0, 1].
         """
         coordinates = self.settings.coordinates
@@ -118,13 +118,14 @@ class FlowMatching:
     def predict(
         self, network: Velocity, path: FlowPath, condition: Condition, generator: torch.Generator | None = None
     ) -> FlowPrediction:
-        """The network's velocity and clean estimate at a point on the path, for training.
+        """Predicts the velocity and the clean estimate at a point on the path, for training.
 
-        Self-conditioning as in Analog Bits: for a share of the calls the network is asked once without gradient, and its clean
-        estimate is fed back. Instance codes are drawn anew.
+        Self-conditioning as in Analog Bits: in a share of the calls the network is evaluated once without gradient, and its clean
+        estimate is an input of the second evaluation. Each call draws new instance codes.
         """
         ranks = condition.random_ranks(generator)
         y1_hat = None
+        # Drawn even without self-conditioning, so that the setting does not change later draws.
         coin = torch.rand((), device=path.y.device, generator=generator)
         if self.settings.self_condition and coin.item() < self.settings.self_condition:
             with torch.no_grad():
@@ -138,7 +139,7 @@ class FlowMatching:
         return y + (1 - t)[:, None, None] * velocity
 
     def poses(self, y: Tensor, condition: Condition) -> Tensor:
-        """The poses of coordinates, (B, N, 4); fixed objects and padding keep their coarse pose bit for bit."""
+        """Decodes coordinates to poses, (B, N, 4); fixed objects and padding have their coarse pose, bit by bit."""
         return torch.where(
             condition.is_movable[..., None], self.settings.coordinates.decode(y, condition.poses), condition.poses
         )
@@ -153,22 +154,21 @@ class FlowMatching:
         solver: Solver | None = None,
         gradient_steps: int = 0,
     ) -> Tensor:
-        """Corrected poses: dx/dt = v_θ(x, t, C) followed from t = 0 to 1.
+        """Computes corrected poses: integrates dx/dt = v_θ(x, t, C) from t = 0 to 1.
 
         Args:
             network: The velocity field.
-            condition: The scenes, coarse poses among them.
-            generator: Where the start is drawn from; None starts at the source's mean, which for ``coarse`` is x^c as in the
-                paper.
-            steps: Instead of the settings'.
-            solver: Instead of the settings'.
-            gradient_steps: How many of the last steps keep their gradient, for fine-tuning through the sampler.
+            condition: The scenes with their coarse poses.
+            generator: Draws the start; None starts at the source's mean, which for ``coarse`` is x^c as in the paper.
+            steps: Solver steps; by default those of the settings.
+            solver: The solver; by default that of the settings.
+            gradient_steps: Number of last steps that record gradients, for fine-tuning through the sampler.
 
         Returns:
-            Poses, (B, N, 4) float32, metres and radians, world frame, yaw in (−π, π]; fixed objects and padding as they came.
+            Poses, (B, N, 4) float32, metres and radians, world frame, yaw in (−π, π]; coarse poses for fixed objects and padding.
         """
         steps, solver = steps or self.settings.steps, solver or self.settings.solver
-        ranks = condition.content_ranks()
+        ranks = condition.content_ranks()  # of the coarse poses: constant during the integration
         y = self.start(condition, generator, draw=generator is not None)
         y1_hat: Tensor | None = None
 
@@ -188,7 +188,7 @@ class FlowMatching:
 
 
 def _advance(velocity: Callable[[Tensor, float], Tensor], y: Tensor, t: float, dt: float, solver: Solver) -> Tensor:
-    """One step of a solver, (B, N, 4)."""
+    """Returns the coordinates after one solver step, (B, N, 4)."""
     v = velocity(y, t)
     if solver == "midpoint":
         v = velocity(y + dt / 2 * v, t + dt / 2)

@@ -1,8 +1,8 @@
-"""Objects as rows of numbers: what is known of each before the flow starts (context) and where it is now (state).
+"""The network's inputs for each object: its context, which is constant during the flow, and its state, the present pose.
 
-Lengths are given as offsets from what matters to an object — the table's edges and top, the zone, the support — and in two
-spellings: sines and cosines over wavelengths from 4 m to 3 cm, and ``near``, which spends its range on the centimetres
-around contact. Poses stay float32 here under autocast: bfloat16 would round a metre to 4 mm.
+Lengths are offsets from the table's edges and top, the restricted zone and the support. They have two encodings: sines and
+cosines at wavelengths from 4 m to 3 cm, and ``squash_distances``, which resolves the centimetres around contact. Poses remain
+float32 here under autocast: bfloat16 would round a metre to 4 mm.
 """
 
 import math
@@ -11,32 +11,33 @@ import torch
 from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
+from models.physics_corrector.geometry.scene_tensors import ON_TABLE
 
 NUM_WAVES = 8
-_LONGEST_WAVE = 4.0  # metres: longer than a table, so that no two places on it look alike
-_SMALLEST = 1e-3  # metres: thinner objects look alike, and logarithms stay finite
+_LONGEST_WAVE = 4.0  # metres: longer than a table, so that every position on it has a different encoding
+_SMALLEST = 1e-3  # metres: lower bound of sizes, so that their logarithms are finite
 
 
 def fourier_features(lengths: Tensor) -> Tensor:
-    """Sines and cosines of lengths in metres over ``NUM_WAVES`` wavelengths, and the lengths, (..., C) → (..., C (1 + 2 W))."""
+    """Lengths in metres with their sines and cosines at ``NUM_WAVES`` wavelengths, (..., C) → (..., C (1 + 2 W))."""
     turns = 2 * math.pi / _LONGEST_WAVE * 2.0 ** torch.arange(NUM_WAVES, device=lengths.device)
     phase = (lengths[..., None] * turns).flatten(-2)
     return torch.cat([lengths, phase.sin(), phase.cos()], -1)
 
 
 def squash_distances(lengths: Tensor) -> Tensor:
-    """Lengths in metres squashed at 1 cm and at 10 cm, (..., C) → (..., 2 C)."""
+    """Hyperbolic tangents of lengths in metres, at scales of 1 cm and 10 cm, (..., C) → (..., 2 C)."""
     return torch.cat([torch.tanh(lengths / 0.01), torch.tanh(lengths / 0.1)], -1)
 
 
 def rotate_to_local(offset: Tensor, yaw: Tensor) -> Tensor:
-    """Horizontal offsets (..., 2+) in the frame of an object at ``yaw`` (...), (..., 2)."""
+    """Rotates horizontal offsets (..., 2+) into the frame of an object at ``yaw`` (...), (..., 2)."""
     c, s = yaw.cos(), yaw.sin()
     return torch.stack([c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]], -1)
 
 
 def place_features(poses: Tensor, condition: Condition) -> Tensor:
-    """Where objects are on the table, (B, N, PLACE_CHANNELS) float32.
+    """Encodes the poses of objects relative to table, zone and support, (B, N, PLACE_CHANNELS) float32.
 
     Args:
         poses: x, y, z in metres and yaw in radians, world frame, (B, N, 4) float32.
@@ -47,13 +48,12 @@ def place_features(poses: Tensor, condition: Condition) -> Tensor:
     bottom = z - condition.sizes[..., 2] / 2
     edges = torch.stack([x, y, width - x, depth - y, bottom], -1)
     zone = (condition.zone[:, None, :] - poses[..., [0, 0, 1, 1]]) * condition.has_zone[:, None, None]
-    over = _over_parent(poses, condition)
     return torch.cat(
         [
             fourier_features(edges),
             squash_distances(bottom[..., None]),
             squash_distances(zone),
-            over,
+            _over_parent(poses, condition),
             yaw.sin()[..., None],
             yaw.cos()[..., None],
         ],
@@ -65,7 +65,7 @@ PLACE_CHANNELS = 5 * (1 + 2 * NUM_WAVES) + 2 + 8 + 10 + 2
 
 
 def _over_parent(poses: Tensor, condition: Condition) -> Tensor:
-    """How an object lies on the one that carries it, in that one's frame, (B, N, 10); zeros where it is the table or nothing."""
+    """Encodes the pose of objects in the frame of their support, (B, N, 10); zeros for the table or no support."""
     has_parent = condition.parent >= 0
     index = condition.parent.clamp_min(0)[..., None]
     parent = poses.gather(1, index.expand_as(poses))
@@ -81,9 +81,9 @@ def _over_parent(poses: Tensor, condition: Condition) -> Tensor:
 
 
 def context_features(condition: Condition) -> Tensor:
-    """What is known of each object apart from its features, (B, N, CONTEXT_CHANNELS) float32."""
+    """Encodes sizes, support and coarse pose of each object, without point features, (B, N, CONTEXT_CHANNELS) float32."""
     parent = condition.parent
-    flags = torch.stack([condition.is_fixed, parent >= 0, parent == -1, parent < -1], -1).float()
+    flags = torch.stack([condition.is_fixed, parent >= 0, parent == ON_TABLE, parent < ON_TABLE], -1).float()
     carrier = condition.sizes.gather(1, parent.clamp_min(0)[..., None].expand_as(condition.sizes))
     scene = torch.cat([condition.table, condition.has_zone[:, None].float()], -1)[:, None, :].expand(*parent.shape, 3)
     sizes = [condition.sizes.clamp_min(_SMALLEST).log(), carrier.clamp_min(_SMALLEST).log() * flags[..., 1:2]]
@@ -94,9 +94,10 @@ CONTEXT_CHANNELS = 9 + 4 + 3 + PLACE_CHANNELS
 
 
 def pair_features(poses: Tensor, condition: Condition) -> Tensor:
-    """What each object i sees of each other j in its own yaw frame, (B, N, N, PAIR_CHANNELS) float32.
+    """Encodes each object j in the yaw frame of each object i, (B, N, N, PAIR_CHANNELS) float32.
 
-    Offset, turn, the size of j, how far apart the boxes are along i's axes (below 0: they overlap there), who carries whom.
+    The channels are offset, relative yaw, the size of j, the gaps of the boxes along i's axes (negative: they overlap along that
+    axis), and the support relation of the two.
 
     Args:
         poses: x, y, z in metres and yaw in radians, world frame, (B, N, 4) float32.
@@ -107,15 +108,15 @@ def pair_features(poses: Tensor, condition: Condition) -> Tensor:
     offset = torch.cat([flat, offset[..., 2:3]], -1)
     turn = poses[:, None, :, 3] - poses[:, :, None, 3]
     c, s = turn.cos(), turn.sin()
-    mine, other = condition.sizes[:, :, None], condition.sizes[:, None].expand(offset.shape)
-    wide, deep, tall = other.unbind(-1)
-    extent = torch.stack([c.abs() * wide + s.abs() * deep, s.abs() * wide + c.abs() * deep, tall], -1)
-    gap = offset.abs() - (mine + extent) / 2
-    place_of = torch.arange(condition.mask.shape[1], device=poses.device)
-    on_other = condition.parent[:, :, None] == place_of  # i lies on j
-    siblings = (condition.parent[:, :, None] == condition.parent[:, None]) & (condition.parent[:, None] >= -1)
+    own, other = condition.sizes[:, :, None], condition.sizes[:, None].expand(offset.shape)
+    width, depth, height = other.unbind(-1)
+    extent = torch.stack([c.abs() * width + s.abs() * depth, s.abs() * width + c.abs() * depth, height], -1)
+    gap = offset.abs() - (own + extent) / 2
+    index = torch.arange(condition.mask.shape[1], device=poses.device)
+    on_other = condition.parent[:, :, None] == index  # j supports i
+    siblings = (condition.parent[:, :, None] == condition.parent[:, None]) & (condition.parent[:, None] >= ON_TABLE)
     flags = torch.stack([on_other, on_other.transpose(1, 2), siblings], -1).float()
-    apart = gap.amax(-1, keepdim=True)
+    apart = gap.amax(-1, keepdim=True)  # positive: one axis separates the boxes
     return torch.cat(
         [
             torch.tanh(offset / 0.1),

@@ -1,4 +1,4 @@
-"""Which network and flow: the settings of a corrector, the named ones, and their way to JSON and back."""
+"""The settings of a corrector, its presets, and their JSON form."""
 
 import json
 from collections.abc import Mapping
@@ -14,28 +14,28 @@ from stable_data.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class CorrectorSettings(Settings):
-    """What a corrector's weights mean something together with."""
+    """The settings that a corrector's weights belong to."""
 
     network: VelocityNetworkSettings = field(default_factory=VelocityNetworkSettings)
     """The shape of the velocity network."""
 
     flow: FlowSettings = field(default_factory=FlowSettings)
-    """How paths are drawn and followed."""
+    """The settings of paths and solver."""
 
     def build(self) -> tuple[VelocityNetwork, FlowMatching]:
-        """An untrained network, and the flow that trains and samples it."""
+        """Builds an untrained network and the flow that trains and samples it."""
         return VelocityNetwork(self.network, self.flow.coordinates), FlowMatching(self.flow)
 
     def to_json(self) -> str:
-        """As JSON, keys sorted."""
+        """Returns the settings as JSON with sorted keys."""
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> "CorrectorSettings":
-        """From JSON, such as a checkpoint's.
+        """Reads settings from JSON, such as the header of a checkpoint.
 
         Raises:
-            ConfigError: It is no JSON object, or a key is missing, not known or of the wrong type.
+            ConfigError: The text is not a JSON object, or a key is missing, unknown or of the wrong type.
         """
         try:
             values = json.loads(text)
@@ -44,23 +44,24 @@ class CorrectorSettings(Settings):
         if not isinstance(values, dict):
             raise ConfigError(f"settings of a corrector: found {values!r:.80}, expected an object", "config_invalid")
         settings = fill_settings(cls, values, "corrector")
-        if lacking := flatten_config(asdict(settings)).keys() - flatten_config(values).keys():
-            raise ConfigError(f"settings of a corrector: found no {', '.join(sorted(lacking))}, expected all", "config_invalid")
+        # Defaults may change between versions: a file must give every value that its weights were trained with.
+        if missing := flatten_config(asdict(settings)).keys() - flatten_config(values).keys():
+            raise ConfigError(f"settings of a corrector: found no {', '.join(sorted(missing))}, expected all", "config_invalid")
         return settings
 
     def differences(self, other: "CorrectorSettings") -> list[str]:
-        """``key: was -> now`` for every setting in which another differs from these."""
+        """Returns ``key: was -> now`` for every setting in which ``other`` differs."""
         return config_differences(flatten_config(asdict(self)), flatten_config(asdict(other)))
 
 
 PRESETS: Mapping[str, CorrectorSettings] = {
-    # The paper's width and self-conditioning; what it leaves open (levels, heads, widths of context and time) as its ancestors.
+    # The paper's width and self-conditioning; the paper does not give levels, heads and widths: these are its predecessors'.
     "paper": CorrectorSettings(),
-    # Its smaller sibling: what the weights in the repository are.
+    # The smaller network whose weights are in the repository.
     "embedded": CorrectorSettings(
         VelocityNetworkSettings(channels=96, levels=3, heads=4, context_channels=96, time_channels=192, code_channels=32)
     ),
-    # The set transformer at about the same cost as each.
+    # Set transformers with about the cost of the two above.
     "paper_set": CorrectorSettings(VelocityNetworkSettings("set_transformer", levels=8, heads=8, time_channels=512)),
     "embedded_set": CorrectorSettings(
         VelocityNetworkSettings(
@@ -75,21 +76,21 @@ PRESETS: Mapping[str, CorrectorSettings] = {
         )
     ),
 }
-"""Named settings. The paper's absolute coordinates: ``replace(flow, coordinates=Coordinates("absolute", 1.0, 1.0))``."""
+"""Named settings; :func:`absolute_preset` converts them to the paper's absolute coordinates."""
 
 
 def preset(name: str) -> CorrectorSettings:
-    """Named settings.
+    """Returns the settings of a name of PRESETS.
 
     Raises:
-        ConfigError: There are none of that name.
+        ConfigError: The name is unknown.
     """
     if name not in PRESETS:
-        raise ConfigError(f"corrector preset {name!r} is not known, expected one of {', '.join(PRESETS)}", "config_invalid")
+        raise ConfigError(f"corrector preset {name!r} is unknown, expected one of {', '.join(PRESETS)}", "config_invalid")
     return PRESETS[name]
 
 
 def absolute_preset(settings: CorrectorSettings) -> CorrectorSettings:
-    """The same in the paper's absolute coordinates: metres and radians as they are."""
+    """Returns the settings with the paper's absolute coordinates in metres and radians."""
     flow = asdict(settings.flow) | {"coordinates": PoseCoordinates("absolute", 1.0, 1.0)}
     return CorrectorSettings(settings.network, FlowSettings(**flow))

@@ -1,8 +1,9 @@
-"""The alternative to the U-Net: a set transformer whose attention sees every pair's relative pose and size.
+"""The alternative to the U-Net: a set transformer whose attention reads every pair's relative pose and size.
 
-Collision is a relation of two. Here what i sees of j (:func:`~models.physics_corrector.flow.object_encoding.pair_features`) biases the
-logits of every head and is carried along with j's value, so that "it overlaps me by 4 mm on my left" reaches i as numbers.
-Blocks are modulated and gated by context and time, and start as the identity.
+Collision is a relation of two objects. The features of the pair (i, j), of
+:func:`~models.physics_corrector.flow.object_encoding.pair_features`, bias the logits of every head and are part of j's value:
+object i receives, for example, that j overlaps it by 4 mm along −x. Context and time modulate and gate the blocks, which are
+the identity before training.
 """
 
 import torch
@@ -11,7 +12,7 @@ from torch.nn import functional as F  # noqa: N812
 
 
 class PairAttention(nn.Module):
-    """Attention over the objects of a scene with what they see of each other.
+    """Attention over the objects of a scene with features of each pair.
 
     Args:
         channels: Width.
@@ -28,16 +29,16 @@ class PairAttention(nn.Module):
         self.pair_value = nn.Linear(heads * pair_channels, channels, bias=False)
         self.out = nn.Linear(channels, channels)
 
-    def forward(self, x: Tensor, pairs: Tensor, seen: Tensor) -> Tensor:
-        """Of x (B, N, C), embedded pairs (B, N, N, C_p) and who is seen (B, N) bool, (B, N, C)."""
+    def forward(self, x: Tensor, pairs: Tensor, is_key: Tensor) -> Tensor:
+        """Maps x (B, N, C), embedded pairs (B, N, N, C_p) and the attended objects (B, N) bool to (B, N, C)."""
         q, k, v = self.qkv(x).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)  # each (B, H, N, D)
-        # The norms are float32 like their weights: under autocast the rest is not.
+        # The norms have float32 weights; under autocast q and k are bfloat16.
         logits = self.q_norm(q.float()) @ self.k_norm(k.float()).transpose(-1, -2) * q.shape[-1] ** -0.5
         logits = logits + self.bias(pairs).permute(0, 3, 1, 2)
-        weights = logits.float().masked_fill(~seen[:, None, None, :], -torch.inf).softmax(-1).to(v.dtype)  # (B, H, N, N)
+        weights = logits.float().masked_fill(~is_key[:, None, None, :], -torch.inf).softmax(-1).to(v.dtype)  # (B, H, N, N)
         mixed: Tensor = self.out((weights @ v).transpose(1, 2).flatten(-2))
-        heard: Tensor = self.pair_value((weights.transpose(1, 2) @ pairs).flatten(-2))  # (B, N, H, C_p), flat
-        return mixed + heard
+        mixed_pairs: Tensor = self.pair_value((weights.transpose(1, 2) @ pairs).flatten(-2))  # of (B, N, H, C_p)
+        return mixed + mixed_pairs
 
 
 class _Block(nn.Module):
@@ -52,25 +53,25 @@ class _Block(nn.Module):
         self.attention = PairAttention(channels, heads, pair_channels)
         self.pointwise = nn.Sequential(nn.Linear(channels, 4 * channels), nn.GELU(), nn.Linear(4 * channels, channels))
 
-    def forward(self, x: Tensor, condition: Tensor, pairs: Tensor, seen: Tensor) -> Tensor:
-        """Of x and condition (B, N, C), embedded pairs (B, N, N, C_p) and who is seen (B, N) bool, (B, N, C)."""
+    def forward(self, x: Tensor, condition: Tensor, pairs: Tensor, is_key: Tensor) -> Tensor:
+        """As :meth:`PairAttention.forward`; condition (B, N, C) combines context and time."""
         scale_a, shift_a, gate_a, scale_p, shift_p, gate_p = self.modulation(F.silu(condition)).chunk(6, -1)
-        x = x + gate_a * self.attention(self.norm(x) * (1 + scale_a) + shift_a, pairs, seen)
+        x = x + gate_a * self.attention(self.norm(x) * (1 + scale_a) + shift_a, pairs, is_key)
         y: Tensor = x + gate_p * self.pointwise(self.norm(x) * (1 + scale_p) + shift_p)
         return y
 
 
 class SetTransformer(nn.Module):
-    """The set transformer between stem and head.
+    """The set transformer between the input layer and the head.
 
     Args:
         channels: Width.
         levels: Number of blocks.
         heads: Attention heads.
-        context_channels: Channels of the context of an object.
-        time_channels: Channels of the time of a scene.
+        context_channels: Channels of an object's context.
+        time_channels: Channels of the embedded flow time.
         pair_channels: Channels of an embedded pair.
-        pair_inputs: Channels of a pair as it comes in.
+        pair_inputs: Channels of a pair's input features.
     """
 
     needs_pairs = True
@@ -98,22 +99,22 @@ class SetTransformer(nn.Module):
         self.blocks = nn.ModuleList(_Block(channels, heads, pair_channels) for _ in range(levels))
 
     def forward(self, x: Tensor, context: Tensor, time: Tensor, mask: Tensor, pairs: Tensor | None = None) -> Tensor:
-        """What the objects become.
+        """Computes new states of the objects.
 
         Args:
-            x: State of the objects, (B, N, C).
+            x: States of the objects, (B, N, C).
             context: Their context, (B, N, C_c).
             time: Embedded flow time, (B, C_t).
-            mask: True where there is an object, (B, N) bool.
-            pairs: What objects see of each other now, (B, N, N, P).
+            mask: True for objects, False for padding, (B, N) bool.
+            pairs: Features of each pair at the present poses, (B, N, N, P).
 
         Returns:
-            (B, N, C); what padding holds means nothing.
+            (B, N, C); values of padding are undefined.
         """
         assert pairs is not None
-        seen = mask | ~mask.any(1, keepdim=True)  # a scene without objects attends to its padding, which is better than nan
+        is_key = mask | ~mask.any(1, keepdim=True)  # a scene without objects attends to its padding: no key would give nan
         condition = self.context(context) + self.time(time)[:, None]
         embedded = self.pairs(pairs)
         for block in self.blocks:
-            x = block(x, condition, embedded, seen)
+            x = block(x, condition, embedded, is_key)
         return x

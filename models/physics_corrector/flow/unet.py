@@ -1,11 +1,11 @@
 """The paper's denoising network: a 1D U-Net along the objects of a scene.
 
-Objects have no order, so every convolution has kernel 1 and nothing is strided: "down" and "up" are the two halves of a stack
-with skip connections. Objects meet in the attentions alone — linear ones at every level, one softmax attention in the middle.
-Norms are taken within an object's own channels, and padding is kept out of both kinds of attention, so that an object's result
-depends neither on the order of the others nor on how far the batch is padded.
+Objects have no order, so every convolution has kernel size 1 and stride 1: "down" and "up" are the two halves of a stack with
+skip connections. Objects interact only through attention: linear attention at every level, one softmax attention in the middle.
+Norms are over the channels of one object, and attention masks padding, so an object's result depends neither on the order of
+the others nor on the amount of padding.
 
-Context enters every block by FiLM, once an object; flow time enters the same way, once a scene.
+Context modulates every block by FiLM, per object; flow time does so per scene.
 """
 
 import torch
@@ -25,19 +25,19 @@ class TokenGroupNorm(nn.Module):
         self.bias = nn.Parameter(torch.zeros(channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Every group of channels at mean 0 and variance 1, then scaled and shifted."""
+        """Normalises each group of channels to mean 0 and variance 1, then scales and shifts."""
         groups = x.reshape(*x.shape[:-1], _NORM_GROUPS, -1)
         return F.layer_norm(groups, groups.shape[-1:]).flatten(-2) * self.weight + self.bias
 
 
 class FilmBlock(nn.Module):
-    """Two pointwise layers with a residual; the first is scaled and shifted by context and time.
+    """Two pointwise layers with a residual; context and time scale and shift the first.
 
     Args:
-        channels_in: Channels of what comes in; more than ``channels`` after a skip connection.
-        channels: Channels of what goes out.
-        context_channels: Channels of the context of an object.
-        time_channels: Channels of the time of a scene.
+        channels_in: Channels of the input; more than ``channels`` after a skip connection.
+        channels: Channels of the output.
+        context_channels: Channels of an object's context.
+        time_channels: Channels of the embedded flow time.
     """
 
     def __init__(self, channels_in: int, channels: int, context_channels: int, time_channels: int) -> None:
@@ -49,7 +49,7 @@ class FilmBlock(nn.Module):
         self.shortcut = nn.Linear(channels_in, channels) if channels_in != channels else nn.Identity()
 
     def forward(self, x: Tensor, context: Tensor, time: Tensor) -> Tensor:
-        """Of x (B, N, C_in), context (B, N, C_c) and time (B, C_t), (B, N, C)."""
+        """Maps x (B, N, C_in), context (B, N, C_c) and time (B, C_t) to (B, N, C)."""
         scale, shift = (self.film_context(F.silu(context)) + self.film_time(F.silu(time))[:, None]).chunk(2, -1)
         h = F.silu(self.first_norm(self.first(x)) * (1 + scale) + shift)
         h = F.silu(self.second_norm(self.second(h)))
@@ -58,7 +58,7 @@ class FilmBlock(nn.Module):
 
 
 class _Attention(nn.Module):
-    """Pre-norm attention over the objects of a scene, added to what came in."""
+    """Pre-norm attention over the objects of a scene, added to its input."""
 
     def __init__(self, channels: int, heads: int, head_channels: int) -> None:
         super().__init__()
@@ -68,38 +68,38 @@ class _Attention(nn.Module):
         self.out = nn.Linear(heads * head_channels, channels)
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
-        """Of x (B, N, C) and mask (B, N) bool, (B, N, C)."""
+        """Maps x (B, N, C) and mask (B, N) bool to (B, N, C)."""
         q, k, v = self.qkv(self.norm(x)).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)  # each (B, H, N, D)
         mixed: Tensor = self.out(self.mix(q, k, v, mask).transpose(1, 2).flatten(-2))
         return x + mixed
 
     def mix(self, q: Tensor, k: Tensor, v: Tensor, mask: Tensor) -> Tensor:
-        """Values of a scene's objects mixed, (B, H, N, D)."""
+        """Mixes the values of a scene's objects, (B, H, N, D)."""
         raise NotImplementedError
 
 
 class LinearAttention(_Attention):
-    """Attention through one D × D summary of the scene a head: its cost is linear in the number of objects."""
+    """Attention through one D × D summary of the scene per head: its cost is linear in the number of objects."""
 
     def mix(self, q: Tensor, k: Tensor, v: Tensor, mask: Tensor) -> Tensor:
-        """Queries normalised over channels, keys over the objects that are there."""
-        there = mask[:, None, :, None]
-        k = k.masked_fill(~there, torch.finfo(k.dtype).min).softmax(2) * there
-        summary = k.transpose(-1, -2) @ (v * there)  # (B, H, D, D)
+        """Normalises queries over channels and keys over objects, then mixes."""
+        is_object = mask[:, None, :, None]
+        k = k.masked_fill(~is_object, torch.finfo(k.dtype).min).softmax(2) * is_object
+        summary = k.transpose(-1, -2) @ (v * is_object)  # (B, H, D, D)
         return q.softmax(-1) @ summary
 
 
 class SoftmaxAttention(_Attention):
-    """Attention of every object to every other."""
+    """Scaled dot-product attention of every object to every other."""
 
     def mix(self, q: Tensor, k: Tensor, v: Tensor, mask: Tensor) -> Tensor:
-        """Scaled dot products; a scene without objects attends to its padding, which is better than nan."""
-        seen = mask | ~mask.any(1, keepdim=True)
-        return F.scaled_dot_product_attention(q, k, v, seen[:, None, None, :])
+        """See the base class."""
+        is_key = mask | ~mask.any(1, keepdim=True)  # a scene without objects attends to its padding: no key would give nan
+        return F.scaled_dot_product_attention(q, k, v, is_key[:, None, None, :])
 
 
 class _Level(nn.Module):
-    """Two blocks and a linear attention, one level on the way down or up; each block may be handed what skipped the middle."""
+    """One level of the U-Net: two blocks, each with an optional skip connection, and linear attention."""
 
     def __init__(self, channels_in: int, channels: int, context_channels: int, time_channels: int, heads: int) -> None:
         super().__init__()
@@ -110,21 +110,21 @@ class _Level(nn.Module):
     def forward(
         self, x: Tensor, skips: tuple[Tensor, Tensor] | None, context: Tensor, time: Tensor, mask: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """What the first block and the whole level give, (B, N, C) each."""
+        """Returns the outputs of the first block and of the level, (B, N, C) each."""
         first: Tensor = self.first(x if skips is None else torch.cat([x, skips[0]], -1), context, time)
         second: Tensor = self.second(first if skips is None else torch.cat([first, skips[1]], -1), context, time)
         return first, self.attention(second, mask)
 
 
 class UNet1d(nn.Module):
-    """The U-Net between stem and head.
+    """The U-Net between the input layer and the head.
 
     Args:
         channels: Width at all levels.
-        levels: Levels down, and as many up.
+        levels: Number of levels down, and of levels up.
         heads: Attention heads of 32 channels.
-        context_channels: Channels of the context of an object.
-        time_channels: Channels of the time of a scene.
+        context_channels: Channels of an object's context.
+        time_channels: Channels of the embedded flow time.
     """
 
     needs_pairs = False
@@ -139,22 +139,22 @@ class UNet1d(nn.Module):
         self.last = FilmBlock(2 * channels, *film)
 
     def forward(self, x: Tensor, context: Tensor, time: Tensor, mask: Tensor, pairs: Tensor | None = None) -> Tensor:
-        """What the objects become.
+        """Computes new states of the objects.
 
         Args:
-            x: State of the objects, (B, N, C).
+            x: States of the objects, (B, N, C).
             context: Their context, (B, N, C_c).
             time: Embedded flow time, (B, C_t).
-            mask: True where there is an object, (B, N) bool.
+            mask: True for objects, False for padding, (B, N) bool.
             pairs: Not used.
 
         Returns:
-            (B, N, C); what padding holds means nothing.
+            (B, N, C); values of padding are undefined.
         """
         stem, skips = x, []
         for level in self.down:
             first, x = level(x, None, context, time, mask)
-            skips.append((x, first))
+            skips.append((x, first))  # the level's blocks on the way up read them in reverse order
         x = self.middle_attention(self.middle_first(x, context, time), mask)
         x = self.middle_second(x, context, time)
         for level in self.up:

@@ -1,13 +1,13 @@
-"""The velocity field v_θ(x_t, t, C) of the corrector: from coordinates now and condition to a rate of x, y, z and yaw.
+"""The velocity field v_θ(x_t, t, C) of the corrector: maps coordinates, flow time and condition to a rate of x, y, z and yaw.
 
-One interface for two backbones. Around them: what the objects are and where they are now
-(:mod:`~models.physics_corrector.flow.object_encoding`), instance codes, the estimate of the clean pose fed back
-(self-conditioning), the embedding of flow time, and a head that starts at zero, so that an untrained network leaves everything
-where it is. Padding and fixed objects get exactly zero.
+Two backbones share the inputs: the encoding of the objects (:mod:`~models.physics_corrector.flow.object_encoding`), instance
+codes, the earlier clean estimate (self-conditioning) and the embedded flow time. The head is zero before training, so an
+untrained network moves nothing. The velocity of padding and fixed objects is exactly zero.
 
-Instance codes tell equal objects apart. The caller gives each object a rank; the code is a row of a learned table, taken round
-and round. In training ranks are drawn anew at every call (``Condition.random_ranks``), so that no rank means anything; at
-inference they follow from what the objects are (``Condition.content_ranks``), so that permuting them changes nothing.
+Instance codes distinguish equal objects. The caller gives each object a rank; the code is the row of a learned table at the
+rank modulo the number of codes. Training draws new ranks at every call (``Condition.random_ranks``), so that a rank has no
+meaning. Inference derives them from the content (``Condition.content_ranks``), so that permuting the objects permutes the
+result.
 """
 
 import math
@@ -27,9 +27,9 @@ from models.settings import Settings
 from stable_data.errors import ConfigError
 
 Backbone: TypeAlias = Literal["unet1d", "set_transformer"]
-Width: TypeAlias = Annotated[int, Interval(ge=1, le=4096)]  # bounded, since settings of files are not trusted
+Width: TypeAlias = Annotated[int, Interval(ge=1, le=4096)]  # bounded: settings in files are untrusted input
 
-_TIME_SCALE = 1000.0  # flow time runs over [0, 1]; the sinusoids are made for hundreds of steps and hardly move over one
+_TIME_SCALE = 1000.0  # stretches flow time, [0, 1], to the range of the sinusoids, which are designed for hundreds of steps
 _STATE_CHANNELS = 5 + 6 + object_encoding.PLACE_CHANNELS
 
 
@@ -38,7 +38,7 @@ class VelocityNetworkSettings(Settings):
     """The shape of a velocity network."""
 
     backbone: Backbone = "unet1d"
-    """``unet1d``, the paper's, or ``set_transformer``."""
+    """``unet1d`` (the paper's) or ``set_transformer``."""
 
     channels: Width = 512
     """Hidden width, a multiple of 8."""
@@ -50,25 +50,25 @@ class VelocityNetworkSettings(Settings):
     """Attention heads: of 32 channels each in the U-Net; in the transformer they divide the hidden width."""
 
     context_channels: Width = 512
-    """Width of the context of an object."""
+    """Width of an object's context."""
 
     time_channels: Width = 2048
-    """Width of the embedding of flow time."""
+    """Width of the embedded flow time."""
 
     pair_channels: Width = 64
-    """Width of the embedding of a pair of objects; read by the transformer alone."""
+    """Width of an embedded pair of objects; only the transformer uses it."""
 
     num_features: Annotated[int, Interval(ge=0, le=4096)] = 64
-    """Point features of an object, 64 in the paper; 0 makes a network without them, for ablation."""
+    """Point features g_i of an object, 64 in the paper; 0 makes a network without them, for ablation."""
 
     num_codes: Annotated[int, Interval(ge=0, le=65536)] = 64
-    """Instance codes. With 0 the network is exactly permutation-equivariant and cannot tell two equal objects apart."""
+    """Number of instance codes. With 0 the network is exactly permutation-equivariant and cannot separate two equal objects."""
 
     code_channels: Width = 128
     """Width of an instance code."""
 
     def check(self) -> None:
-        """Refuses a width that its parts do not divide; see the base class."""
+        """Refuses a width that its groups or heads do not divide; see the base class."""
         if self.channels % math.lcm(8, self.heads if self.backbone == "set_transformer" else 1):
             raise ConfigError(
                 f"network.channels is {self.channels}, expected a multiple of 8 (and of the transformer's {self.heads} heads)",
@@ -77,11 +77,11 @@ class VelocityNetworkSettings(Settings):
 
 
 class VelocityNetwork(nn.Module):
-    """v_θ(y_t, t, C) in the coordinates of the flow.
+    """The velocity field v_θ(y_t, t, C) in the coordinates of the flow.
 
     Args:
-        settings: Its shape.
-        coordinates: The coordinates that it reads and writes.
+        settings: The shape of the network.
+        coordinates: The coordinates of its input and output.
     """
 
     def __init__(self, settings: VelocityNetworkSettings, coordinates: PoseCoordinates) -> None:
@@ -108,38 +108,39 @@ class VelocityNetwork(nn.Module):
         self.head = nn.Sequential(nn.LayerNorm(width), last)
 
     def forward(self, y: Tensor, t: Tensor, condition: Condition, ranks: Tensor, y1_hat: Tensor | None = None) -> Tensor:
-        """The velocity of every object.
+        """Computes the velocity of every object.
 
         Args:
             y: Coordinates y_t, (B, N, 4) float32.
             t: Flow time in [0, 1], (B,) float32.
             condition: The scenes.
-            ranks: Which instance code each object gets, taken modulo their number, (B, N) int64.
+            ranks: The instance code of each object, modulo the number of codes, (B, N) int64.
             y1_hat: An earlier estimate of the clean coordinates, (B, N, 4) float32, or None.
 
         Returns:
             dy/dt, (B, N, 4) float32: position and yaw in coordinate units; 0 for padding and fixed objects.
 
         Raises:
-            ConfigError: The condition's features are not those that the network reads.
+            ConfigError: The condition has another number of features than the network (``features_mismatch``).
         """
-        there = condition.mask[..., None]
-        y = torch.where(there, y, 0)
-        now = torch.where(there, self.coordinates.decode(y, condition.poses), 0)
-        x = self.state(self._state(y, now, condition, y1_hat))
-        pairs = object_encoding.pair_features(now, condition) if self.backbone.needs_pairs else None
+        is_object = condition.mask[..., None]
+        y = torch.where(is_object, y, 0)
+        poses = torch.where(is_object, self.coordinates.decode(y, condition.poses), 0)
+        x = self.state(self._state(y, poses, condition, y1_hat))
+        pairs = object_encoding.pair_features(poses, condition) if self.backbone.needs_pairs else None
         time = self.time(time_embedding(t, self.settings.channels))
         x = self.backbone(x, self._context(condition, ranks), time, condition.mask, pairs)
         velocity: Tensor = self.head(x)
         return torch.where(condition.is_movable[..., None], velocity.float(), 0)
 
-    def _state(self, y: Tensor, now: Tensor, condition: Condition, y1_hat: Tensor | None) -> Tensor:
+    def _state(self, y: Tensor, poses: Tensor, condition: Condition, y1_hat: Tensor | None) -> Tensor:
         if y1_hat is None:
-            fed_back = y.new_zeros((*y.shape[:2], 6))
+            estimate = y.new_zeros((*y.shape[:2], 6))
         else:
             y1_hat = torch.where(condition.mask[..., None], y1_hat, 0)
-            fed_back = torch.cat([self.coordinates.on_circle(y1_hat), torch.ones_like(y[..., :1])], -1)
-        return torch.cat([self.coordinates.on_circle(y), fed_back, object_encoding.place_features(now, condition)], -1)
+            # The last channel marks that there is an estimate.
+            estimate = torch.cat([self.coordinates.on_circle(y1_hat), torch.ones_like(y[..., :1])], -1)
+        return torch.cat([self.coordinates.on_circle(y), estimate, object_encoding.place_features(poses, condition)], -1)
 
     def _context(self, condition: Condition, ranks: Tensor) -> Tensor:
         known = [object_encoding.context_features(condition)]
@@ -147,8 +148,8 @@ class VelocityNetwork(nn.Module):
             found = 0 if condition.features is None else condition.features.shape[-1]
             if condition.features is None or found != self.settings.num_features:
                 raise ConfigError(
-                    f"the scenes have {found} point features an object, the corrector reads {self.settings.num_features}; "
-                    "are they from the encoder that it was trained with?",
+                    f"the scenes have {found} point features per object, the corrector expects {self.settings.num_features}; "
+                    "compute them with the encoder that it was trained with",
                     "features_mismatch",
                 )
             known.append(self.features(condition.features))
@@ -159,7 +160,7 @@ class VelocityNetwork(nn.Module):
 
 
 def time_embedding(t: Tensor, channels: int) -> Tensor:
-    """Sines and cosines of 1000 t over wavelengths from 2π to 20000π, (B,) → (B, channels)."""
+    """Sines and cosines of 1000 t at wavelengths from 2π to 20000π, (B,) → (B, channels)."""
     half = channels // 2
     rates = torch.exp(-math.log(10_000.0) / max(half - 1, 1) * torch.arange(half, device=t.device, dtype=torch.float32))
     phase = _TIME_SCALE * t.float()[:, None] * rates

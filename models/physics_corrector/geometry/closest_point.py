@@ -1,9 +1,8 @@
-"""Where one object is deepest in another, or nearest to its surface: a search over samples, then one differentiable distance.
+"""The sample of one object that is deepest in another object or nearest to its surface, and its differentiable distance.
 
-The paper's distances are minima over samples, and the gradient of a minimum is that of the sample it is taken at. So all
-samples are looked at without a graph, those outside the other's grid not even read, and only the one that counts is evaluated
-again with
-gradients: memory does not grow with the number of samples.
+The paper's distances are minima over samples, and the gradient of a minimum is that at the minimising sample. The search
+therefore records no graph and skips samples outside the other object's grid. Only the minimising sample is evaluated again with
+gradients: memory for gradients does not grow with the number of samples.
 """
 
 from dataclasses import dataclass
@@ -14,18 +13,17 @@ from torch import Tensor
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.shape_tensors import ShapeTensors
 
-_SAMPLES_AT_ONCE = 1 << 21
-"""How many samples are looked at together: what the search holds in memory at most, some 100 MB."""
+_SAMPLES_AT_ONCE = 1 << 21  # bounds the memory of the search to about 100 MB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosestPointQueries:
-    """Samples of one object asked in another object of the same scene, E times.
+    """E queries of the distance of one object's samples to another object of the same scene.
 
     Attributes:
         scene: (E,) int64.
-        guest: Place of the object that is sampled, (E,) int64.
-        host: Place of the object whose distance is asked, (E,) int64.
+        guest: Index of the sampled object in its scene, (E,) int64.
+        host: Index of the object whose signed distance is read, (E,) int64.
     """
 
     scene: Tensor
@@ -37,21 +35,21 @@ class ClosestPointQueries:
         return len(self.scene)
 
     def take(self, queries: Tensor | slice) -> "ClosestPointQueries":
-        """Some of the queries, by index, mask or slice."""
+        """Selects queries by index, mask or slice."""
         return ClosestPointQueries(self.scene[queries], self.guest[queries], self.host[queries])
 
 
 def posed_distance(
     poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, queries: ClosestPointQueries, points: Tensor
 ) -> Tensor:
-    """D_host at points of the guests, differentiable with respect to the poses.
+    """Computes D_host at one point of each guest, differentiable with respect to the poses.
 
     Args:
         poses: (B, N, 4) float32 or float64, metres and radians.
         batch: The scenes.
         geometry: Their shapes.
-        queries: Which objects, E of them.
-        points: One point each, (E, 3), metres, yaw frame of the guest.
+        queries: The pairs of objects, E of them.
+        points: One point per query, (E, 3), metres, yaw frame of the guest.
 
     Returns:
         Distances, (E,), metres, negative inside.
@@ -74,19 +72,19 @@ def closest_sample(
     *,
     is_unsigned: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """The sample of each guest with the smallest distance to its host; the first of several.
+    """Finds the sample of each guest with the smallest distance to its host; the first of equal ones.
 
     Args:
         poses: (B, N, 4) float32 or float64, metres and radians.
         batch: The scenes.
         geometry: Their shapes.
-        queries: Which objects, E of them.
-        samples: Of every shape, (K, P, 3) float32, metres, yaw frame.
-        limit: Distances from this on do not count, (E,), metres, not negative.
-        is_unsigned: Distance to the surface, |D|, instead of D.
+        queries: The pairs of objects, E of them.
+        samples: Samples of every shape, (K, P, 3) float32, metres, yaw frame.
+        limit: Only smaller distances count, (E,), metres, not negative.
+        is_unsigned: Whether the distance is |D| instead of D.
 
     Returns:
-        The sample, (E,) int64, and its distance, (E,), metres: inf where none is below the limit.
+        The index of the sample, (E,) int64, and its distance, (E,), metres: inf if none is below the limit.
     """
     num_samples = samples.shape[1]
     size = max(1, _SAMPLES_AT_ONCE // max(1, num_samples))
@@ -112,42 +110,43 @@ def _closest(
     grid_index, factor = geometry.grid_index[host], geometry.metres_per_unit[host].to(poses.dtype)
     low, high = (corner.to(poses.dtype) for corner in geometry.atlas.box(grid_index))
     slack = (limit / factor)[:, None]
-    # In the unit frame, a row of coordinates an axis: what lies outside the grid by the limit is at least that far away.
-    places = _places(poses, batch, geometry, queries, samples)  # 3 x (E, P)
-    is_near = torch.ones_like(places[0], dtype=torch.bool)
-    for axis, place in enumerate(places):
-        is_near &= (place >= low[:, axis, None] - slack) & (place <= high[:, axis, None] + slack)
+    # A sample that is outside the grid's box by more than the limit is farther from the surface than the limit: not read.
+    axes = _samples_in_host(poses, batch, geometry, queries, samples)  # 3 x (E, P)
+    is_near = torch.ones_like(axes[0], dtype=torch.bool)
+    for axis, values in enumerate(axes):
+        is_near &= (values >= low[:, axis, None] - slack) & (values <= high[:, axis, None] + slack)
     query, sample = is_near.nonzero(as_tuple=True)
-    read = geometry.atlas.sample(grid_index[query], torch.stack([place[query, sample] for place in places], dim=1))
-    distance = factor[query] * (read.abs() if is_unsigned else read)
+    units = geometry.atlas.sample(grid_index[query], torch.stack([values[query, sample] for values in axes], dim=1))
+    distance = factor[query] * (units.abs() if is_unsigned else units)
     counts = distance < limit[query]
     query, sample, distance = query[counts], sample[counts], distance[counts]
+    # Samples per query differ in number after the filter: scatter_reduce replaces a minimum over a padded matrix.
     smallest = torch.full_like(limit, torch.inf).scatter_reduce(0, query, distance, "amin")
-    is_smallest = distance == smallest[query]
+    is_smallest = distance == smallest[query]  # "amin" of sample indices below: the first of equal samples, on any device
     first = torch.full_like(host, samples.shape[1] - 1).scatter_reduce(0, query[is_smallest], sample[is_smallest], "amin")
     return first, smallest
 
 
-def _places(
+def _samples_in_host(
     poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, queries: ClosestPointQueries, samples: Tensor
 ) -> list[Tensor]:
-    """Samples of the guests in the unit frame of their hosts' grids, x, y and z, (E, P) each."""
+    """Transforms samples of the guests to the unit frame of their hosts' grids: x, y and z, (E, P) each."""
     turn, offset = _in_host(poses, queries)
     c, s = turn.cos(), turn.sin()
     affine = geometry.unit_from_yaw[batch.shape_index[queries.scene, queries.host]].to(poses.dtype)
     x, y, z = samples[batch.shape_index[queries.scene, queries.guest]].to(poses.dtype).unbind(2)
-    places = []
+    axes = []
     for row in affine.unbind(1):
         along_x, along_y = row[:, 0] * c + row[:, 1] * s, row[:, 1] * c - row[:, 0] * s
         start = (row[:, :3] * offset).sum(dim=1) + row[:, 3]
-        # No matrix product: on some devices its arithmetic is shorter than float32.
-        place = torch.addcmul(start[:, None], x, along_x[:, None])
-        places.append(place.addcmul_(y, along_y[:, None]).addcmul_(z, row[:, 2, None]))
-    return places
+        # No matrix product: some devices compute it with less than float32 precision (TF32).
+        values = torch.addcmul(start[:, None], x, along_x[:, None])
+        axes.append(values.addcmul_(y, along_y[:, None]).addcmul_(z, row[:, 2, None]))
+    return axes
 
 
 def _in_host(poses: Tensor, queries: ClosestPointQueries) -> tuple[Tensor, Tensor]:
-    """Pose of the guest in the host's yaw frame: yaw (E,) and position (E, 3)."""
+    """Returns the guest's pose in the host's yaw frame: yaw (E,) and position (E, 3)."""
     guest, host = poses[queries.scene, queries.guest], poses[queries.scene, queries.host]
     x, y, z = (guest[:, :3] - host[:, :3]).unbind(1)
     c, s = host[:, 3].cos(), host[:, 3].sin()

@@ -1,10 +1,9 @@
-"""Scenes as padded tensors: what network, losses, training and `certify` share.
+"""Scenes as padded tensors, for the network, the losses and the training.
 
-What varies from scene to scene is here; what belongs to a shape lies once in
-:class:`~models.physics_corrector.geometry.shape_tensors.ShapeTensors` and is pointed to. A whole training set fits in one
-batch of some tens of megabytes: ``take`` cuts minibatches from it.
+Data of scenes is here; data of shapes is stored once in :class:`~models.physics_corrector.geometry.shape_tensors.ShapeTensors`,
+and objects refer to it by index. A whole training set is one batch of some tens of megabytes: ``take`` selects minibatches.
 
-Padding: ``mask`` alone says what it is. It holds zeros, -2 in ``parent``, and nothing may depend on it.
+``mask`` is False for padding. Padding is zero, -2 in ``parent``, and no result may depend on it.
 """
 
 from collections.abc import Callable, Sequence, Set
@@ -24,10 +23,10 @@ from stable_data.scene import TABLE, Scene, SceneObject
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayoutBatch(SceneTensors):
-    """B scenes of at most N objects, whose shapes lie in a geometry.
+    """B scenes of at most N objects with the shapes of their objects.
 
     Attributes:
-        shape_index: Shape in the geometry, (B, N) int64.
+        shape_index: Index of each object's shape in a ``ShapeTensors``, (B, N) int64.
     """
 
     shape_index: Tensor = field(kw_only=True)
@@ -41,13 +40,13 @@ class LayoutBatch(SceneTensors):
         is_fixed: Callable[[SceneObject], bool] | None = None,
         num_slots: int = 0,
     ) -> "LayoutBatch":
-        """Scenes with their shapes.
+        """Converts scenes and collects their shapes.
 
         Args:
             scenes: The scenes, positions at the centres of the boxes.
-            shapes: Where their shapes are collected; ask it for the geometry afterwards.
-            is_fixed: Which objects must stay; by default none.
-            num_slots: N, at least; more where a scene has more objects.
+            shapes: Collects the shapes; its ``geometry()`` afterwards contains them.
+            is_fixed: Whether an object must not move; by default none is fixed.
+            num_slots: The least N; a scene with more objects enlarges it.
         """
         resolved = [shapes.store.resolved(scene)[:2] for scene in scenes]
         fixed = [frozenset(o.instance for o in scene.objects if is_fixed is not None and is_fixed(o)) for scene in scenes]
@@ -62,13 +61,13 @@ class LayoutBatch(SceneTensors):
 def pad_scenes(
     scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Set[str]], num_slots: int = 0
 ) -> dict[str, npt.NDArray[Any]]:
-    """Scenes as arrays of one length.
+    """Converts scenes to padded arrays.
 
     Args:
         scenes: The scenes, positions at the centres of the boxes.
-        shapes: The geometry of their objects, in their order.
-        fixed: The instances of each that must stay.
-        num_slots: N, at least; more where a scene has more objects.
+        shapes: The geometry of the objects of each scene, in their order.
+        fixed: The instances of each scene that must not move.
+        num_slots: The least N; a scene with more objects enlarges it.
 
     Returns:
         ``poses``, ``mask``, ``sizes``, ``is_fixed``, ``parent``, ``table``, ``zone`` and ``has_zone`` of a
@@ -78,13 +77,13 @@ def pad_scenes(
     poses, sizes = np.zeros((*lead, 4), np.float32), np.zeros((*lead, 3), np.float32)
     mask, is_fixed, parent = np.zeros(lead, np.bool_), np.zeros(lead, np.bool_), np.full(lead, NO_PARENT)
     zone = np.zeros((len(scenes), 4), np.float32)
-    for b, (scene, own, stays) in enumerate(zip(scenes, shapes, fixed, strict=True)):
-        place = {o.instance: n for n, o in enumerate(scene.objects)} | {TABLE: ON_TABLE}
+    for b, (scene, own, fixed_instances) in enumerate(zip(scenes, shapes, fixed, strict=True)):
+        index = {o.instance: n for n, o in enumerate(scene.objects)} | {TABLE: ON_TABLE}
         count = len(scene.objects)
         poses[b, :count], mask[b, :count] = scene.poses(), True
         sizes[b, :count] = np.array([shape.size for shape in own]).reshape(-1, 3)
-        is_fixed[b, :count] = [o.instance in stays for o in scene.objects]
-        parent[b, :count] = [NO_PARENT if o.support is None else place.get(o.support, NO_PARENT) for o in scene.objects]
+        is_fixed[b, :count] = [o.instance in fixed_instances for o in scene.objects]
+        parent[b, :count] = [NO_PARENT if o.support is None else index.get(o.support, NO_PARENT) for o in scene.objects]
         zone[b] = scene.table.restricted_zone or 0.0
     return {
         "poses": poses,

@@ -1,4 +1,4 @@
-"""The tensors of a batch of scenes that the geometry, the flow and the training of the corrector share."""
+"""The tensors of a batch of scenes, shared by geometry, flow and training of the corrector."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -20,14 +20,14 @@ class SceneTensors:
 
     Attributes:
         poses: x, y, z of the box's centre in metres and yaw in radians, world frame, (B, N, 4) float32.
-        mask: True where there is an object, (B, N) bool.
-        sizes: Box in the yaw frame, (B, N, 3) float32, metres.
-        is_fixed: True where an object must stay where it is, (B, N) bool.
-        parent: The object that carries this one, by its place in the scene, ON_TABLE or NO_PARENT, (B, N) int64.
+        mask: True for objects, False for padding, (B, N) bool.
+        sizes: Sizes of the boxes in the yaw frame, (B, N, 3) float32, metres.
+        is_fixed: True for objects that must not move, (B, N) bool.
+        parent: Index of the object's support in the scene, ON_TABLE or NO_PARENT, (B, N) int64.
         table: Extent of the table along x and y, (B, 2) float32, metres.
-        zone: Restricted zone, x_min, x_max, y_min, y_max, (B, 4) float32, metres; zeros where there is none.
-        has_zone: Whether a scene has one, (B,) bool.
-        features: Point features g_i of the objects, (B, N, F) float32, or None where the network uses none.
+        zone: Restricted zone, x_min, x_max, y_min, y_max, (B, 4) float32, metres; zeros if there is none.
+        has_zone: Whether a scene has a restricted zone, (B,) bool.
+        features: Point features g_i of the objects, (B, N, F) float32, or None if the network uses none.
     """
 
     poses: Tensor
@@ -46,17 +46,17 @@ class SceneTensors:
 
     @property
     def is_movable(self) -> Tensor:
-        """True where there is an object that may move, (B, N) bool."""
+        """True for objects that may move, (B, N) bool."""
         return self.mask & ~self.is_fixed
 
     def to(self, device: torch.device | str) -> Self:
-        """The same on a device."""
-        return self._each(lambda value: value.to(device))
+        """Copies the tensors to a device."""
+        return self._map(lambda value: value.to(device))
 
     def take(self, scenes: Tensor) -> Self:
-        """Some of the scenes, by index (S,) int64 or mask (B,) bool."""
-        return self._each(lambda value: value[scenes])
+        """Selects scenes by index (S,) int64 or mask (B,) bool."""
+        return self._map(lambda value: value[scenes])
 
-    def _each(self, change: Callable[[Tensor], Tensor]) -> Self:
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{name: change(value) for name, value in values.items() if value is not None})

@@ -1,9 +1,8 @@
-"""Signed-distance grids in torch: many in one flat buffer, read with their analytic gradient.
+"""The buffer of :class:`stable_data.geometry.sdf.grid.GridAtlas` in torch, with the analytic gradient.
 
-One grid per pair, as ``grid_sample`` wants it, copies a grid for every pair; here points of any grids are read by eight fetches
-from where the grids lie. Storage is float16, arithmetic that of the points. Frame, values and what is read outside a grid are
-those of :mod:`stable_data.geometry.sdf.grid`: the nearest point of the box plus the way there, so that outside the sign is
-right and the gradient leads back.
+``grid_sample`` of torch would need a copy of the grid for every pair of objects; here eight fetches read each point in any grid
+of the buffer. Values are float16; the arithmetic has the dtype of the points. Frame, values and the rule outside a grid's box
+are those of :mod:`stable_data.geometry.sdf.grid`: outside, the sign is correct and the gradient points away from the box.
 """
 
 from collections.abc import Sequence
@@ -19,15 +18,7 @@ from stable_data.geometry.sdf.grid import GridAtlas, SdfGrid
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SdfAtlas:
-    """Many grids in one flat buffer, G of them.
-
-    Attributes:
-        values: All nodes, one grid after the other, each in C order, float16, units.
-        offset: Where each grid starts in ``values``, (G,) int64.
-        shape: Nodes along each axis, (G, 3) int64.
-        origin: Place of node (0, 0, 0), (G, 3) float32, units.
-        spacing: Between nodes, (G,) float32, units.
-    """
+    """G grids; the attributes are those of ``GridAtlas``, but ``origin`` and ``spacing`` are float32."""
 
     values: Tensor
     offset: Tensor
@@ -37,7 +28,7 @@ class SdfAtlas:
 
     @classmethod
     def from_grids(cls, grids: Sequence[SdfGrid]) -> "SdfAtlas":
-        """Puts grids into one buffer, in their order."""
+        """Concatenates grids, in their order."""
         atlas = GridAtlas.from_grids(grids)
         return cls(
             torch.from_numpy(atlas.values),
@@ -48,7 +39,7 @@ class SdfAtlas:
         )
 
     def to(self, device: torch.device | str) -> "SdfAtlas":
-        """The same on a device."""
+        """Copies the buffer to a device."""
         return SdfAtlas(*(getattr(self, name).to(device) for name in self.__slots__))
 
     def __len__(self) -> int:
@@ -56,12 +47,12 @@ class SdfAtlas:
         return len(self.offset)
 
     def box(self, grid_index: Tensor) -> tuple[Tensor, Tensor]:
-        """Lowest and highest corner of grids (M,), (M, 3) float32 each, units."""
+        """The lowest and highest corners of grids (M,), (M, 3) float32 each, units."""
         low = self.origin[grid_index]
         return low, low + self.spacing[grid_index, None] * (self.shape[grid_index] - 1)
 
     def sample(self, grid_index: Tensor, points: Tensor) -> Tensor:
-        """Signed distances, each point read in its own grid; differentiable once with respect to the points.
+        """Reads the signed distance of each point in its grid; differentiable once with respect to the points.
 
         Args:
             grid_index: Grid of each point, (M,) int64.
@@ -71,38 +62,38 @@ class SdfAtlas:
             Distances, (M,), dtype of the points, negative inside, units.
         """
         if points.requires_grad and torch.is_grad_enabled():
-            read: Tensor = _Read.apply(self, grid_index, points)  # type: ignore[no-untyped-call]
-            return read
+            distance: Tensor = _Sample.apply(self, grid_index, points)  # type: ignore[no-untyped-call]
+            return distance
         return self._read(grid_index, points, with_gradient=False)[0]
 
     def _read(self, grid_index: Tensor, points: Tensor, *, with_gradient: bool) -> tuple[Tensor, Tensor]:
-        """Values (M,), and gradients (M, 3) where they are wanted."""
+        """Returns values (M,) and, on request, gradients (M, 3)."""
         shape, spacing = self.shape[grid_index], self.spacing[grid_index].to(points.dtype)
-        places = (points - self.origin[grid_index]) / spacing[:, None]  # in nodes
-        # A pose that is not finite reads as not finite, yet never outside the buffer.
-        held = torch.minimum(places.nan_to_num().clamp_min(0), shape.to(points.dtype) - 1)
-        beyond = places - held
+        nodes = (points - self.origin[grid_index]) / spacing[:, None]  # coordinates in nodes
+        # nan_to_num: a pose that is not finite gives a distance that is not finite, but never an index outside the buffer.
+        clamped = torch.minimum(nodes.nan_to_num().clamp_min(0), shape.to(points.dtype) - 1)
+        beyond = nodes - clamped
         gap = torch.linalg.vector_norm(beyond, dim=1)
-        value, slope = self._trilinear(self.offset[grid_index], shape, held, with_gradient=with_gradient)
+        value, slope = self._trilinear(self.offset[grid_index], shape, clamped, with_gradient=with_gradient)
         value = value + gap * spacing
         if with_gradient:
             outwards = beyond / gap.clamp_min(torch.finfo(gap.dtype).tiny)[:, None]
             slope = torch.where(beyond != 0, outwards, slope / spacing[:, None])
         return value, slope
 
-    def _trilinear(self, offset: Tensor, shape: Tensor, places: Tensor, *, with_gradient: bool) -> tuple[Tensor, Tensor]:
-        """Value (M,) and slope per node (M, 3) at places inside the grids, counted in nodes."""
-        cell = torch.minimum(places.long(), shape - 2)
-        x, y, z = (places - cell).unbind(1)
+    def _trilinear(self, offset: Tensor, shape: Tensor, nodes: Tensor, *, with_gradient: bool) -> tuple[Tensor, Tensor]:
+        """Returns the value (M,) and the slope per node (M, 3) at node coordinates inside the grids."""
+        cell = torch.minimum(nodes.long(), shape - 2)
+        x, y, z = (nodes - cell).unbind(1)
         along_y = shape[:, 2]
         along_x = shape[:, 1] * along_y
         first = offset + cell[:, 0] * along_x + cell[:, 1] * along_y + cell[:, 2]
         second = first + along_x
-        # Corner xyz: first x, then y, then z is interpolated; the differences met on the way are the slope.
+        # Interpolates along x, then y, then z; the differences between corners also give the slope. vYZ: value at corner y, z.
         corners = (first, first + 1, first + along_y, first + along_y + 1)
         opposite = (second, second + 1, second + along_y, second + along_y + 1)
-        near = [self.values[node].to(places.dtype) for node in corners]
-        rise_x = [self.values[node].to(places.dtype) - value for node, value in zip(opposite, near, strict=True)]
+        near = [self.values[node].to(nodes.dtype) for node in corners]
+        rise_x = [self.values[node].to(nodes.dtype) - value for node, value in zip(opposite, near, strict=True)]
         v00, v01, v10, v11 = (value + x * rise for value, rise in zip(near, rise_x, strict=True))
         v0, v1 = v00 + y * (v10 - v00), v01 + y * (v11 - v01)
         value = v0 + z * (v1 - v0)
@@ -113,8 +104,8 @@ class SdfAtlas:
         return value, torch.stack([r0 + z * (r1 - r0), slope_y, v1 - v0], dim=1)
 
 
-class _Read(torch.autograd.Function):
-    """Value and gradient in the same fetches; of all that, three numbers a point wait for the backward pass."""
+class _Sample(torch.autograd.Function):
+    """Computes value and gradient with the same fetches and saves only the gradient, three numbers per point, for backward."""
 
     @staticmethod
     def forward(ctx: Any, atlas: SdfAtlas, grid_index: Tensor, points: Tensor) -> Tensor:

@@ -1,11 +1,12 @@
-"""What the losses and `certify` know of each shape: samples in its yaw frame, and a way into its signed-distance grid.
+"""The shapes of scenes for the losses: samples in the yaw frame, and the map from the yaw frame to the signed-distance grid.
 
-A *shape* is an asset at a scale and tilt, or the box that stands in for a missing mesh. Scenes point to shapes by index, so
-that what is large lies once in memory, whatever the number of scenes.
+A *shape* is an asset at a scale and tilt, or the box that replaces a missing mesh. Scenes refer to shapes by index, so that
+each shape is in memory once.
 
-The grid belongs to the mesh at its aspect snapped to 5 %. What snapping left over (at most 2.5 % an axis) is undone in the map
-from the yaw frame to the grid, not in the distance: the surface read is exactly where the mesh is, so that what touches still
-touches, and a distance is off by at most 2.5 % of itself. Without it a plate's rim would stand millimetres off.
+A grid belongs to the mesh at its aspect, rounded to steps of 5 %. The map from the yaw frame to the grid compensates the
+rounding, at most 2.5 % per axis; the distance does not. The zero level is therefore exactly at the mesh, so contacts are
+preserved, and a distance has a relative error of at most 2.5 %. Without the compensation a plate's rim would be off by
+millimetres.
 """
 
 import math
@@ -32,23 +33,23 @@ GridKey: TypeAlias = tuple[str, tuple[int, int, int]]
 """Asset and its aspect in steps of 5 % (``stable_data.assets.store.aspect_steps``)."""
 
 STRETCH = 1.03
-"""A length in a grid's frame may differ from the true one by at most this factor: half a step of the aspect."""
+"""Bound of the factor between a length in a grid's frame and the true length: half a step of the aspect, and a margin."""
 
-_STAND_IN = ""  # the asset that boxes are
-_FLATTEST = 1e-3  # least extent of a stand-in's box, as a share of its largest
+_BOX_ASSET = ""  # asset id of boxes that replace missing meshes
+_MIN_THICKNESS = 1e-3  # least extent of such a box, as a share of its largest: a flat box has no inside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapeTensors:
-    """The shapes that scenes point to, K of them.
+    """The shapes of a set of scenes, K of them.
 
     Attributes:
         atlas: Signed-distance grids, G of them.
         grid_index: Grid of each shape, (K,) int64.
-        unit_from_yaw: Linear part and offset of the map into the grid's frame: tilt, scale and centre undone, (K, 3, 4)
-            float32.
-        metres_per_unit: What a grid's distance is multiplied with, (K,) float32.
-        reach: Farther outside its box than this no shape's grid reads negative, (K,) float32, metres.
+        unit_from_yaw: Linear part and offset of the map from yaw frame to grid frame, which undoes tilt, scale and centre,
+            (K, 3, 4) float32.
+        metres_per_unit: Factor from a grid's distance to metres, (K,) float32.
+        reach: A shape's grid is not negative farther than this outside the shape's box, (K,) float32, metres.
         surface: Q_i, samples of the surface, farthest-point ordered, (K, P, 3) float32, metres, yaw frame.
         bottom: B_i, samples of the bottom region, the lowest first, (K, Q, 3) float32, metres, yaw frame.
     """
@@ -62,7 +63,7 @@ class ShapeTensors:
     bottom: Tensor
 
     def to(self, device: torch.device | str) -> "ShapeTensors":
-        """The same on a device."""
+        """Copies the tensors to a device."""
         return ShapeTensors(*(getattr(self, name).to(device) for name in self.__slots__))
 
     def __len__(self) -> int:
@@ -70,32 +71,31 @@ class ShapeTensors:
         return len(self.grid_index)
 
     def signed_distance(self, shape_index: Tensor, points: Tensor) -> Tensor:
-        """D_s, each point read in its own shape; differentiable once with respect to the points.
+        """Computes D_s of each point and its shape; differentiable once with respect to the points.
 
         Args:
             shape_index: Shape of each point, (M,) int64.
-            points: (M, 3) float32 or float64, metres, yaw frame of that shape.
+            points: (M, 3) float32 or float64, metres, yaw frame of the shape.
 
         Returns:
             Distances, (M,), dtype of the points, negative inside, metres.
         """
         affine = self.unit_from_yaw[shape_index].to(points.dtype)
-        places = (affine[:, :, :3] * points[:, None]).sum(dim=2) + affine[:, :, 3]
-        distance = self.atlas.sample(self.grid_index[shape_index], places)
-        return self.metres_per_unit[shape_index] * distance
+        units = (affine[:, :, :3] * points[:, None]).sum(dim=2) + affine[:, :, 3]
+        return self.metres_per_unit[shape_index] * self.atlas.sample(self.grid_index[shape_index], units)
 
 
 class ShapeCollector:
-    """Collects the shapes of scenes, each once, and makes a :class:`ShapeTensors` of them.
+    """Collects the shapes of scenes, each once, in a :class:`ShapeTensors`.
 
     Args:
         store: Meshes of the assets.
-        num_surface: P, samples of a surface.
-        num_bottom: Q, samples of a bottom region.
-        grids: Grids that are there already, such as :func:`grids_from_rows` gives; any other is built when first needed, which
-            takes about a second.
-        points: Surface samples that are there already, by asset, farthest-point ordered, (P, 3), mesh units, such as the table
-            ``assets`` has; where they are fewer than ``num_surface`` they are drawn anew.
+        num_surface: P, the number of surface samples.
+        num_bottom: Q, the number of samples of the bottom region.
+        grids: Existing grids, such as those of :func:`grids_from_rows`; other grids are built on first use, in about a second
+            each.
+        points: Existing surface samples by asset, farthest-point ordered, (P, 3), mesh units, such as those of the table
+            ``assets``; if they are fewer than ``num_surface``, new ones are drawn.
     """
 
     def __init__(
@@ -116,24 +116,24 @@ class ShapeCollector:
         self._shapes: list[_Shape] = []
 
     def __len__(self) -> int:
-        """Number of shapes so far."""
+        """Number of collected shapes."""
         return len(self._shapes)
 
     def index(self, o: SceneObject, shape: Shape) -> int:
-        """Place of an object's shape in the geometry; a new shape is appended.
+        """Returns the index of an object's shape; a new shape is appended.
 
         Args:
-            o: The object, resolved: its scale is the one its mesh has (``AssetStore.resolved``).
+            o: The object with the scale of its mesh, from ``AssetStore.resolved``.
             shape: Its geometry, from the same call.
         """
-        key = (o.asset_id, o.scale, o.tilt_quat_xyzw) if shape.is_exact else (_STAND_IN, tuple(shape.size.tolist()))
+        key = (o.asset_id, o.scale, o.tilt_quat_xyzw) if shape.is_exact else (_BOX_ASSET, tuple(shape.size.tolist()))
         if key not in self._shape_order:
-            self._shapes.append(self._made(o, shape))
+            self._shapes.append(self._prepare(o, shape))
             self._shape_order[key] = len(self._shapes) - 1
         return self._shape_order[key]
 
     def geometry(self) -> ShapeTensors:
-        """All shapes so far; indices given before stay right in a later one."""
+        """Returns all collected shapes; indices remain valid when more are collected."""
         grids = [self._grids[key] for key in self._grid_order]
         shapes = self._shapes
         return ShapeTensors(
@@ -146,19 +146,20 @@ class ShapeCollector:
             bottom=_stacked([s.bottom for s in shapes], (self._num_bottom, 3)),
         )
 
-    def _made(self, o: SceneObject, shape: Shape) -> "_Shape":
+    def _prepare(self, o: SceneObject, shape: Shape) -> "_Shape":
         asset_id, mesh, scale, tilt = self._source(o, shape)
         steps = aspect_steps(scale)
         grid = self._grid(asset_id, mesh, scale, steps)
         rotation = Rotation.from_quat(tilt).as_matrix()
         unit_per_mesh = np.array(aspect_of(steps)) / grid.extent
         linear = (unit_per_mesh / np.array(scale))[:, None] * rotation.T
-        centre = rotation @ (mesh.vertices[0] * scale) - shape.vertices[0]  # of the tilted box, which the yaw frame lies at
+        # The yaw frame's origin is the centre of the tilted box; one vertex in both frames gives the offset.
+        centre = rotation @ (mesh.vertices[0] * scale) - shape.vertices[0]
         if asset_id not in self._points:
             self._points[asset_id] = surface_points(mesh, max(1024, self._num_surface))[0].astype(np.float64)
         surface = (self._points[asset_id][: self._num_surface] * scale) @ rotation.T - centre
         metres_per_unit = grid.extent * max(scale)
-        # The shell, and a cell with a negative corner: as long as its diagonal; a little more where snapping left a stretch.
+        # The shell of an open mesh, and the diagonal of a cell, one corner of which may be negative.
         reach = STRETCH * metres_per_unit * (grid.shell_thickness / 2 + math.sqrt(3) * grid.spacing)
         return _Shape(
             grid_index=self._grid_order.setdefault((asset_id, steps), len(self._grid_order)),
@@ -170,17 +171,17 @@ class ShapeCollector:
         )
 
     def _source(self, o: SceneObject, shape: Shape) -> tuple[str, Mesh, Vec3, tuple[float, float, float, float]]:
-        """What a shape was made of: asset, mesh, scale and tilt."""
+        """Returns asset, mesh, scale and tilt of a shape; a unit cube, scaled, if the object has no mesh."""
         mesh = self.store.mesh_of(o) if shape.is_exact else None
         if mesh is not None and o.asset_id is not None and o.scale is not None:
             return o.asset_id, mesh, o.scale, o.tilt_quat_xyzw
         cube = Shape.box((1.0, 1.0, 1.0))
-        x, y, z = np.maximum(shape.size, _FLATTEST * shape.size.max()).tolist()
-        return _STAND_IN, Mesh(cube.vertices, cube.faces), (x, y, z), (0.0, 0.0, 0.0, 1.0)
+        x, y, z = np.maximum(shape.size, _MIN_THICKNESS * shape.size.max()).tolist()
+        return _BOX_ASSET, Mesh(cube.vertices, cube.faces), (x, y, z), (0.0, 0.0, 0.0, 1.0)
 
     def _grid(self, asset_id: str, mesh: Mesh, scale: Vec3, steps: tuple[int, int, int]) -> SdfGrid:
         if (asset_id, steps) not in self._grids:
-            is_box = asset_id == _STAND_IN
+            is_box = asset_id == _BOX_ASSET
             grid = build_grid(mesh, aspect=aspect_of(steps)) if is_box else self.store.grid(asset_id, scale)
             self._grids[asset_id, steps] = grid
         return self._grids[asset_id, steps]
@@ -188,7 +189,7 @@ class ShapeCollector:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shape:
-    """One shape's entries of :class:`ShapeTensors`."""
+    """The entries of one shape in :class:`ShapeTensors`."""
 
     grid_index: int
     unit_from_yaw: FloatArray
@@ -199,7 +200,7 @@ class _Shape:
 
 
 def grids_from_rows(rows: Iterable[Mapping[str, Any]]) -> dict[GridKey, SdfGrid]:
-    """Grids of rows of the ``sdf`` table, by asset and aspect."""
+    """Converts rows of the table ``sdf`` to grids by asset and aspect."""
     return {
         (row["asset_id"], aspect_steps(tuple(row["aspect"]))): SdfGrid(
             values=np.asarray(row["values"], np.float16).reshape(tuple(row["shape"])),
@@ -218,5 +219,5 @@ def grids_from_rows(rows: Iterable[Mapping[str, Any]]) -> dict[GridKey, SdfGrid]
 
 
 def _stacked(arrays: Sequence[npt.NDArray[np.floating]], shape: tuple[int, ...]) -> Tensor:
-    """Arrays of one shape as a float32 tensor, (K, *shape)."""
+    """Stacks K arrays of one shape, also none, as a float32 tensor, (K, *shape)."""
     return torch.from_numpy(np.array(arrays, np.float32).reshape(-1, *shape))

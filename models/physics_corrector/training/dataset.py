@@ -1,7 +1,7 @@
-"""A run's clean scenes as tensors: what the corrector is trained and judged on, and how its parts are kept between runs.
+"""The clean scenes of a run as tensors, for training and validation of the corrector, with a cache on disk.
 
-Only tables of the run folder are read: ``scenes`` with their metric cards, ``meshes``, ``sdf``, the samples in ``assets`` and,
-where they are asked for, ``features``. What takes minutes to compute is kept in one file, named by what it was made from.
+The tables of the run folder are read: ``scenes`` with their metric cards, ``meshes``, ``sdf``, the samples in ``assets`` and,
+on request, ``features``. The result takes minutes to compute; one file caches it, named by a hash of its inputs.
 """
 
 import json
@@ -21,32 +21,31 @@ from tqdm import tqdm
 
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
-from models.physics_corrector.geometry.shape_tensors import GridKey, ShapeCollector, ShapeTensors, grids_from_rows
+from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors, grids_from_rows
 from stable_data.assets.point_features import FAR_TILT, read_features
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
-from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.scene import FloatArray, QuatXyzw, Scene, Stage, Vec3
 from stable_data.storage.row_groups import TableFiles, row_slices, rows_from_table
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 
 FeatureSource: TypeAlias = Literal["point", "box"]
-"""What a network is told of shapes: ``point`` the encoder's features, ``box`` nothing but the extents that it always has."""
+"""The network's inputs of a shape: ``point``, the encoder's features and the extents; ``box``, the extents alone."""
 
-_VERSION = 1  # of the kept file
+_VERSION = 1  # of the cache file; a change of its content needs a new number
 _TABLES = ("scenes", "meshes", "sdf", "assets")
 _STAGES = {stage: index for index, stage in enumerate(Stage)}
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeKey:
-    """What a shape is made of.
+    """The asset, scale and tilt of a shape.
 
     Attributes:
-        asset_id: Its asset; a clean scene has the mesh of every object.
+        asset_id: The asset; a clean scene has the mesh of every object.
         scale: Metres per mesh unit.
         tilt_quat_xyzw: Rotation before yaw.
     """
@@ -63,12 +62,12 @@ class TrainingSet:
     Attributes:
         batch: The scenes with their clean poses.
         geometry: Their shapes.
-        stage: Index of each object's stage, -1 where it has none, (B, N) int64.
-        split: ``train`` 0, ``validation`` 1, anything else 2, (B,) int64.
-        scene_ids: B.
-        counts: Scenes read, kept and left out, by reason.
-        fingerprint: Content of the run that it was made from.
-        encoder: Fingerprint of the encoder of the features; empty where there are none.
+        stage: Index of each object's stage, -1 if it has none, (B, N) int64.
+        split: ``train`` 0, ``validation`` 1, others 2, (B,) int64.
+        scene_ids: The ids of the B scenes.
+        counts: Numbers of scenes that were read, used and left out, by reason.
+        fingerprint: Fingerprint of the run's content.
+        encoder: Fingerprint of the encoder of the features; empty without features.
     """
 
     batch: LayoutBatch
@@ -81,23 +80,23 @@ class TrainingSet:
     encoder: str = ""
 
     def of_split(self, split: int) -> Tensor:
-        """Places of the scenes of a split, (S,) int64."""
+        """Indices of the scenes of a split, (S,) int64."""
         return (self.split == split).nonzero()[:, 0]
 
     def to(self, device: torch.device | str) -> "TrainingSet":
-        """The same on a device."""
+        """Copies scenes, shapes and stages to a device."""
         return replace(self, batch=self.batch.to(device), geometry=self.geometry.to(device), stage=self.stage.to(device))
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingScenes:
-    """Where the scenes of a training set come from.
+    """The source of a training set.
 
     Attributes:
         uri: The run folder.
-        cache: Local folder for what is computed of it.
-        num_surface: Samples of a surface.
-        num_bottom: Samples of a bottom region.
+        cache: Local folder for computed files.
+        num_surface: Samples of an object's surface.
+        num_bottom: Samples of an object's bottom region.
     """
 
     uri: str
@@ -106,10 +105,10 @@ class TrainingScenes:
     num_bottom: int = 64
 
     def fingerprint(self) -> str:
-        """Content of the tables that are read.
+        """Fingerprint of the tables that are read.
 
         Raises:
-            ConfigError: A table is not there.
+            ConfigError: A table is missing (``table_missing``).
         """
         run = RunFolder(self.uri)
         for table in _TABLES:
@@ -125,27 +124,28 @@ class TrainingScenes:
         return AssetStore(RunAssets(RunFolder(self.uri), self.cache / "meshes"))
 
     def load(self, features: FeatureSource) -> TrainingSet:
-        """The training set: read where it was kept, else computed and kept.
+        """Reads the training set from the cache, or computes and caches it.
 
         Raises:
-            ConfigError: The run lacks a table, holds no clean scene to train on, or its features cannot be used.
+            ConfigError: The run lacks a table (``table_missing``) or the features (``features_missing``), or has no clean scene
+                in the split train (``set_empty``).
         """
         fingerprint = self.fingerprint()
         path = self.cache / f"scenes-{content_id(_VERSION, fingerprint, self.num_surface, self.num_bottom)}.safetensors"
-        found = _read(path)
-        if found is None:
-            found = self._made(fingerprint)
-            _write(path, *found)
-        made, keys = found
-        if not len(made.of_split(0)):
+        cached = _read_cache(path)
+        if cached is None:
+            cached = self._compute(fingerprint)
+            _write_cache(path, *cached)
+        training_set, keys = cached
+        if not len(training_set.of_split(0)):
+            counts = ", ".join(f"{name} {count}" for name, count in training_set.counts.items())
             raise ConfigError(
-                f"{self.uri}: no clean scene in the split train ({_listed(made.counts)}), expected one at least; "
-                "preprocess more scenes",
+                f"{self.uri}: no clean scene in the split train ({counts}), expected at least one; preprocess more scenes",
                 "set_empty",
             )
-        return made if features == "box" else self._with_features(made, keys)
+        return training_set if features == "box" else self._with_features(training_set, keys)
 
-    def _with_features(self, made: TrainingSet, keys: Sequence[ShapeKey]) -> TrainingSet:
+    def _with_features(self, training_set: TrainingSet, keys: Sequence[ShapeKey]) -> TrainingSet:
         run = RunFolder(self.uri)
         if not run.files("features"):
             raise ConfigError(
@@ -154,12 +154,13 @@ class TrainingScenes:
             )
         found = read_features(run)
         nearest = [found.nearest(key.asset_id, key.scale, key.tilt_quat_xyzw) for key in keys]
-        values = torch.from_numpy(np.array([value for value, _ in nearest]))[made.batch.shape_index]
-        counts = {**made.counts, "shapes_without_near_feature": sum(angle > FAR_TILT for _, angle in nearest)}
-        return replace(made, batch=replace(made.batch, features=values), counts=counts, encoder=found.fingerprint)
+        values = torch.from_numpy(np.array([value for value, _ in nearest]))[training_set.batch.shape_index]
+        counts = {**training_set.counts, "shapes_without_near_feature": sum(angle > FAR_TILT for _, angle in nearest)}
+        batch = replace(training_set.batch, features=values)
+        return replace(training_set, batch=batch, counts=counts, encoder=found.fingerprint)
 
     def scenes(self, scene_ids: Sequence[str]) -> list[Scene]:
-        """Scenes of the run by id, in that order."""
+        """Reads scenes of the run by id, in the given order."""
         table = TableFiles(self.uri, "scenes", list(SCENE_LEAVES))
         wanted = set(scene_ids)
         found: dict[str, Scene] = {}
@@ -169,26 +170,28 @@ class TrainingScenes:
             found |= {scene.scene_id: scene for scene in scenes_from_table(chosen)}
         return [found[scene_id] for scene_id in scene_ids]
 
-    def _made(self, fingerprint: str) -> tuple[TrainingSet, list[ShapeKey]]:
+    def _compute(self, fingerprint: str) -> tuple[TrainingSet, list[ShapeKey]]:
         run = RunFolder(self.uri)
         scenes, splits, counts = clean_targets(self.uri)
+        used_assets = {o.asset_id for scene in scenes for o in scene.objects if o.asset_id is not None}
+        num_slots = max((len(scene.objects) for scene in scenes), default=1)
         shapes = ShapeCollector(
             self.store(),
             num_surface=self.num_surface,
             num_bottom=self.num_bottom,
-            grids=_grids(run, _used(scenes)),
+            grids=grids_from_rows(_rows_of_assets(run, "sdf", used_assets)),
             points=_points(run),
         )
         parts = [
-            LayoutBatch.from_scenes([scene], shapes, num_slots=_most(scenes))
+            LayoutBatch.from_scenes([scene], shapes, num_slots=num_slots)
             for scene in tqdm(scenes, desc="scenes", unit="scene", leave=False)
         ]
-        stage = torch.full((len(scenes), _most(scenes)), -1)
+        stage = torch.full((len(scenes), num_slots), -1)
         for n, scene in enumerate(scenes):
             found = [-1 if o.stage is None else _STAGES[o.stage] for o in scene.objects]
             stage[n, : len(found)] = torch.tensor(found)
-        batch = _joined(parts)
-        made = TrainingSet(
+        batch = _concatenate(parts)
+        training_set = TrainingSet(
             batch,
             shapes.geometry(),
             stage,
@@ -197,14 +200,14 @@ class TrainingScenes:
             counts,
             fingerprint,
         )
-        return made, shape_keys(scenes, batch)
+        return training_set, shape_keys(scenes, batch)
 
 
 def clean_targets(uri: str) -> tuple[list[Scene], list[int], dict[str, int]]:
-    """The scenes of a run that may be targets, their splits, and how many were left out and why.
+    """Reads the scenes of a run that may be training targets, with their splits and the counts by reason.
 
-    A target that collides or floats teaches just that, and one whose card could not be made may. This is where a scene that is
-    not clean would be repaired by ``certify`` instead of left out: its moved objects would take the place of ``scene``.
+    A target with a collision or a floating object would teach it, so scenes that are not clean, or whose card is unknown, are
+    left out. They could be repaired by ``certify`` here instead.
 
     Raises:
         ConfigError: The table cannot be read.
@@ -229,7 +232,7 @@ def clean_targets(uri: str) -> tuple[list[Scene], list[int], dict[str, int]]:
 
 
 def shape_keys(scenes: Sequence[Scene], batch: LayoutBatch) -> list[ShapeKey]:
-    """What each shape of the scenes' geometry is made of, by its place there."""
+    """Returns the key of each shape, in the order of shape indices."""
     keys: dict[int, ShapeKey] = {}
     for scene, indices in zip(scenes, batch.shape_index.tolist(), strict=True):
         for o, index in zip(scene.objects, indices, strict=False):
@@ -239,18 +242,10 @@ def shape_keys(scenes: Sequence[Scene], batch: LayoutBatch) -> list[ShapeKey]:
     return [keys[index] for index in range(len(keys))]
 
 
-def _most(scenes: Sequence[Scene]) -> int:
-    return max((len(scene.objects) for scene in scenes), default=1)
-
-
-def _used(scenes: Sequence[Scene]) -> set[str]:
-    return {o.asset_id for scene in scenes for o in scene.objects if o.asset_id is not None}
-
-
-def _joined(parts: Sequence[LayoutBatch]) -> LayoutBatch:
+def _concatenate(parts: Sequence[LayoutBatch]) -> LayoutBatch:
     names = [f.name for f in fields(LayoutBatch) if f.name != "features"]
-    if not parts:
-        return _joined([LayoutBatch.from_scenes([], ShapeCollector(AssetStore(_NoAssets())), num_slots=1)])
+    if not parts:  # an empty batch with the right shapes and types
+        return _concatenate([LayoutBatch.from_scenes([], ShapeCollector(AssetStore(_NoAssets())), num_slots=1)])
     return LayoutBatch(**{name: torch.cat([getattr(part, name) for part in parts]) for name in names})
 
 
@@ -263,17 +258,13 @@ def _texts(values: set[str]) -> Any:
     return pa.array(sorted(values), pa.string())
 
 
-def _rows(run: RunFolder, table: str, columns: list[str] | None, assets: set[str]) -> Iterator[Mapping[str, Any]]:
-    """Rows of some assets, a slice of a file at a time."""
-    files = TableFiles(run.uri, table, columns)
+def _rows_of_assets(run: RunFolder, table: str, assets: set[str]) -> Iterator[Mapping[str, Any]]:
+    """Reads the rows of some assets in slices, because a table of grids may be larger than memory."""
+    files = TableFiles(run.uri, table, None)
     for group in range(len(files.groups)):
         rows = files.read([group])
         for part in row_slices(rows.filter(pc.is_in(rows["asset_id"], value_set=_texts(assets)))):
             yield from rows_from_table(part)
-
-
-def _grids(run: RunFolder, assets: set[str]) -> dict[GridKey, SdfGrid]:
-    return grids_from_rows(_rows(run, "sdf", None, assets))
 
 
 def _points(run: RunFolder) -> dict[str, FloatArray]:
@@ -281,13 +272,13 @@ def _points(run: RunFolder) -> dict[str, FloatArray]:
     return {row["asset_id"]: row["points"].reshape(-1, 3).astype(np.float64) for row in rows_from_table(table)}
 
 
-def _write(path: Path, made: TrainingSet, keys: Sequence[ShapeKey]) -> None:
-    """Keeps a training set without its features, in one step."""
-    tensors = {f"batch.{f.name}": getattr(made.batch, f.name) for f in fields(LayoutBatch) if f.name != "features"}
-    tensors |= {f"geometry.{name}": getattr(made.geometry, name) for name in ShapeTensors.__slots__ if name != "atlas"}
-    tensors |= {f"atlas.{name}": getattr(made.geometry.atlas, name) for name in SdfAtlas.__slots__}
-    tensors |= {"stage": made.stage, "split": made.split}
-    about: dict[str, Any] = {"scene_ids": made.scene_ids, "counts": dict(made.counts), "fingerprint": made.fingerprint}
+def _write_cache(path: Path, data: TrainingSet, keys: Sequence[ShapeKey]) -> None:
+    """Writes a training set without its features atomically."""
+    tensors = {f"batch.{f.name}": getattr(data.batch, f.name) for f in fields(LayoutBatch) if f.name != "features"}
+    tensors |= {f"geometry.{name}": getattr(data.geometry, name) for name in ShapeTensors.__slots__ if name != "atlas"}
+    tensors |= {f"atlas.{name}": getattr(data.geometry.atlas, name) for name in SdfAtlas.__slots__}
+    tensors |= {"stage": data.stage, "split": data.split}
+    about: dict[str, Any] = {"scene_ids": data.scene_ids, "counts": dict(data.counts), "fingerprint": data.fingerprint}
     about["keys"] = [(key.asset_id, key.scale, key.tilt_quat_xyzw) for key in keys]
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}")
@@ -295,8 +286,8 @@ def _write(path: Path, made: TrainingSet, keys: Sequence[ShapeKey]) -> None:
     aside.replace(path)
 
 
-def _read(path: Path) -> tuple[TrainingSet, list[ShapeKey]] | None:
-    """What was kept, or None where nothing was that can be read."""
+def _read_cache(path: Path) -> tuple[TrainingSet, list[ShapeKey]] | None:
+    """Reads a training set; None if the file is missing or damaged."""
     if not path.is_file():
         return None
     try:
@@ -309,7 +300,7 @@ def _read(path: Path) -> tuple[TrainingSet, list[ShapeKey]] | None:
     atlas = SdfAtlas(*(tensors[f"atlas.{name}"] for name in SdfAtlas.__slots__))
     parts = {name: tensors[f"geometry.{name}"] for name in ShapeTensors.__slots__ if name != "atlas"}
     keys = [ShapeKey(asset_id, tuple(scale), tuple(tilt)) for asset_id, scale, tilt in about["keys"]]
-    made = TrainingSet(
+    data = TrainingSet(
         batch,
         ShapeTensors(atlas=atlas, **parts),
         tensors["stage"],
@@ -318,8 +309,4 @@ def _read(path: Path) -> tuple[TrainingSet, list[ShapeKey]] | None:
         about["counts"],
         about["fingerprint"],
     )
-    return made, keys
-
-
-def _listed(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in counts.items())
+    return data, keys

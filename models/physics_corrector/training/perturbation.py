@@ -1,8 +1,8 @@
-"""Coarse layouts from clean ones: what the corrector is trained and judged on, of the kinds that a reasoner's layouts err in.
+"""Makes coarse layouts from clean ones, with the kinds of errors that a reasoner makes, for training and validation.
 
-Everything is drawn from one generator and computed on whole batches. The size of the errors is drawn per scene (LEGO-Net's
-gaussian of gaussians), so that a scene is either nearly right or badly wrong. What an object carries goes with it in some
-scenes, and stays behind in others. Fixed objects and padding keep their pose bit for bit.
+All draws are from one generator, on whole batches. The scale of the errors is drawn per scene (LEGO-Net's Gaussian of
+Gaussians), so that a scene has small or large errors throughout. In some scenes objects move with their support, in others they
+do not. Poses of fixed objects and padding are unchanged, bit by bit.
 """
 
 import math
@@ -22,34 +22,32 @@ from stable_data.rotations import YAW_ARM
 
 Kind: TypeAlias = Literal["small", "jitter", "swap", "pile", "height", "edge"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-"""What is wrong with a coarse layout; all but ``small`` have the large jitter too."""
+"""Kinds of errors of a coarse layout; all but ``small`` include the large jitter."""
 
 _DEGREE = math.pi / 180  # radians
 
 
 @dataclass(frozen=True, slots=True)
 class PerturbationSettings(Settings):
-    """How clean layouts are made coarse."""
+    """Settings of the errors that are added to clean layouts."""
 
     small: NonNegative = 0.3
-    """Share of scenes with small errors alone, as those of a good reasoner. The six shares are weights: they need not add up to
-    1.
-    """
+    """Share of scenes with small errors alone, like those of a good reasoner. The six shares are weights; any sum is valid."""
 
     jitter: NonNegative = 0.3
     """Share of scenes in which every object is displaced."""
 
     swap: NonNegative = 0.1
-    """Share of scenes in which two objects exchange their places."""
+    """Share of scenes in which two objects exchange their positions."""
 
     pile: NonNegative = 0.1
-    """Share of scenes in which some objects lie at one point."""
+    """Share of scenes in which some objects are at one point."""
 
     height: NonNegative = 0.1
     """Share of scenes in which some objects are too low or too high."""
 
     edge: NonNegative = 0.1
-    """Share of scenes in which some objects reach over the table's edge or lie beside it."""
+    """Share of scenes in which some objects extend over the table's edge or are beside the table."""
 
     small_xy: NonNegative = 0.004
     """Metres; scale of the small errors along x and y. Along z it is a quarter of this."""
@@ -73,43 +71,43 @@ class PerturbationSettings(Settings):
     """Radians; upper bound of the scale of the large errors of yaw."""
 
     height_low: NonNegative = 0.03
-    """Metres; how far ``height`` lowers an object, at most."""
+    """Metres; largest distance by which ``height`` lowers an object."""
 
     height_high: NonNegative = 0.05
-    """Metres; how far ``height`` raises an object, at most."""
+    """Metres; largest distance by which ``height`` raises an object."""
 
     picked: Share = 0.3
-    """Share of a scene's objects that ``pile``, ``height`` and ``edge`` take, about."""
+    """Approximate share of a scene's objects that ``pile``, ``height`` and ``edge`` displace."""
 
     together: Share = 0.7
-    """Share of scenes in which an object's errors also move what it carries."""
+    """Share of scenes in which an object's errors also move the objects that it supports."""
 
     carried: NonNegative = 0.25
-    """Errors that carried objects then have of their own, as a share of the scene's."""
+    """Scale of the additional errors of such supported objects, as a share of the scene's scale."""
 
     def check(self) -> None:
-        """Refuses shares of which none can be drawn; see the base class."""
+        """Refuses shares that are all 0; see the base class."""
         if sum(self.shares()) <= 0:
-            raise ConfigError(f"perturbation: {', '.join(KINDS)} are 0, expected one of them to be more", "config_invalid")
+            raise ConfigError(f"perturbation: {', '.join(KINDS)} are 0, expected at least one positive", "config_invalid")
 
     def shares(self) -> list[float]:
-        """Weights of KINDS, in their order."""
+        """The weights of KINDS, in their order."""
         return [getattr(self, kind) for kind in KINDS]
 
 
 def perturb(
     batch: LayoutBatch, settings: PerturbationSettings, generator: torch.Generator, kind: Kind | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Coarse poses for clean ones.
+    """Draws coarse poses for clean scenes.
 
     Args:
         batch: Scenes with clean poses.
-        settings: What is drawn.
-        generator: Randomness, on the batch's device.
+        settings: Settings of the errors.
+        generator: Random generator on the batch's device.
         kind: One kind for all scenes; None draws one for each.
 
     Returns:
-        Coarse poses, (B, N, 4) float32, metres and radians, world frame; and the kind of each scene by its place in KINDS,
+        Coarse poses, (B, N, 4) float32, metres and radians, world frame; and the kind of each scene as an index of KINDS,
         (B,) int64.
     """
     draw = _Draw(generator, batch.poses.device)
@@ -121,7 +119,7 @@ def perturb(
         kinds = torch.full((num_scenes,), KINDS.index(kind), device=batch.poses.device)
     sigma = _sigma(kinds, settings, draw)  # (B, 4)
     is_together = draw.uniform(num_scenes) < settings.together
-    is_root = (batch.parent < 0) | ~_is_placed(batch)
+    is_root = (batch.parent < 0) | ~_is_placed(batch)  # on the table, or on an object outside the prefix
     carried = torch.where(is_together[:, None] & ~is_root, settings.carried, 1.0)
     noise = draw.normal(*batch.poses.shape) * sigma[:, None] * carried[..., None]
     moved = batch.poses + noise + _structured(batch, kinds, is_root, settings, draw)
@@ -129,20 +127,20 @@ def perturb(
 
 
 def reassign_targets(coarse: Tensor, batch: LayoutBatch) -> Tensor:
-    """Targets of a coarse layout: clean poses in which interchangeable objects took the nearest of their places.
+    """Computes the targets of a coarse layout: the clean poses, with interchangeable objects assigned to the nearest ones.
 
-    Interchangeable are movable objects of one shape on one parent that carry nothing themselves. The assignment of a group is
-    the one of least total cost √(|Δt|² + (0.1 m/rad Δr)²).
+    Movable objects are interchangeable if they have one shape and one parent and support nothing. The assignment of a group has
+    the least total cost √(|Δp|² + (0.1 m/rad Δr)²).
 
     Args:
         coarse: Coarse poses, (B, N, 4), metres and radians.
         batch: The scenes with their clean poses.
 
     Returns:
-        Target poses, (B, N, 4): of each scene the clean poses, permuted.
+        Target poses, (B, N, 4): the clean poses of each scene, permuted.
     """
-    place = torch.arange(batch.mask.shape[1], device=coarse.device)
-    carries = ((batch.parent[:, :, None] == place) & batch.mask[:, :, None]).any(1)
+    slots = torch.arange(batch.mask.shape[1], device=coarse.device)
+    carries = ((batch.parent[:, :, None] == slots) & batch.mask[:, :, None]).any(1)
     is_free = batch.is_movable & ~carries
     alike = (batch.shape_index[:, :, None] == batch.shape_index[:, None]) & (batch.parent[:, :, None] == batch.parent[:, None])
     alike &= is_free[:, :, None] & is_free[:, None]
@@ -152,18 +150,18 @@ def reassign_targets(coarse: Tensor, batch: LayoutBatch) -> Tensor:
     offset = batch.poses[scenes, None] - coarse[scenes, :, None]  # [s, i, j] = target j − coarse i
     cost = (offset[..., :3].square().sum(-1) + (YAW_ARM * wrap_angle(offset[..., 3])).square()).sqrt()
     costs, groups = cost.cpu().numpy(), alike[scenes].cpu().numpy()
-    taken = place.cpu().numpy()[None].repeat(len(coarse), 0)
+    assigned = slots.cpu().numpy()[None].repeat(len(coarse), 0)
     for n, scene in enumerate(scenes.tolist()):
         for members in {tuple(np.flatnonzero(row).tolist()) for row in groups[n] if row.sum() > 1}:
             _, column = linear_sum_assignment(costs[n][np.ix_(members, members)])
-            taken[scene, list(members)] = np.array(members)[column]
-    index = torch.from_numpy(taken).to(coarse.device)[..., None].expand_as(batch.poses)
+            assigned[scene, list(members)] = np.array(members)[column]
+    index = torch.from_numpy(assigned).to(coarse.device)[..., None].expand_as(batch.poses)
     return batch.poses.gather(1, index)
 
 
 @dataclass(frozen=True, slots=True)
 class _Draw:
-    """Draws on one device from one generator."""
+    """Random draws on one device from one generator."""
 
     generator: torch.Generator
     device: torch.device
@@ -176,12 +174,12 @@ class _Draw:
 
 
 def _is_placed(batch: LayoutBatch) -> Tensor:
-    """Whether the parent of an object is an object that is there, (B, N) bool."""
+    """Whether an object's parent is an object of the batch's mask, (B, N) bool."""
     return batch.mask & (batch.parent >= 0) & batch.mask.gather(1, batch.parent.clamp_min(0))
 
 
 def _sigma(kinds: Tensor, settings: PerturbationSettings, draw: _Draw) -> Tensor:
-    """Standard deviations of x, y, z and yaw of each scene, (B, 4): scales, times |N(0, 1)|."""
+    """Draws standard deviations of x, y, z and yaw of each scene, (B, 4): scales times |N(0, 1)|."""
     share = draw.uniform(len(kinds), 3)
     xy = settings.xy_low + share[:, 0] * (settings.xy_high - settings.xy_low)
     yaw = settings.yaw_low + share[:, 2] * (settings.yaw_high - settings.yaw_low)
@@ -192,7 +190,8 @@ def _sigma(kinds: Tensor, settings: PerturbationSettings, draw: _Draw) -> Tensor
 
 
 def _structured(batch: LayoutBatch, kinds: Tensor, is_root: Tensor, settings: PerturbationSettings, draw: _Draw) -> Tensor:
-    """What the kind of each scene adds to the jitter, (B, N, 4). Drawn for every scene, so that draws do not depend on kinds."""
+    """Draws the offsets that each scene's kind adds to the jitter, (B, N, 4)."""
+    # All kinds draw for every scene, so that the number of draws does not depend on the kinds.
     num_scenes, num_slots = batch.mask.shape
     rank, lot = draw.uniform(num_scenes, num_slots), draw.uniform(num_scenes, num_slots)
     near, side = draw.normal(num_scenes, num_slots, 2), draw.uniform(num_scenes, num_slots, 3)
@@ -208,11 +207,11 @@ def _structured(batch: LayoutBatch, kinds: Tensor, is_root: Tensor, settings: Pe
     def of(name: Kind) -> Tensor:
         return (kinds == KINDS.index(name))[:, None]
 
-    place = torch.arange(num_slots, device=order.device)
+    slots = torch.arange(num_slots, device=order.device)
     across = at(second) - at(first)
-    sign = (place == first).float() - (place == second).float()
-    is_first = place == first
-    is_picked = may & ((lot < settings.picked) | is_first)  # one at least
+    sign = (slots == first).float() - (slots == second).float()
+    is_first = slots == first
+    is_picked = may & ((lot < settings.picked) | is_first)  # at least one object
     is_over = may & ((lot < settings.picked / 2) | is_first)
     spread = settings.xy_low / 2 * near
     height = -settings.height_low + side[..., 0] * (settings.height_low + settings.height_high)
@@ -228,8 +227,9 @@ def _structured(batch: LayoutBatch, kinds: Tensor, is_root: Tensor, settings: Pe
 
 
 def _over_edge(batch: LayoutBatch, side: Tensor) -> Tensor:
-    """The way from each object straight over the nearer edge along x or y, (B, N, 2): up to its own length beyond it."""
+    """Returns the offset of each object over the nearer edge along x or y, (B, N, 2): up to its own length beyond the edge."""
     xy, table = batch.poses[..., :2], batch.table[:, None]
+    # Puts the centre between a quarter of the box's diagonal inside the edge and three quarters outside.
     reach = torch.linalg.vector_norm(batch.sizes[..., :2], dim=-1, keepdim=True) * (side[..., 1:2] - 0.25)
     target = torch.where(xy < table / 2, -reach, table + reach)
     is_x = (side[..., 2] < 0.5)[..., None]
@@ -238,28 +238,29 @@ def _over_edge(batch: LayoutBatch, side: Tensor) -> Tensor:
 
 
 def _with_carried(batch: LayoutBatch, moved: Tensor, is_together: Tensor) -> Tensor:
-    """Coarse poses in which carried objects go with what carries them, yaw included, in the scenes where they do."""
+    """Returns coarse poses in which supported objects follow their support, yaw included, in the scenes of ``is_together``."""
     has_parent = _is_placed(batch)
     index = batch.parent.clamp_min(0)[..., None].expand_as(moved)
     clean = batch.poses
     parent = clean.gather(1, index)
-    extra = moved - clean  # noise, and what the kind of the scene added
+    extra = moved - clean  # noise and the offset of the scene's kind
     is_movable = batch.is_movable[..., None]
-    goes = (has_parent & is_together[:, None])[..., None]
+    follows = (has_parent & is_together[:, None])[..., None]
     coarse = torch.where(is_movable, moved, clean)
-    for _ in range(int(_depth(batch, has_parent))):
+    # Each pass moves one more level of a stack.
+    for _ in range(_depth(batch, has_parent)):
         carrier = coarse.gather(1, index)
         turn = carrier[..., 3] - parent[..., 3]
         c, s = turn.cos(), turn.sin()
         x, y, z = (clean - parent)[..., :3].unbind(-1)
-        taken = torch.stack([c * x - s * y, s * x + c * y, z, clean[..., 3] - parent[..., 3]], -1) + carrier + extra
-        coarse = torch.where(is_movable & goes, taken, coarse)
+        followed = torch.stack([c * x - s * y, s * x + c * y, z, clean[..., 3] - parent[..., 3]], -1) + carrier + extra
+        coarse = torch.where(is_movable & follows, followed, coarse)
     coarse = torch.cat([coarse[..., :3], wrap_angle(coarse[..., 3:])], -1)
     return torch.where(is_movable, coarse, clean)
 
 
 def _depth(batch: LayoutBatch, has_parent: Tensor) -> int:
-    """How many objects lie on each other at most, the lowest not counted."""
+    """The largest number of objects below an object in its support chain."""
     depth, index = torch.zeros_like(batch.parent), batch.parent.clamp_min(0)
     for level in range(batch.mask.shape[1]):
         deeper = torch.where(has_parent, depth.gather(1, index) + 1, 0)

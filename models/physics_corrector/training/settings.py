@@ -1,4 +1,4 @@
-"""Settings of the corrector's training, and the named ones."""
+"""Settings of the corrector's training, and their presets."""
 
 import math
 from dataclasses import asdict, dataclass, field, replace
@@ -18,38 +18,38 @@ from stable_data.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class PhysicsSchedule(Settings):
-    """When and on how much the physical losses are taken; their weights are those of ``LossSettings``."""
+    """When and on which scenes the physical losses apply; their weights are in ``LossSettings``."""
 
     share: Share = 0.25
-    """Share of a step's scenes that the physical losses are taken on, drawn anew each step; their sum is scaled by its inverse.
-    0 takes them on sampled poses alone.
+    """Share of a step's scenes with physical losses, drawn at each step; their sum is scaled by its inverse.
+    0 applies them to sampled poses only.
     """
 
     from_time: Share = 0.3
-    """Flow time from which on the losses count; an earlier estimate of the clean poses is vague."""
+    """Flow time from which the losses count; earlier estimates of the clean poses are inaccurate."""
 
     power: NonNegative = 2.0
     """Exponent p of the weight w(t) = t^p of flow time t."""
 
     start: Count = 0
-    """Step at which the losses begin."""
+    """First step with the losses."""
 
     ramp: Count = 0
-    """Steps over which the losses grow to their full weight, from ``start`` on."""
+    """Number of steps from ``start`` over which the losses grow to their full weight."""
 
     limit: NonNegative = 0.0
-    """A scene's weighted loss ℓ counts as limit · log(1 + ℓ / limit), so that a scene with a large loss does not outweigh all
-    others; 0 leaves it as it is, as in the paper.
+    """A scene's weighted loss ℓ counts as limit · log(1 + ℓ / limit), so that one scene with a large loss does not dominate;
+    0 disables the limit, as in the paper.
     """
 
     unroll_share: Share = 0.0
-    """Share of the steps, the last ones, in which the losses are also taken on poses that are sampled as at inference."""
+    """Share of the steps, at the end, in which the losses also apply to poses that are sampled as at inference."""
 
     unroll_scenes: Annotated[float, Interval(gt=0, le=1)] = 0.25
     """Share of the scenes of such a step that are sampled."""
 
     unroll_gradient: Count = 2
-    """Solver steps, the last ones, that keep their gradient when poses are sampled."""
+    """Number of last solver steps with gradients when poses are sampled."""
 
     unroll_weight: NonNegative = 1.0
     """Weight of the losses on sampled poses."""
@@ -57,45 +57,45 @@ class PhysicsSchedule(Settings):
 
 @dataclass(frozen=True, slots=True)
 class CorrectorTrainingSettings(Settings):
-    """What shapes the weights; ``--set key=value`` or the table ``[train_corrector]`` of a TOML file."""
+    """Settings that determine the weights; ``--set key=value`` or the table ``[train_corrector]`` of a TOML file."""
 
     seed: int = 0
-    """Seed of the first weights and of every draw."""
+    """Seed of the initial weights and of all draws."""
 
     initial: str = ""
-    """File of a corrector with the same network whose weights the training starts from; empty draws weights from the seed."""
+    """File of a corrector with the same network whose weights initialise the training; empty draws weights from the seed."""
 
     steps: Count = 0
-    """Optimizer steps; 0 takes ``epochs``."""
+    """Optimizer steps; 0 uses ``epochs``."""
 
     epochs: Count = 5000
-    """Passes over the scenes; read where ``steps`` is 0."""
+    """Passes over the scenes; read only if ``steps`` is 0."""
 
     batch_size: PositiveCount = 2048
-    """Scenes of a step."""
+    """Scenes per step."""
 
     chunk: PositiveCount = 256
-    """Scenes that go through the network together. A step's scenes are sorted by their number of objects and cut into chunks
-    whose gradients add up; a smaller chunk needs less memory and less padding.
+    """Scenes per pass through the network. A step's scenes are sorted by their number of objects and split into chunks, whose
+    gradients are summed; a smaller chunk needs less memory and less padding.
     """
 
     learning_rate: Positive = 2e-4
     """Learning rate of Adam."""
 
     warm_up: Count = 0
-    """Steps over which the learning rate grows to its value."""
+    """Number of first steps over which the learning rate rises to its value."""
 
     cool_down: Share = 0.0
-    """Share of the steps, the last ones, over which the learning rate falls to 0."""
+    """Share of the steps, at the end, over which the learning rate falls to 0."""
 
     ema: Annotated[float, Interval(ge=0, lt=1)] = 0.999
-    """Decay of the exponential moving average of the weights, which is what is saved."""
+    """Decay of the exponential moving average of the weights; the average is saved."""
 
     clip: Positive = 1.0
-    """Largest norm of a gradient."""
+    """Largest norm of the gradient."""
 
     features: FeatureSource = "point"
-    """What the network knows of a shape: ``point`` (point features and extents) or ``box`` (extents alone)."""
+    """The network's inputs of a shape: ``point`` (point features and extents) or ``box`` (extents alone)."""
 
     num_surface: PositiveCount = 256
     """Points of an object's surface for L_obj-obj."""
@@ -104,13 +104,13 @@ class CorrectorTrainingSettings(Settings):
     """Points of an object's bottom region for L_sup."""
 
     perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
-    """How coarse layouts are made of clean ones."""
+    """Errors of the coarse layouts."""
 
     prefixes: PrefixSettings = field(default_factory=PrefixSettings)
-    """Which parts of scenes are trained on."""
+    """Parts of the scenes."""
 
     physics: PhysicsSchedule = field(default_factory=PhysicsSchedule)
-    """When the physical losses count."""
+    """Schedule of the physical losses."""
 
     losses: LossSettings = field(default_factory=LossSettings)
     """Weights and tolerances of the losses."""
@@ -121,9 +121,9 @@ class CorrectorTrainingSettings(Settings):
     def check(self) -> None:
         """Refuses a run without steps, and steps without a loss; see the base class."""
         if self.steps + self.epochs == 0:
-            raise ConfigError("steps and epochs are 0, expected one of them to be more", "config_invalid")
-        followed = self.losses.flow_weight > 0 or self.physics.share > 0
-        if not followed and (self.physics.unroll_share < 1 or self.physics.start > 0):
+            raise ConfigError("steps and epochs are 0, expected at least one positive", "config_invalid")
+        has_path_loss = self.losses.flow_weight > 0 or self.physics.share > 0
+        if not has_path_loss and (self.physics.unroll_share < 1 or self.physics.start > 0):
             found = f"physics.unroll_share {self.physics.unroll_share}, physics.start {self.physics.start}"
             raise ConfigError(
                 f"{found}: with losses.flow_weight and physics.share 0 there are steps without a loss, expected 1 and 0",
@@ -131,7 +131,7 @@ class CorrectorTrainingSettings(Settings):
             )
 
     def resolved(self, num_scenes: int) -> "CorrectorTrainingSettings":
-        """The same with ``steps`` set, and without features where the network is to read none."""
+        """Returns the settings with ``steps`` computed, and with no features of the network if ``features`` is ``box``."""
         steps = self.steps or max(1, math.ceil(self.epochs * num_scenes / self.batch_size))
         network = self.corrector.network
         if self.features == "box":
@@ -139,43 +139,43 @@ class CorrectorTrainingSettings(Settings):
         return replace(self, steps=steps, corrector=replace(self.corrector, network=network))
 
     def learning_rate_at(self, step: int) -> float:
-        """Adam's learning rate at a step of a run whose ``steps`` is set."""
+        """Adam's learning rate at a step; ``steps`` must be positive."""
         grown = min(1.0, (step + 1) / self.warm_up) if self.warm_up else 1.0
         last = self.cool_down * self.steps
         left = min(1.0, (self.steps - step) / last) if last else 1.0
         return self.learning_rate * grown * left
 
     def physics_at(self, step: int) -> float:
-        """By how much the physical losses have grown at a step, 0 to 1."""
+        """The factor of the physical losses at a step, 0 to 1."""
         since = step - self.physics.start
         return 0.0 if since < 0 else min(1.0, (since + 1) / self.physics.ramp) if self.physics.ramp else 1.0
 
     def is_unrolled_at(self, step: int) -> bool:
-        """Whether a step also looks at sampled poses."""
+        """Whether the losses of a step include sampled poses."""
         return step >= (1 - self.physics.unroll_share) * self.steps
 
     def flat(self) -> dict[str, Any]:
-        """Every setting by its dotted key."""
+        """All settings by dotted key."""
         return flatten_config(asdict(self))
 
 
 NEAR = "embedded_set_near"
-"""The preset that goes on from the weights of ``embedded_set``; ``initial`` names them."""
+"""The preset that fine-tunes the weights of ``embedded_set``; ``initial`` is their file."""
 
 
 def training_preset(name: str) -> CorrectorTrainingSettings:
-    """Named settings: ``paper`` and ``paper_set`` as in the paper's appendix, ``embedded`` and ``embedded_set`` for a CPU.
+    """Returns named settings: ``paper`` and ``paper_set`` as in the paper's appendix, ``embedded`` and ``embedded_set`` for a CPU.
 
     Raises:
-        ConfigError: There are none of that name.
+        ConfigError: The name is unknown.
     """
     if name == NEAR:
         return _near(training_preset("embedded_set"))
     corrector = preset(name)
     if name.startswith("paper"):
         return CorrectorTrainingSettings(corrector=corrector)
-    # What an hour of one core allows: few sampler steps, and for most of the run physics on what they give. The weights are far
-    # above the paper's, whose physical terms are thousandths of L_flow here and hardly move a network in so few steps.
+    # One hour on one core allows few sampler steps, with physical losses on sampled poses for most of the run. The weights are
+    # far above the paper's: with those, the physical terms are thousandths of L_flow and have no effect in so few steps.
     return CorrectorTrainingSettings(
         steps=12_000,
         epochs=0,
@@ -193,11 +193,8 @@ def training_preset(name: str) -> CorrectorTrainingSettings:
 
 
 def _near(settings: CorrectorTrainingSettings) -> CorrectorTrainingSettings:
-    """Settings that teach a trained corrector to move little: no L_flow, and a price on what the sampler's poses move.
-
-    What is clean and near is learned from the losses alone. Half the sampler's steps do: it has less far to go, and each step
-    costs as much to learn through as to take.
-    """
+    """Settings that teach a trained corrector to move little: no L_flow, and a loss on the movement of sampled poses."""
+    # Half of the sampler's steps are enough: movements are shorter, and each step costs time in training and in inference.
     flow = replace(settings.corrector.flow, steps=2)
     return replace(
         settings,

@@ -1,9 +1,9 @@
-"""The training of the corrector, step by step: L_PC on coarse layouts made from clean ones.
+"""The training of the corrector: L_PC on coarse layouts made from clean ones.
 
-A step is a function of the weights and of its number alone: its scenes, their prefixes, their perturbations and every draw of
-the flow come from streams named by (seed, step, chunk). So a run that was stopped and resumed is the run that was not, and the
-same chunks are drawn however many processes share them. Processes share a step by its chunks; their gradients are added up in
-one call, which the network's double pass under self-conditioning and the chunks would make awkward for DDP's hooks.
+A step depends only on the weights and its number: scenes, prefixes, perturbations and all draws of the flow are from random
+streams seeded by (seed, step, chunk). A resumed run therefore equals an uninterrupted one, and the chunks are the same for any
+number of processes. Processes share the chunks of a step and sum their gradients in one call; the hooks of torch's DDP do not
+suit several passes per step, from self-conditioning and chunks.
 """
 
 from collections.abc import Callable, Iterator
@@ -30,29 +30,29 @@ from models.training.distributed import CPU, ProcessContext
 from stable_data.errors import ConfigError
 
 LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "moved", "total")
-"""The figures of a step: the terms of the loss as they count, those of physics also per scene and unweighted, and by how much
-sampled poses moved, metres a scene."""
+"""The figures of a step: the weighted terms of the loss, the unweighted physical terms per scene, and the movement of sampled
+poses, metres per scene."""
 
 
 class CorrectorTrainer:
-    """A corrector being trained.
+    """The state of a corrector's training.
 
     Args:
-        data: The scenes; moved to the device.
-        settings: What shapes the weights, resolved.
-        place: Where it is trained.
+        data: The scenes; copied to the device.
+        settings: The training's settings, resolved.
+        place: The process and its device.
 
     Attributes:
         data: The scenes, on the device.
-        step: Steps done.
-        network: The network as it is.
-        average: The exponential average of its weights, by name.
+        step: Number of completed steps.
+        network: The network with its present weights.
+        average: The exponential moving average of the weights, by name.
     """
 
     def __init__(self, data: TrainingSet, settings: CorrectorTrainingSettings, place: ProcessContext = CPU) -> None:
         self.settings, self.place = settings, place
         self.data, self._train = data.to(place.device), data.of_split(0)
-        with torch.random.fork_rng():
+        with torch.random.fork_rng():  # the seed of the weights must not change the caller's random state
             torch.manual_seed(settings.seed)
             network, self.flow = settings.corrector.build()
         if settings.initial:
@@ -63,57 +63,57 @@ class CorrectorTrainer:
         self.step = 0
 
     def advance(self, wants_stop: bool = False) -> tuple[dict[str, float], bool]:
-        """One step.
+        """Performs one step.
 
         Args:
-            wants_stop: Whether this process wants to stop after it.
+            wants_stop: Whether this process wants to stop after the step.
 
         Returns:
-            The figures of the step, over all processes; and whether any of them wants to stop.
+            The figures of the step, over all processes; and whether any process wants to stop.
         """
         for group in self._optimizer.param_groups:
             group["lr"] = self.settings.learning_rate_at(self.step)
         self._optimizer.zero_grad(set_to_none=False)
         figures = torch.zeros(len(LOGGED) + 1, device=self.place.device)
-        figures[-1] = wants_stop
+        figures[-1] = wants_stop  # summed over the processes with the figures
         for batch, share, generator in self._chunks():
             loss, terms = self._loss(batch, share, generator)
             loss.backward()  # type: ignore[no-untyped-call]
             figures[:-1] += terms
-        self._add_up(figures)
+        self._sum_over_processes(figures)
         nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.clip)
         self._optimizer.step()
-        self._average()
+        self._update_average()
         self.step += 1
         *terms_of_step, stops = figures.tolist()
         return dict(zip(LOGGED, terms_of_step, strict=True)), stops > 0
 
     def _chunks(self) -> Iterator[tuple[LayoutBatch, float, torch.Generator]]:
-        """This process's chunks: their scenes, the share of the step's movable objects that is theirs, and their stream."""
-        scenes = torch.from_numpy(self._drawn()).to(self.place.device)
+        """Yields this process's chunks: scenes, their share of the step's movable objects, and their random generator."""
+        scenes = torch.from_numpy(self._scenes_of_step()).to(self.place.device)
         generator = self._generator(0)
         batch = take_prefix(self.data.batch.take(scenes), self.data.stage[scenes], self.settings.prefixes, generator)
-        order = torch.argsort(batch.mask.sum(1), stable=True)
+        order = torch.argsort(batch.mask.sum(1), stable=True)  # scenes of similar size share a chunk: little padding
         total = batch.is_movable.sum().clamp_min(1)
         for number, chunk in enumerate(torch.split(order, self.settings.chunk)):
             if number % self.place.world_size == self.place.rank:
                 part = drop_empty_slots(batch.take(chunk))
                 yield part, float(part.is_movable.sum() / total), self._generator(1 + number)
 
-    def _drawn(self) -> Any:
-        """The scenes of this step, (batch_size,) int64: shuffled passes over the training split, one after another."""
-        places, size = self._train.numpy(), self.settings.batch_size
+    def _scenes_of_step(self) -> Any:
+        """The scenes of this step, (batch_size,) int64: a slice of the sequence of shuffled passes over the training split."""
+        train, size = self._train.numpy(), self.settings.batch_size
         start, stop = self.step * size, (self.step + 1) * size
-        passes = range(start // len(places), (stop - 1) // len(places) + 1)
-        order = np.concatenate([np.random.default_rng([self.settings.seed, p]).permutation(places) for p in passes])
-        return order[start - passes[0] * len(places) :][:size]
+        passes = range(start // len(train), (stop - 1) // len(train) + 1)
+        order = np.concatenate([np.random.default_rng([self.settings.seed, p]).permutation(train) for p in passes])
+        return order[start - passes[0] * len(train) :][:size]
 
     def _generator(self, number: int) -> torch.Generator:
         words = np.random.SeedSequence([self.settings.seed, self.step, number]).generate_state(1, np.uint64)
-        return torch.Generator(self.place.device).manual_seed(int(words[0] >> np.uint64(1)))
+        return torch.Generator(self.place.device).manual_seed(int(words[0] >> np.uint64(1)))  # manual_seed accepts 63 bits
 
     def _loss(self, batch: LayoutBatch, share: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """What a chunk adds to the loss of the step, and its figures, (len(LOGGED),)."""
+        """Computes a chunk's part of the step's loss, and its figures, (len(LOGGED),)."""
         settings = self.settings
         coarse, _ = perturb(batch, settings.perturbation, generator)
         strength = settings.physics_at(self.step)
@@ -125,6 +125,7 @@ class CorrectorTrainer:
             predicted = self.flow.predict(self.velocity(), path, condition, generator)
             flow = settings.losses.flow_weight * share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
             estimate = predicted.poses, path.t
+        # Drawn in every step, so that the schedule of the physical losses does not change other draws.
         lots = torch.rand((2, len(batch)), generator=generator, device=coarse.device)
         physics = zero
         terms: tuple[Tensor, ...] = (zero, zero, zero)
@@ -141,7 +142,7 @@ class CorrectorTrainer:
         return total, torch.stack([flow, physics, *terms, unrolled, moved, total]).detach()
 
     def _unrolled(self, batch: LayoutBatch, coarse: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """What sampled poses add to the loss of the step, and by how much they moved, metres a scene."""
+        """Computes the loss of sampled poses, and their movement, metres per scene."""
         settings, share = self.settings.losses, self.settings.physics.unroll_scenes
         poses = self._sampled(batch, coarse, generator)
         weight = poses.new_full((len(poses),), self.settings.physics.unroll_weight)
@@ -155,14 +156,14 @@ class CorrectorTrainer:
     def _physics(
         self, poses: Tensor, batch: LayoutBatch, weight: Tensor, share: float, near: Tensor | None = None
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """Mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes.
+        """Estimates the mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes.
 
         Args:
             poses: Estimates or samples of clean poses, (S, N, 4).
             batch: Their scenes.
-            weight: What each counts, (S,).
-            share: Which share of the step's scenes they stand for.
-            near: What is added to each scene's loss, (S,).
+            weight: Weight of each scene, (S,).
+            share: Expected share of the step's scenes among these.
+            near: Added to each scene's loss, (S,).
         """
         scale = 1 / (share * self.settings.batch_size)
         losses = physics_losses(poses, batch, self.data.geometry, self.settings.losses)
@@ -173,7 +174,7 @@ class CorrectorTrainer:
         return scale * (weight * of_scene).sum(), tuple(scale * term.sum() for term in terms)
 
     def _sampled(self, batch: LayoutBatch, coarse: Tensor, generator: torch.Generator) -> Tensor:
-        """Poses as inference samples them, (S, N, 4), with the gradient of the last steps."""
+        """Samples poses as at inference, (S, N, 4), with gradients of the last solver steps."""
         condition = Condition.of(replace(batch, poses=coarse))
         start = generator if self.settings.corrector.flow.source == "gaussian" else None
         return self.flow.sample(
@@ -181,26 +182,26 @@ class CorrectorTrainer:
         )
 
     def velocity(self, network: nn.Module | None = None) -> Velocity:
-        """A network as the flow asks it: in bfloat16 on CUDA, where poses and distances stay float32."""
-        asked = self.network if network is None else network
+        """Wraps a network, by default the trained one, for the flow: on CUDA it computes in bfloat16 and returns float32."""
+        wrapped = self.network if network is None else network
         if self.place.device.type != "cuda":
-            return asked
+            return wrapped
 
-        def ask(y: Tensor, t: Tensor, condition: Condition, ranks: Tensor, y1_hat: Tensor | None) -> Tensor:
+        def evaluate(y: Tensor, t: Tensor, condition: Condition, ranks: Tensor, y1_hat: Tensor | None) -> Tensor:
             with torch.autocast("cuda", torch.bfloat16):
-                velocity: Tensor = asked(y, t, condition, ranks, y1_hat)
+                velocity: Tensor = wrapped(y, t, condition, ranks, y1_hat)
             return velocity.float()
 
-        return ask
+        return evaluate
 
     def averaged(self) -> nn.Module:
-        """A network with the averaged weights, in evaluation mode."""
+        """Builds a network with the averaged weights, in evaluation mode."""
         network, _ = self.settings.corrector.build()
         network.load_state_dict(self.average)
         return network.to(self.place.device).eval()
 
-    def _add_up(self, figures: Tensor) -> None:
-        """Gradients and figures summed over the processes."""
+    def _sum_over_processes(self, figures: Tensor) -> None:
+        """Sums gradients and figures over the processes, in place."""
         if self.place.world_size == 1:
             return
         gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
@@ -212,8 +213,8 @@ class CorrectorTrainer:
         figures.copy_(summed)
 
     @torch.no_grad()
-    def _average(self) -> None:
-        decay = min(self.settings.ema, (1 + self.step) / (10 + self.step))  # the first weights are soon forgotten
+    def _update_average(self) -> None:
+        decay = min(self.settings.ema, (1 + self.step) / (10 + self.step))  # the initial weights lose their influence quickly
         for name, value in self.network.state_dict().items():
             if value.is_floating_point():
                 self.average[name].lerp_(value, 1 - decay)
@@ -221,7 +222,7 @@ class CorrectorTrainer:
                 self.average[name].copy_(value)
 
     def save(self, path: Path) -> None:
-        """Keeps the training where another process can go on with it, in one step."""
+        """Writes a checkpoint of the training atomically."""
         state = {
             "step": self.step,
             "network": self.network.state_dict(),
@@ -231,10 +232,10 @@ class CorrectorTrainer:
         save_checkpoint(path, state, self._about())
 
     def resume(self, path: Path) -> bool:
-        """Goes on where :meth:`save` was called; False where nothing was kept.
+        """Restores the state of :meth:`save`; returns False if there is no file.
 
         Raises:
-            ConfigError: What is there cannot be read, or is of other settings or data.
+            ConfigError: The file cannot be read (``checkpoint_invalid``), or has other settings or data (``config_changed``).
         """
         state = load_checkpoint(path, self._about(), "step", "network", "optimizer", "average")
         if state is None:
@@ -250,24 +251,20 @@ class CorrectorTrainer:
 
 
 def _initial_state(settings: CorrectorTrainingSettings, encoder: str) -> dict[str, Any]:
-    """The weights that a training starts from.
-
-    Raises:
-        ConfigError: They cannot be read, or are of another network or other features.
-    """
+    """Reads the initial weights of a training; refuses another network or other features."""
     path = Path(settings.initial).expanduser()
     found = load_corrector(path)
-    wanted = replace(found.settings, network=settings.corrector.network)  # the flow may be followed in another way
-    if changed := found.settings.differences(wanted):
+    expected = replace(found.settings, network=settings.corrector.network)  # the settings of the flow may differ
+    if changed := found.settings.differences(expected):
         raise ConfigError(
-            f"initial: {path} holds another network ({'; '.join(changed)}), expected the one that is trained",
+            f"initial: {path} has another network ({'; '.join(changed)}), expected the one that is trained",
             "checkpoint_mismatch",
         )
-    was = found.notes.get("encoder_fingerprint", "")
-    if was != encoder:
+    initial_encoder = found.notes.get("encoder_fingerprint", "")
+    if initial_encoder != encoder:
         raise ConfigError(
-            f"initial: {path} reads the features of encoder {was or 'none'}, the run has those of {encoder or 'none'}; "
-            "preprocess it with the same encoder",
+            f"initial: {path} reads the features of encoder {initial_encoder or 'none'}, the run has those of "
+            f"{encoder or 'none'}; preprocess the run with the same encoder",
             "encoder_mismatch",
         )
     return dict(found.network.state_dict())
@@ -279,15 +276,18 @@ def train(
     wants_stop: Callable[[], bool],
     after: Callable[[CorrectorTrainer, dict[str, float]], None],
 ) -> bool:
-    """Steps until the run is as long as its settings say, or a process wants to stop.
+    """Trains until the number of steps is reached or a process wants to stop.
 
     Args:
-        training: What is trained.
-        wants_stop: Asked before each step.
+        training: The training.
+        wants_stop: Called before each step; True stops all processes after it.
         after: Called after each step with its figures.
 
     Returns:
-        Whether it is done.
+        Whether the training is complete.
+
+    Raises:
+        ConfigError: The loss is not finite (``training_diverged``).
     """
     stops = False
     while not stops and training.step < training.settings.steps:

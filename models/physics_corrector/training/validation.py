@@ -1,8 +1,8 @@
-"""The validation card: raw samples of the flow on held-out scenes, beside the coarse layouts that they came from.
+"""The validation card: figures of raw samples of the flow on held-out scenes, and of their coarse layouts.
 
 Each row is a kind of perturbation at a fixed seed; ``jitter_fixed`` is ``jitter`` with the objects of earlier stages fixed. The
-figures from the grids are cheap; those of the exact audit (docs/audit.md) and of the scene graph take longer and are made of
-fewer scenes. What the exact audit cannot judge is left out and counted, never taken for good.
+figures from grids are fast; those of the exact audit (docs/audit.md) and of the scene graph are slow and use fewer scenes.
+Verdicts that are unknown are left out and counted, never treated as a pass.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -33,13 +33,23 @@ from stable_data.scene import FloatArray, Relation, RelationKind, Scene
 from stable_data.scene_graph.relations import relations_of, scene_graph
 
 Figures: TypeAlias = dict[str, float | None]
-"""Figure -> mean over the scenes; None where no scene could be judged."""
+"""Figure -> mean over the scenes; None if it is unknown in all of them."""
 
 Card: TypeAlias = dict[str, dict[str, Figures]]
 """Row -> ``coarse`` and ``raw`` -> figures."""
 
 ROWS = (*KINDS, "jitter_fixed")
 _SUPPORTED = (RelationKind.ON, RelationKind.IN)
+_CARD_FIGURES = (
+    "oc",
+    "oc_1mm",
+    "oc_10mm",
+    "max_penetration_mm",
+    "table_penetration_mm",
+    "float_rate",
+    "out_of_bounds_rate",
+    "max_gap_mm",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +57,8 @@ class ValidationScenes:
     """Scenes of a validation card.
 
     Attributes:
-        data: The set that they are of.
-        places: Their places in it, (S,) int64.
+        data: The training set that contains them.
+        places: Their indices in it, (S,) int64.
         scenes: The first of them as scenes, for the exact figures.
         store: Their meshes.
     """
@@ -67,18 +77,15 @@ def validation_card(
     seed: int,
     rows: Sequence[str] = ROWS,
 ) -> Card:
-    """Judges a corrector.
+    """Evaluates a corrector.
 
     Args:
-        velocity: Its network.
-        flow: Its flow, of which the settings' steps are taken.
+        velocity: The network.
+        flow: The flow, with its solver steps.
         held_out: The scenes.
-        settings: How they are made coarse.
-        seed: Of the perturbations: the same scenes and seed give the same coarse layouts.
+        settings: Settings of the perturbations.
+        seed: Seed of the perturbations: the same scenes and seed give the same coarse layouts.
         rows: Some of ROWS.
-
-    Returns:
-        The card.
     """
     shapes = [] if held_out.store is None else [held_out.store.shapes(scene)[0] for scene in held_out.scenes]
     return {row: _row(row, velocity, flow, held_out, shapes, settings, seed) for row in rows}
@@ -101,11 +108,11 @@ def _row(
     if row.endswith("_fixed"):
         last = torch.full((len(batch),), 2, device=device)
         batch = prefix(batch, data.stage[places.to(device)], last, torch.ones_like(batch.has_zone))
-    batch = drop_empty_slots(batch)  # whole scenes: their objects keep their order
+    batch = drop_empty_slots(batch)  # whole scenes: the order of their objects does not change
     kind: Kind = next(k for k in KINDS if row.removesuffix("_fixed") == k)
     coarse, _ = perturb(batch, settings, generator, kind)
     condition = Condition.of(replace(batch, poses=coarse))
-    start = generator if flow.settings.source == "gaussian" else None
+    start = generator if flow.settings.source == "gaussian" else None  # as at inference: from x^c, or from a draw
     raw = flow.sample(velocity, condition, generator=start)
     figures = {name: grid_figures(poses, coarse, batch, data.geometry) for name, poses in (("coarse", coarse), ("raw", raw))}
     for name, poses in (("coarse", coarse), ("raw", raw)):
@@ -114,14 +121,14 @@ def _row(
 
 
 def grid_figures(poses: Tensor, coarse: Tensor, batch: LayoutBatch, geometry: ShapeTensors) -> Figures:
-    """What grids and poses tell of layouts: each figure per scene, then the mean over scenes.
+    """Computes figures from grids and poses: per scene, then the mean over scenes.
 
-    ``grid_oc`` and ``grid_oc_10mm`` are the shares of pairs whose samples reach deeper into each other than 0.5 and 10 mm;
-    moves are from the coarse layout, distances to the nearest assignment of the target.
+    ``grid_oc`` and ``grid_oc_10mm`` are the shares of pairs whose sampled penetration is deeper than 0.5 and 10 mm. Moves are
+    from the coarse layout; distances are to the nearest assignment of the target.
 
     Args:
         poses: (B, N, 4), metres and radians.
-        coarse: The coarse poses, the same.
+        coarse: The coarse poses, in the same form.
         batch: The scenes with their clean poses.
         geometry: Their shapes.
     """
@@ -154,21 +161,21 @@ def grid_figures(poses: Tensor, coarse: Tensor, batch: LayoutBatch, geometry: Sh
 
 
 def _mean(values: Tensor, mask: Tensor) -> float:
-    """Mean over the objects of a scene, then over scenes."""
+    """The mean over scenes of the mean over a scene's objects."""
     of_scene = torch.where(mask, values, 0).sum(1) / mask.sum(1).clamp_min(1)
     return float(of_scene.mean())
 
 
 def _exact(scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], poses: FloatArray, coarse: FloatArray) -> Figures:
-    """The figures of the exact audit and the scene graph, mean over scenes; none where there are no scenes."""
+    """Computes the figures of the exact audit and the scene graph, means over scenes; none without scenes."""
     found: dict[str, list[float | None]] = {}
-    for n, (scene, of_scene) in enumerate(zip(scenes, shapes, strict=True)):
-        figures, held = _judged(_posed(scene, poses[n]), of_scene)
-        _, at_first = _judged(_posed(scene, coarse[n]), of_scene, is_card_wanted=False)
-        _, wanted = _judged(scene, of_scene, is_card_wanted=False)
+    for n, (scene, own) in enumerate(zip(scenes, shapes, strict=True)):
+        posed = _posed(scene, poses[n])
+        figures, relations = _card_figures(posed, own), _relations(posed, own)
+        of_coarse, of_target = _relations(_posed(scene, coarse[n]), own), _relations(scene, own)
         for name, kinds in (("on_in", _SUPPORTED), ("directional", DIRECTIONAL)):
-            figures[f"relations_kept_{name}"] = _kept(at_first, held, kinds)
-            figures[f"relations_of_target_{name}"] = _kept(wanted, held, kinds)
+            figures[f"relations_kept_{name}"] = _share_kept(of_coarse, relations, kinds)
+            figures[f"relations_of_target_{name}"] = _share_kept(of_target, relations, kinds)
         for name, value in figures.items():
             found.setdefault(name, []).append(value)
     means: Figures = {}
@@ -187,46 +194,32 @@ def _posed(scene: Scene, poses: FloatArray) -> Scene:
     return replace(scene, objects=objects)
 
 
-def _judged(
-    scene: Scene, shapes: Sequence[Shape], *, is_card_wanted: bool = True
-) -> tuple[dict[str, float | None], frozenset[Relation]]:
-    """The card's figures of a layout, where they are wanted, and its relations.
+def _relations(scene: Scene, shapes: Sequence[Shape]) -> frozenset[Relation]:
+    """The relations of a layout, from boxes and outlines.
 
-    Relations are judged by boxes and outlines alone, gaps of millimetres allowed: a contact that is exact to 3 mm would call a
-    cup that hangs 4 mm over its saucer lost.
+    Contacts are not exact here: with their tolerance of 3 mm, a cup that floats 4 mm above its saucer would lose its relation.
     """
     footprints = {
         o.instance: shape.posed_footprint(pose) for o, shape, pose in zip(scene.objects, shapes, scene.poses(), strict=True)
     }
-    relations = frozenset(relations_of(scene_graph(scene, {}, footprints)))
-    if not is_card_wanted:
-        return {}, relations
+    return frozenset(relations_of(scene_graph(scene, {}, footprints)))
+
+
+def _card_figures(scene: Scene, shapes: Sequence[Shape]) -> dict[str, float | None]:
     card = audit_posed_scene(PosedScene(scene, shapes)).card()
-    figures: dict[str, float | None] = {
-        name: getattr(card, name)
-        for name in (
-            "oc",
-            "oc_1mm",
-            "oc_10mm",
-            "max_penetration_mm",
-            "table_penetration_mm",
-            "float_rate",
-            "out_of_bounds_rate",
-        )
-    }
-    figures["max_gap_mm"] = card.max_gap_mm
+    figures: dict[str, float | None] = {name: getattr(card, name) for name in _CARD_FIGURES}
     figures["clean"] = None if card.clean is None else float(card.clean)
-    return figures, relations
+    return figures
 
 
-def _kept(before: frozenset[Relation], after: frozenset[Relation], kinds: Collection[RelationKind]) -> float | None:
-    """Share of the relations of some kinds that still hold; None where there were none."""
-    wanted = {relation for relation in before if relation.kind in kinds}
-    return len(wanted & after) / len(wanted) if wanted else None
+def _share_kept(before: frozenset[Relation], after: frozenset[Relation], kinds: Collection[RelationKind]) -> float | None:
+    """The share of the relations of some kinds that still hold; None if there were none."""
+    of_kinds = {relation for relation in before if relation.kind in kinds}
+    return len(of_kinds & after) / len(of_kinds) if of_kinds else None
 
 
 def scalar_figures(card: Mapping[str, Mapping[str, Mapping[str, float | None]]]) -> dict[str, float]:
-    """The card as ``row/figure/coarse`` -> number, for logs; unknown figures are left out."""
+    """Flattens a card to ``row/figure/coarse`` -> number, for logs, without unknown figures."""
     return {
         f"{row}/{figure}/{of}": value
         for row, sides in card.items()

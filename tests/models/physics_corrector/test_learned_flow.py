@@ -101,7 +101,7 @@ def test_features_of_another_encoder_are_refused(weights: Path) -> None:
 def test_another_number_of_features_is_refused(weights: Path, encoder: PointEncoder) -> None:
     read = load_corrector(weights)
     fewer = replace(read.settings, network=replace(read.settings.network, num_features=32))
-    with pytest.raises(ConfigError, match="reads 32 point features an object, expected 64 or none"):
+    with pytest.raises(ConfigError, match="reads 32 point features per object, expected 64 or none"):
         LearnedFlow(replace(read, settings=fewer), encoder)
 
 

@@ -39,13 +39,13 @@ def test_labels_are_exact_signed_distances_and_stay_so_when_turned(rng: np.rando
     shape = training_shape(KEYS[0], 1, 128, 256)
     assert np.allclose(shape.signed_distance(shape.queries), shape.distances)
     assert (shape.distances < 0).any()
-    posed = PosedShape.drawn(shape, rng)
-    assert np.allclose(posed.distances(posed.shown(shape.queries)), shape.distances, atol=1e-9)
+    posed = PosedShape.sample(shape, rng)
+    assert np.allclose(posed.distances(posed.transform(shape.queries)), shape.distances, atol=1e-9)
     assert np.abs(posed.distances(posed.cloud.points.astype(np.float64))).max() < 1e-5
 
 
 def test_a_turned_cloud_fills_its_box_and_keeps_outward_normals(rng: np.random.Generator) -> None:
-    posed = PosedShape.drawn(training_shape(KEYS[0], 0, 512, 64), rng)
+    posed = PosedShape.sample(training_shape(KEYS[0], 0, 512, 64), rng)
     cloud = posed.cloud
     assert (np.abs(cloud.points) <= cloud.size / 2 + 1e-6).all()
     assert (np.ptp(cloud.points, axis=0) > 0.8 * cloud.size).all()
@@ -56,8 +56,8 @@ def test_a_turned_cloud_fills_its_box_and_keeps_outward_normals(rng: np.random.G
 def test_a_pair_is_asked_in_the_frame_of_its_first(rng: np.random.Generator) -> None:
     """Two objects that are far apart: the clearance is nearly that of the centres."""
     shapes = [training_shape(key, 0, 128, 64) for key in KEYS[:2]]
-    first, second = (PosedShape.drawn(shape, rng) for shape in shapes)
-    pairs = [ShapePair.drawn(first, second, rng) for _ in range(40)]
+    first, second = (PosedShape.sample(shape, rng) for shape in shapes)
+    pairs = [ShapePair.sample(first, second, rng) for _ in range(40)]
     reach = [max(s.cloud.size) for s in shapes]
     assert all(np.linalg.norm(p.offset) - sum(reach) < p.clearance < np.linalg.norm(p.offset) for p in pairs)
     assert 0.1 < np.mean([p.clearance < 0 for p in pairs]) < 0.9
@@ -85,7 +85,7 @@ def test_the_clearance_of_boxes_is_the_distance_of_boxes(rng: np.random.Generato
     first, second = (PosedShape(boxed(size), np.eye(3)) for size in ((0.2, 0.1, 0.1), (0.1, 0.1, 0.3)))
     boxes = torch.from_numpy(np.concatenate([first.cloud.size, second.cloud.size])).float()[None]
     for _ in range(20):
-        pair = ShapePair.drawn(first, second, rng)
+        pair = ShapePair.sample(first, second, rng)
         pose = torch.tensor([[*pair.offset, np.cos(pair.yaw), np.sin(pair.yaw)]], dtype=torch.float32)
         assert float(box_clearance(boxes, pose)) == pytest.approx(pair.clearance, abs=0.01)
 
@@ -129,11 +129,11 @@ def test_minutes_are_turned_into_steps(tmp_path: Path, small: PretrainSettings) 
 
 
 def test_the_smallest_distance_is_the_same_when_few_points_are_asked(rng: np.random.Generator) -> None:
-    first, second = (PosedShape.drawn(training_shape(key, 0, 512, 64), rng) for key in (KEYS[0], KEYS[-1]))
+    first, second = (PosedShape.sample(training_shape(key, 0, 512, 64), rng) for key in (KEYS[0], KEYS[-1]))
     points = second.cloud.points.astype(np.float64)
     for shift in ((0.0, 0.0, 0.0), (0.03, 0.0, 0.0), (0.1, 0.05, 0.0), (0.0, 0.0, 2.0)):
-        assert first.lowest(points + shift) == pytest.approx(float(first.distances(points + shift).min()), abs=1e-12)
-    assert first.lowest(points, known=-1.0) == -1.0
+        assert first.min_distance(points + shift) == pytest.approx(float(first.distances(points + shift).min()), abs=1e-12)
+    assert first.min_distance(points, known=-1.0) == -1.0
 
 
 def test_labels_are_kept_and_made_anew_where_they_are_of_others(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_the_encoder_that_is_left_gives_the_codes_that_were_asked() -> None:
     for _ in range(3):
         model(x)  # levels learn what is usual
     model.eval()
-    model.hand_over()
+    model.set_encoder_projection()
     codes = model.encoder.encode([p.cloud for p in x.posed]).codes
     assert np.allclose(codes, model(x)[0].detach().numpy(), atol=1e-4)
     assert np.abs(codes).max() > 0.1

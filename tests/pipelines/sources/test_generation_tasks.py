@@ -113,7 +113,7 @@ def test_a_file_without_a_usable_row_says_why(tmp_path: Path) -> None:
         (["--tasks", "no.jsonl"], "no.jsonl: cannot be read"),
         (["--count", "2", "--set", "accept=nice"], "names nice"),
         (["--count", "2", "--set", "weights=no.safetensors"], "no.safetensors"),
-        (["--count", "2", "--set", f"weights={ENCODER}"], "says nothing of its settings, expected a corrector's weights"),
+        (["--count", "2", "--set", f"weights={ENCODER}"], "has no settings in its header, expected weights of a corrector"),
         (["--count", "2", "--assets", "nowhere"], "nowhere"),
     ],
 )

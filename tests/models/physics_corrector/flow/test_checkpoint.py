@@ -49,7 +49,7 @@ def test_weights_that_are_not_finite_are_refused(settings: CorrectorSettings, fi
     tensors = load_file(file)
     first = min(tensors)
     save_file({**tensors, first: torch.full_like(tensors[first], torch.nan)}, file, {"settings": settings.to_json()})
-    with pytest.raises(ConfigError, match=f"{first} and 0 more hold numbers that are not finite"):
+    with pytest.raises(ConfigError, match=f"{first} and 0 more tensors have values that are not finite"):
         load_corrector(file)
 
 

@@ -72,10 +72,10 @@ def test_only_the_training_split_is_drawn_and_each_pass_once() -> None:
     drawn = []
     for step in range(6):
         training.step = step
-        drawn += training._drawn().tolist()
+        drawn += training._scenes_of_step().tolist()
     assert [sorted(drawn[k : k + 6]) for k in range(0, 24, 6)] == [list(range(6))] * 4
     training.step = 2
-    assert training._drawn().tolist() == drawn[8:12]
+    assert training._scenes_of_step().tolist() == drawn[8:12]
 
 
 def test_gradients_of_chunks_add_up_to_those_of_the_step() -> None:
