@@ -28,7 +28,7 @@ from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import Relation, Scene
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 
 CASES = Path(__file__).with_name("contradictory.jsonl")
 

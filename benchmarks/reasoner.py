@@ -45,7 +45,7 @@ from stable_data.metrics.card import MetricCard
 from stable_data.metrics.reply_validity import reply_validity
 from stable_data.scene import Scene, SceneObject, Stage
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 
 ORDER = {stage: n for n, stage in enumerate(Stage)}
 

@@ -13,7 +13,7 @@ from pipelines.execution.shard_step import ItemStep, Rows, Shard, StepShards
 from pipelines.sources.scenes import TableSource
 from stable_data.content_id import content_id
 from stable_data.errors import SceneError
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 
 
 class DensityStep(ItemStep[str]):

@@ -1,8 +1,8 @@
-"""What every settings class shares: ranges that stand in types, checked by pydantic, and errors of one line.
+"""The base of all settings classes: types with ranges, which pydantic checks, and errors of one line.
 
-Settings are frozen dataclasses. A field's type says what it may be (:data:`Share`, ``Literal["adamw", "muon"]``), the text below
-the field says what it means, its unit first where it has one (``\"\"\"Metres; ...\"\"\"``). What no type can say, such as two fields
-that depend on each other, is in :meth:`Settings.check`.
+Settings are frozen dataclasses. The type of a field gives its valid values (:data:`Share`, ``Literal["adamw", "muon"]``), and
+the docstring below the field gives its meaning, after its unit if it has one (``\"\"\"Metres; ...\"\"\"``). :meth:`Settings.check`
+contains the checks that a type cannot express, such as those of two fields that depend on each other.
 """
 
 import json
@@ -24,7 +24,7 @@ Share: TypeAlias = Annotated[float, Interval(ge=0, le=1)]
 Count: TypeAlias = Annotated[int, Ge(0)]
 PositiveCount: TypeAlias = Annotated[int, Ge(1)]
 
-_Kind: TypeAlias = Any  # a dataclass; to mypy a class is not hashable, as functions that are cached ask for
+_Kind: TypeAlias = Any  # a dataclass; for mypy a class is not hashable, which the argument of a cached function must be
 _CONFIG = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
 _EXPECTED = {
     "bool_type": "true or false",
@@ -41,7 +41,7 @@ _EXPECTED = {
 
 
 class Settings:
-    """Base of settings: each value is checked against its field's type when an object is made."""
+    """Base of settings: the constructor checks each value against the type of its field."""
 
     __slots__ = ()
 
@@ -49,7 +49,7 @@ class Settings:
         """Checks the values.
 
         Raises:
-            ConfigError: One of them is of the wrong type or out of its range, or they do not go together.
+            ConfigError: A value has the wrong type or is out of its range, or values contradict each other.
         """
         kind: _Kind = type(self)
         values = {name: getattr(self, name) for name in _hints(kind)}
@@ -60,19 +60,19 @@ class Settings:
         self.check()
 
     def check(self) -> None:
-        """Raises a ConfigError where values do not go together."""
+        """Raises a ConfigError if values contradict each other."""
 
 
 def fill_settings(kind: type[S], values: Mapping[str, Any], name: str) -> S:
-    """Settings from nested values, such as a file's; what is not said takes its default.
+    """Makes settings from nested values, such as those of a file; a missing value gets its default.
 
     Args:
         kind: A dataclass of settings.
-        values: By field; nested settings are mappings again, sets are lists.
-        name: What the settings are called in errors.
+        values: Field -> value; nested settings are mappings, sets are lists.
+        name: Name of the settings in errors.
 
     Raises:
-        ConfigError: A value has the wrong type or is out of its range, a key is not known, or values do not go together.
+        ConfigError: A value has the wrong type or is out of its range, a key is unknown, or values contradict each other.
     """
     try:
         text = json.dumps({"value": values}, default=_as_json)
@@ -88,9 +88,9 @@ def fill_settings(kind: type[S], values: Mapping[str, Any], name: str) -> S:
 
 @cache
 def setting_meanings(kind: _Kind) -> dict[str, str]:
-    """What each field of a settings class means, by its name: the text below it, in one line; empty where there is none."""
+    """Returns field name -> its meaning, which is the docstring below the field in one line, or empty without a docstring."""
     found = dict.fromkeys(_hints(kind), "")
-    for part in reversed(kind.__mro__):  # pydantic reads the texts of a class's own fields alone
+    for part in reversed(kind.__mro__):  # pydantic does not read the docstrings of inherited fields
         if part in (object, Settings):
             continue
         schema = _model_around(part).model_json_schema()["$defs"][part.__name__]["properties"]
@@ -106,29 +106,29 @@ def _hints(kind: _Kind) -> dict[str, Any]:
 
 @cache
 def _model_of_fields(kind: _Kind) -> type[BaseModel]:
-    """A model of the fields: settings in them are objects that are checked already."""
+    """Makes a pydantic model of the fields; nested settings are objects, which are already checked."""
     of_fields: dict[str, Any] = {name: (hint, ...) for name, hint in _hints(kind).items()}
     return create_model(kind.__name__, __config__=ConfigDict(**_CONFIG, protected_namespaces=()), **of_fields)
 
 
 @cache
 def _model_around(kind: _Kind) -> type[BaseModel]:
-    """A model with the settings as its field ``value``, which hands its configuration down to all that are in them."""
+    """Makes a pydantic model with the settings as its field ``value``; its configuration also applies to nested settings."""
     return create_model(kind.__name__, __config__=_CONFIG, value=(kind, ...))
 
 
 def _as_json(value: Any) -> Any:
     if isinstance(value, frozenset):
         return sorted(value)
-    return {type(value).__name__: str(value)}  # a date of TOML, which no setting is: a table in its place is refused
+    return {type(value).__name__: str(value)}  # a TOML date: no setting is one, and a mapping in its place is refused
 
 
 def _config_error(error: ValidationError, name: str) -> ConfigError:
-    """The first mistake in one line."""
+    """Describes the first error in one line."""
     first = error.errors(include_url=False)[0]
     path = ".".join(part for part in (name, *(str(key) for key in first["loc"] if key != "value")) if part)
     context = first.get("ctx", {})
-    if isinstance(own := context.get("error"), ConfigError):  # of check()
+    if isinstance(own := context.get("error"), ConfigError):  # raised by check()
         return ConfigError(f"{path}: {own}" if path else str(own), own.code)
     if first["type"] == "unexpected_keyword_argument":
         return ConfigError(f"setting {path} is not known", "config_invalid")

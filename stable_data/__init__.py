@@ -25,7 +25,7 @@ _MODULE_OF_NAME = {
     "make_env": "simulation.gym_env",
     "parse_filter": "storage.filter_expression",
     "run_store": "assets.run_assets",
-    "scene_from_row": "storage.schemas",
+    "scene_from_row": "storage.table_rows",
 }
 __all__ = sorted(_MODULE_OF_NAME)
 

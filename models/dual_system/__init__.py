@@ -1,1 +1,1 @@
-"""The dual system: Algorithm 1 of the paper, and how many scenes run through it at once."""
+"""The dual system: Algorithm 1 of the paper for one scene, and its batched execution for many scenes."""

@@ -1,9 +1,9 @@
 """The dual system: Algorithm 1 of the paper for one scene, as a coroutine.
 
-For each stage of a schedule the Semantic Reasoner proposes objects, assets are retrieved for them, and the Physics Corrector
-corrects the whole scene; the corrected layout is part of the next question. The coroutine yields requests for these three. It
-knows neither who answers them nor which other scenes are answered with it: :func:`models.dual_system.batching.run_batched` runs
-many scenes side by side and has their requests answered in batches.
+For each stage of a schedule, the Semantic Reasoner proposes objects, the retriever finds assets for them, and the Physics
+Corrector corrects the whole scene; the next question contains the corrected layout. The coroutine yields requests for these
+three and is independent of other scenes: :func:`models.dual_system.batching.run_batched` runs many scenes concurrently and
+answers their requests in batches.
 """
 
 from collections.abc import Generator, Mapping, Set
@@ -42,13 +42,13 @@ _CARRYING = frozenset({RelationKind.ON, RelationKind.IN})
 def dual_system(
     task: LayoutTask, seed: int, settings: LoopSettings = _PAPER, statistics: CategoryStatistics | None = None
 ) -> Loop:
-    """Algorithm 1 (the paper's appendix) for one scene.
+    """Runs Algorithm 1 (the paper's appendix) for one scene.
 
     Args:
         task: The instruction and the table.
-        seed: Of the scene's draws.
+        seed: Seed of all random choices of the scene.
         settings: How the two systems alternate.
-        statistics: Statistics of categories, by which the instruction is read; None: the task info has no relations.
+        statistics: Category statistics for parsing the instruction, or None: the task info then has no relations.
 
     Yields:
         The next request.
@@ -59,7 +59,7 @@ def dual_system(
     state, system = GenerationState(task), _StageLoop(seed, settings, statistics)
     for number, wanted in enumerate(settings.schedule):
         if settings.is_full(state.scene):
-            state.warn("table_full", f"stage {wanted} is not asked for: the table is as full as it may be")
+            state.warn("table_full", f"stage {wanted} is left out: the objects cover the allowed share of the table")
             break
         candidate = yield from system.stage(state, wanted, is_last=number == len(settings.schedule) - 1)
         if candidate is not None:
@@ -79,13 +79,7 @@ def dual_system(
 
 @dataclass(frozen=True, slots=True)
 class _StageLoop:
-    """The inner part of Algorithm 1: one stage, with its attempts.
-
-    Attributes:
-        seed: Of the scene's draws.
-        settings: How the two systems alternate.
-        statistics: Statistics of categories.
-    """
+    """The inner part of Algorithm 1: one stage with its attempts. The attributes are the arguments of :func:`dual_system`."""
 
     seed: int
     settings: LoopSettings
@@ -94,10 +88,10 @@ class _StageLoop:
     def stage(
         self, state: GenerationState, wanted: Wanted, *, is_last: bool
     ) -> Generator[Request, Answer, StageCandidate | None]:
-        """Attempts a stage until nothing is rejected, or no attempts are left.
+        """Repeats a stage until an attempt is not rejected, or no attempts are left.
 
         Returns:
-            The attempt that lacks the fewest relations, of those the last; None where none can be used.
+            The attempt with the fewest missing relations, the last one of equals, or None if no attempt can be used.
         """
         best: StageCandidate | None = None
         for attempt in range(self.settings.tries):
@@ -105,15 +99,15 @@ class _StageLoop:
             state.turns.append(turn)
             if candidate is not None and (best is None or candidate.num_missing <= best.num_missing):
                 best = replace(candidate, turn=len(state.turns) - 1)
-            # Another attempt is of no use where the question itself, or the engine that answers, is at fault.
+            # A failure without rejected replies is caused by the question or the engine, so another attempt cannot help.
             if not turn.rejected or (not turn.proposal.refused and turn.proposal.failure):
                 break
         return best
 
     def closing_correction(self, state: GenerationState) -> Generator[Request, Answer, Correction]:
         """Corrects the scene after all stages."""
-        there, none = state.instances, frozenset[str]()
-        earlier, new = (there, none) if state.correction else (none, there)
+        everything, nothing = state.instances, frozenset[str]()
+        earlier, new = (everything, nothing) if state.correction else (nothing, everything)
         return (yield from self._corrected(state.scene, state.supports, earlier, new, True))[-1]
 
     def _attempt(
@@ -122,11 +116,11 @@ class _StageLoop:
         """Proposes, retrieves and corrects once.
 
         Returns:
-            The attempt, and the scene that it produces, None where it cannot be used. An attempt that loses relations of the
-            instruction is rejected, and can be used all the same.
+            The attempt, and its scene, or None if it cannot be used. An attempt that misses more relations of the instruction
+            than before is rejected, but its scene can be used if no attempt is better.
         """
         task, before = state.task, state.scene
-        # Propose: the objects of the stage, given the corrected layout.
+        # Propose the objects of the stage, given the corrected layout.
         layout = layout_objects(before.objects, {o.instance: o.instance for o in before.objects})
         question = ReasonerQuestion(task.instruction, task.table, wanted, layout, task.details)
         proposal = yield ProposalRequest(question, named_seed(self.seed, attempt))
@@ -135,24 +129,24 @@ class _StageLoop:
         if proposal.reply is None:
             return Turn(wanted, proposal, rejected=proposal.failure, code=proposal.code), None
 
-        # Retrieve: an asset for each object.
+        # Retrieve an asset for each object. A missing background object is acceptable, a missing task object is not.
         proposed = objects_of_reply(proposal.reply, question, self.statistics)
-        furnished = yield RetrievalRequest(replace(before, objects=proposed))
-        assert isinstance(furnished, AssignedLayout)
-        turn, found = Turn(wanted, proposal, furnished), furnished.scene.objects
+        assigned = yield RetrievalRequest(replace(before, objects=proposed))
+        assert isinstance(assigned, AssignedLayout)
+        turn, found = Turn(wanted, proposal, assigned), assigned.scene.objects
         names = {o.instance for o in found}
         if lost := [o.instance for o in proposed if o.stage is Stage.TASK and o.instance not in names]:
-            why = next((f"; {furnished.unmatched[name].reason}" for name in lost if name in furnished.unmatched), "")
+            why = next((f"; {assigned.unmatched[name].reason}" for name in lost if name in assigned.unmatched), "")
             return replace(turn, rejected=f"no asset for {', '.join(lost)}{why}", code="asset_unmatched"), None
         if not (found or before.objects):
-            return replace(turn, rejected="nothing is proposed, expected an object at least", code="layout_empty"), None
+            return replace(turn, rejected="the proposal has no objects, expected at least one", code="layout_empty"), None
         scene = replace(before, objects=(*before.objects, *found))
         if not before.objects:
             scene = attach_task_info(scene, task.instruction, proposed, self.statistics)
         supports = state.supports | _proposed_supports(replace(before, objects=(*before.objects, *proposed)), names)
-        candidate = StageCandidate(scene, found, supports, furnished.notices, state.num_missing)
+        candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing)
 
-        # Correct: all objects so far.
+        # Correct all objects so far.
         if self.settings.corrects != "each" or not (found or is_last):
             return turn, candidate
         is_last = is_last or self.settings.is_full(scene)
@@ -164,17 +158,17 @@ class _StageLoop:
         missing = self._num_missing(task, done)
         candidate = replace(candidate, scene=done.certified, correction=done, is_at_rest=is_last, num_missing=missing)
         if missing > state.num_missing:
-            reason = f"{missing} relations do not hold that the instruction says"
+            reason = f"{missing} relations of the instruction do not hold"
             turn = replace(turn, rejected=reason, code="relation_lost")
         return turn, candidate
 
     def _corrected(
         self, scene: Scene, supports: Mapping[str, Relation], earlier: frozenset[str], new: frozenset[str], is_last: bool
     ) -> Generator[Request, Answer, tuple[Correction, ...]]:
-        """Corrects a scene, twice where the first correction moves earlier objects too far or drops one.
+        """Corrects a scene, and again with fixed earlier objects if the first correction moves them too far or drops one.
 
         Returns:
-            The corrections; the last one is used. The second one fixes the earlier objects, so that new ones give way to them.
+            The corrections; the last one is used.
         """
         scene = _with_wanted_relations(scene, supports)
         are_fixed = self.settings.earlier_move == 0
@@ -189,31 +183,31 @@ class _StageLoop:
         second = yield CorrectionRequest(scene, earlier, new, is_last)
         assert isinstance(second, Correction)
         if is_near and (second.certified is None or (second.rest is not None and second.rest.unsteady)):
-            return second, first  # one of the earlier objects has to be dropped
+            return second, first  # the second one fails, so the scene needs the drop of an earlier object
         return first, second
 
     def _num_missing(self, task: LayoutTask, done: Correction) -> int:
-        """How many relations of the instruction do not hold: on, in or beside an object, or in a corner of the table."""
+        """Counts the relations of the instruction that do not hold: on, in or beside an object, or in a corner of the table."""
         stated = () if done.start.task is None else done.start.task.relations
         missing = set() if done.kept is None else {r for r in done.kept.asked_missing if r in stated}
         if self.statistics is not None and done.certified is not None:
             task_objects = [o for o in done.certified.objects if o.stage is Stage.TASK]
-            # Only corners: the correction knows exactly what is on and in what.
+            # Only corners: for on and in, the result of the correction is exact.
             broken = relations_not_held(task_objects, task.table, task.instruction, self.statistics, frozenset())
             missing |= {r for r in broken if r.kind is RelationKind.IS_AT}
         return len(missing)
 
 
 def _with_wanted_relations(scene: Scene, supports: Mapping[str, Relation]) -> Scene:
-    """The scene with the relations that a correction has to keep: those of the instruction, and proposed supports elsewhere."""
+    """Sets the relations that a correction must preserve: those of the instruction, and proposed supports for other objects."""
     stated = () if scene.task is None else scene.task.relations
     wanted = {**supports} | {r.subject: r for r in stated if r.kind in _CARRYING}
-    there = {o.instance for o in scene.objects}
+    instances = {o.instance for o in scene.objects}
     beside = [r for r in stated if r.kind in DIRECTIONAL]
-    return replace(scene, relations=tuple(r for r in (*wanted.values(), *beside) if r.target in there))
+    return replace(scene, relations=tuple(r for r in (*wanted.values(), *beside) if r.target in instances))
 
 
 def _proposed_supports(scene: Scene, new: Set[str]) -> dict[str, Relation]:
-    """Which new objects a proposal has on or in others, by their boxes: the relation by its subject."""
+    """Returns subject -> relation for new objects whose boxes are on or in another object of the proposal."""
     graph = scene_graph(scene, {o.instance: (o.support,) for o in scene.objects if o.support is not None})
     return {r.subject: r for r in relations_of(graph) if r.kind in _CARRYING and r.target != TABLE and r.subject in new}

@@ -1,7 +1,7 @@
-"""Many scenes side by side: while some are proposed, others are corrected, and each continues as soon as it has its answer.
+"""Concurrent generation of many scenes: while some wait for proposals, others are corrected.
 
-The order of the loops and their requests decide what a batch holds, never the time at which a loop is ready: the same loops and
-answers make the same batches, and so the same scenes, wherever they run.
+The content of a batch depends on the order of the loops and on their requests, never on timing: the same loops and answers give
+the same batches, and so the same scenes, on every machine.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -19,21 +19,21 @@ class RequestHandler(Protocol):
     """Answers the requests of loops; a request that fails does not affect the others."""
 
     def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
-        """Proposes the objects of stages, and of those that are requested once these are known."""
+        """Proposes the objects of stages; further requests follow when the answers are known."""
         ...
 
     def retrieve(self, questions: Sequence[RetrievalRequest], /) -> Sequence[AssignedLayout]:
-        """Finds the assets of objects: one answer a request, in order."""
+        """Finds the assets of objects: one answer for each request, in order."""
         ...
 
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterable[Correction]:
-        """Corrects scenes: one answer a request, in order, each as soon as it is known."""
+        """Corrects scenes: one answer for each request, in order, each as soon as it is known."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class QueueCounts:
-    """How many scenes of a batch are in which step.
+    """Number of scenes of a batch in each step.
 
     Attributes:
         reasoner: Scenes that wait for a proposal.
@@ -49,21 +49,21 @@ class QueueCounts:
 def run_batched(
     loops: Sequence[Loop], answerer: RequestHandler, watch: Callable[[QueueCounts], None] | None = None
 ) -> list[GenerationResult]:
-    """Runs loops side by side: Algorithm 1 with its batch of M scenes; with one loop, its serial alternation.
+    """Runs loops concurrently: Algorithm 1 with its batch of M scenes, or its serial alternation if there is one loop.
 
     Args:
-        loops: The loops, none of them begun.
-        answerer: Answers their requests.
-        watch: Called with the counts each time a scene has continued.
+        loops: The loops, not yet started.
+        answerer: Answers the requests of the loops.
+        watch: Called with the counts each time a loop has continued.
 
     Returns:
-        The result of each, in order.
+        The result of each loop, in order.
     """
     run = _Run(loops, answerer, watch)
     asking: list[int] = []  # the loop of each request for a proposal, in the order of the requests
 
     def open_proposals() -> list[ProposalRequest]:
-        """The requests for proposals that are open, once all others are answered."""
+        """Answers all other requests, then returns the open requests for proposals."""
         run.answer_others()
         new = {k: q for k, q in sorted(run.open.items()) if isinstance(q, ProposalRequest)}
         for k in new:
@@ -81,11 +81,11 @@ def run_batched(
 
 
 class _Run:
-    """Loops that run.
+    """The state of running loops.
 
     Attributes:
-        open: Requests that are not answered yet, by loop.
-        made: Results of the loops that are finished.
+        open: Unanswered requests, by loop.
+        made: Results of finished loops, by loop.
     """
 
     def __init__(self, loops: Sequence[Loop], answerer: RequestHandler, watch: Callable[[QueueCounts], None] | None) -> None:
@@ -96,20 +96,18 @@ class _Run:
             self.advance(k, None)
 
     def advance(self, k: int, answer: Answer | None) -> None:
-        """Gives a loop its answer, and takes its next request or its result."""
+        """Sends a loop its answer, and stores its next request or its result."""
         try:
-            self.open[k] = self._loops[k].send(answer)  # type: ignore[arg-type]  # a loop that begins is sent None
+            self.open[k] = self._loops[k].send(answer)  # type: ignore[arg-type]  # None starts a loop
         except StopIteration as end:
             self.made[k] = end.value
         if self._watch is not None:
-            corrector, made = (
-                sum(isinstance(q, RetrievalRequest | CorrectionRequest) for q in self.open.values()),
-                len(self.made),
-            )
+            corrector = sum(isinstance(q, RetrievalRequest | CorrectionRequest) for q in self.open.values())
+            made = len(self.made)
             self._watch(QueueCounts(len(self._loops) - corrector - made, corrector, made))
 
     def answer_others(self) -> None:
-        """Answers all requests but those for proposals, until only these are open."""
+        """Answers requests until only those for proposals are open."""
         while True:
             retrieve = {k: q for k, q in sorted(self.open.items()) if isinstance(q, RetrievalRequest)}
             correct = {k: q for k, q in sorted(self.open.items()) if isinstance(q, CorrectionRequest)}

@@ -20,14 +20,14 @@ class StageCandidate:
     """The scene that one attempt at a stage produces.
 
     Attributes:
-        scene: The scene with the new objects, corrected where that is wanted.
+        scene: The scene with the new objects, corrected if the settings require it.
         found: The new objects as they were proposed, with assets.
-        supports: Of every object that was proposed on or in another one, that relation.
+        supports: Subject -> relation of every object that was proposed on or in another one.
         notices: Notices of the retrieval.
-        num_missing: How many relations that the instruction states the scene lacks.
-        correction: The correction of it; None where it was not corrected.
-        is_at_rest: Whether the physics engine was asked about it.
-        turn: The number of the attempt among all turns.
+        num_missing: Number of relations of the instruction that do not hold in the scene.
+        correction: The correction of the scene, or None if it was not corrected.
+        is_at_rest: Whether the physics engine has checked the scene.
+        turn: Index of the attempt among all turns.
     """
 
     scene: Scene
@@ -42,19 +42,19 @@ class StageCandidate:
 
 @dataclass(slots=True, eq=False)
 class GenerationState:
-    """A scene that is being generated.
+    """A scene during its generation.
 
     Attributes:
-        task: Its task.
+        task: The task of the scene.
         scene: The scene after the last accepted stage.
-        start: All accepted objects where they were first proposed.
+        start: All accepted objects at their proposed poses.
         turns: All attempts so far.
         warnings: Notices so far.
         dropped: Objects that the corrections of accepted attempts dropped.
         correction: The correction that produced ``scene``.
-        is_at_rest: Whether the physics engine was asked about ``scene``.
+        is_at_rest: Whether the physics engine has checked ``scene``.
         supports: As in :class:`StageCandidate`, of all accepted stages.
-        num_missing: As there.
+        num_missing: As in :class:`StageCandidate`.
     """
 
     task: LayoutTask
@@ -69,7 +69,7 @@ class GenerationState:
     num_missing: int = 0
 
     def __post_init__(self) -> None:
-        """Starts with an empty table."""
+        """Sets both scenes to an empty table."""
         self.scene = self.start = Scene(self.task.scene_id, self.task.table, ())
 
     @property
@@ -78,7 +78,7 @@ class GenerationState:
         return frozenset(o.instance for o in self.scene.objects)
 
     def accept(self, candidate: StageCandidate) -> None:
-        """Makes a candidate's scene the scene."""
+        """Replaces the scene by that of a candidate."""
         self.turns[candidate.turn] = replace(self.turns[candidate.turn], rejected="", code="")
         self.warnings += candidate.notices
         self.supports, self.num_missing = candidate.supports, candidate.num_missing
@@ -89,15 +89,15 @@ class GenerationState:
             self.dropped += candidate.correction.dropped
 
     def accept_closing(self, correction: Correction) -> None:
-        """Makes the scene of a correction after all stages the scene."""
+        """Replaces the scene by that of a correction after all stages."""
         assert correction.certified is not None
         self.scene, self.correction = correction.certified, correction
         self.dropped += correction.dropped
 
     def note_proposal(self, wanted: Wanted, proposal: Proposal) -> None:
-        """Notes what was unknown in the question, and the faults that the proposal still has."""
+        """Adds warnings for unknown parts of the question and for the remaining faults of the proposal."""
         name = self.task.scene_id
-        for notice in proposal.notices:  # the same at every stage
+        for notice in proposal.notices:  # equal at every stage; the result removes duplicates
             message = notice.message.removeprefix(f"{notice.item_id}: ")
             self.warnings.append(Notice(name, notice.step, notice.code, f"{name}: {message}"))
         for fault in proposal.faults:
@@ -108,11 +108,11 @@ class GenerationState:
         self.warnings.append(self._notice(code, message))
 
     def failure(self, code: str, message: str) -> GenerationResult:
-        """The result without a scene."""
+        """Returns the result without a scene."""
         return self._result(self._notice(code, message))
 
     def result(self) -> GenerationResult:
-        """The result with the scene as it is."""
+        """Returns the result with the current scene."""
         return self._result(None)
 
     def _notice(self, code: str, message: str) -> Notice:

@@ -19,7 +19,12 @@ Corrects: TypeAlias = Literal["each", "end", "never"]
 
 @dataclass(frozen=True, slots=True)
 class ProposalRequest:
-    """Asks the reasoner for the objects of a stage; the answer is a :class:`Proposal`."""
+    """Requests the objects of a stage from the reasoner; the answer is a :class:`Proposal`.
+
+    Attributes:
+        ask: The question to the reasoner.
+        seed: Seed of its random choices.
+    """
 
     ask: ReasonerQuestion
     seed: int
@@ -27,10 +32,10 @@ class ProposalRequest:
 
 @dataclass(frozen=True, slots=True)
 class RetrievalRequest:
-    """Asks for assets; the answer is :class:`AssignedLayout`.
+    """Requests assets; the answer is an :class:`AssignedLayout`.
 
     Attributes:
-        scene: The new objects only; their supports may be of an earlier stage.
+        scene: The new objects only; their supports may be objects of an earlier stage.
     """
 
     scene: Scene
@@ -38,13 +43,13 @@ class RetrievalRequest:
 
 @dataclass(frozen=True, slots=True)
 class CorrectionRequest:
-    """Asks the corrector for clean poses; the answer is a :class:`Correction`.
+    """Requests clean poses from the corrector; the answer is a :class:`Correction`.
 
     Attributes:
         scene: All objects so far.
-        fixed: Instances that must stay.
+        fixed: Instances that must not move.
         new: Instances that no correction has placed yet.
-        is_last: Whether no correction follows, so that the physics engine decides what stays at rest.
+        is_last: Whether no correction follows; the physics engine then checks which objects stay at rest.
     """
 
     scene: Scene
@@ -64,11 +69,11 @@ class LoopSettings:
     Attributes:
         schedule: The stages, in order; ``whole`` alone is the one-shot ablation.
         corrects: When scenes are corrected.
-        earlier_move: How far a correction may move the objects of earlier stages, metres: 0 fixes them, infinity leaves them
-            free.
-        tries: How often a stage is proposed at most, where its objects find no assets or no place, or cannot stay where the
-            instruction says. If no attempt holds all relations of the instruction, the one that lacks the fewest is used.
-        full: Share of the table that may be covered before the remaining stages are left out; 1 leaves out none.
+        earlier_move: Maximum distance that a correction may move the objects of earlier stages, metres; 0 fixes them, infinity
+            sets no limit.
+        tries: Maximum number of attempts at a stage. An attempt is repeated if its objects have no assets or no space, or do
+            not stay as the instruction states. If every attempt misses relations, the one with the fewest missing is used.
+        full: Share of the table that objects may cover before the remaining stages are left out; 1 leaves out none.
     """
 
     schedule: tuple[Wanted, ...] = PROGRESSIVE
@@ -78,17 +83,17 @@ class LoopSettings:
     full: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuses settings that cannot be followed."""
+        """Checks the settings."""
         if not self.schedule or "edit" in self.schedule or self.schedule[0] not in (Stage.TASK, "whole"):
             raise ConfigError(
-                f"schedule is {[str(w) for w in self.schedule]}, expected task or whole first, and no edit", "config_invalid"
+                f"schedule is {[str(w) for w in self.schedule]}, expected task or whole first and no edit", "config_invalid"
             )
         if self.tries < 1 or not self.earlier_move >= 0 or not 0 < self.full <= 1:
             found = f"tries is {self.tries}, earlier_move {self.earlier_move}, full {self.full}"
-            raise ConfigError(f"{found}, expected at least 1, at least 0, and a share over 0", "config_invalid")
+            raise ConfigError(f"{found}, expected at least 1, at least 0, and a share in (0, 1]", "config_invalid")
 
     def is_full(self, scene: Scene) -> bool:
-        """Whether the objects that stand on the table cover more than ``full`` of it."""
+        """Whether the objects directly on the table cover more than the share ``full`` of it."""
         width, depth = scene.table.size_xy
         covered = sum(o.size[0] * o.size[1] for o in scene.objects if o.support in (None, TABLE))
         return self.full < 1 and covered > self.full * width * depth
@@ -101,15 +106,15 @@ class Turn:
     Attributes:
         wanted: The stage.
         proposal: The proposal of the reasoner.
-        furnished: The proposal with assets; None where nothing was proposed.
-        corrections: The corrections of the scene with it; a second one where the first moved objects too far.
-        rejected: Why it is not in the scene; empty where it is.
+        assigned: The proposal with assets; None without a valid proposal.
+        corrections: The corrections of the scene; the last one was used. The second exists if the first moved objects too far.
+        rejected: Reason why the scene does not contain the proposal; empty if it does.
         code: Short machine-readable form of ``rejected``.
     """
 
     wanted: Wanted
     proposal: Proposal
-    furnished: AssignedLayout | None = None
+    assigned: AssignedLayout | None = None
     corrections: tuple[Correction, ...] = ()
     rejected: str = ""
     code: str = ""
@@ -121,13 +126,13 @@ class GenerationResult:
 
     Attributes:
         task: The task.
-        scene: The scene after the last correction, with its task info; None where there is a failure.
-        start: The objects of ``scene`` where they were first proposed.
+        scene: The scene after the last correction, with its task info; None if the generation failed.
+        start: The objects of ``scene`` at their proposed poses.
         turns: All attempts, in order.
-        correction: The correction that produced ``scene``; None where none did.
-        dropped: Objects that the corrections of accepted attempts dropped, of every stage.
-        failure: Why there is no scene.
-        warnings: Notices that deserve a look.
+        correction: The correction that produced ``scene``, or None without one.
+        dropped: Objects that the corrections of accepted attempts dropped, from all stages.
+        failure: Why the generation failed.
+        warnings: Notices for the user.
     """
 
     task: LayoutTask

@@ -1,6 +1,6 @@
 """Sentence embeddings, offline: the packaged all-MiniLM-L6-v2, or any local folder in the sentence-transformers layout.
 
-``folder`` reads what such a folder says; ``encoder`` runs it on transformers alone.
+``folder`` reads the configuration of such a folder; ``encoder`` runs the model with transformers only.
 """
 
 from models.text_encoder.encoder import SentenceEncoder, load_default

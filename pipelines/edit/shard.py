@@ -33,6 +33,7 @@ from stable_data.scene import Scene, SceneObject
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.scene_graph.support_tree import SupportTree
 from stable_data.storage import schemas
+from stable_data.storage.table_rows import card_row, notice_row, object_row, scene_row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +99,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         """The rows of one edit from its reply."""
         edited = answer.edited
         if isinstance(edited, Notice):
-            return {"failures": [schemas.notice_row(edited)], "warnings": _notice_rows(item, answer.notices)}
+            return {"failures": [notice_row(edited)], "warnings": _notice_rows(item, answer.notices)}
         progress = ItemProgress("assets")
         rows = rows_or_failure(item.edit_id, progress, lambda: self._rows(item, edited, answer.notices, progress))
         return {"warnings": _notice_rows(item, answer.notices)} | rows
@@ -129,7 +130,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
             if done.certified is None or done.audit is None:
                 message = f"{edit.edit_id}: {done.reason}"
                 failure = Notice(edit.edit_id, "certify", str(done.status), message)
-                return rows | {"failures": [schemas.notice_row(failure)], "warnings": _notice_rows(edit, notices)}
+                return rows | {"failures": [notice_row(failure)], "warnings": _notice_rows(edit, notices)}
             shape_of = {o.instance: shape for o, shape in zip(scene.objects, shapes, strict=True)}
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             audit, card = done.audit, done.card_after
@@ -139,7 +140,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         card = add_counts(card, scene)
         if replied.kind == "none":
             notices.append(Notice(edit.edit_id, "reply", "nothing_changed", f"{edit.edit_id}: the reply changes nothing"))
-        rows["scenes"] = [{**schemas.scene_row(scene), **schemas.card_row(card), **audit.rows(), **taken.origin}]
+        rows["scenes"] = [{**scene_row(scene), **card_row(card), **audit.rows(), **taken.origin}]
         rows["edits"] = [_edit_row(edit, replied.kind, taken, scene)]
         return rows | {"warnings": _notice_rows(edit, notices)}
 
@@ -257,15 +258,15 @@ def _edit_row(edit: EditRequest, kind: str, taken: SourceScene, after: Scene) ->
     before = {o.instance: o for o in taken.scene.objects}
     names = {o.instance for o in after.objects}
     changed = [o for o in after.objects if o.instance not in before or _is_other(o, before[o.instance])]
-    head = schemas.scene_row(taken.scene)
+    head = scene_row(taken.scene)
     return {
         "edit_id": edit.edit_id,
         **{name: head[name] for name in ("scene_id", "table_type", "table_size", "restricted_zone")},
         "split": taken.origin["split"],
         "kind": kind,
         "instruction": edit.instruction,
-        "objects_in": [schemas.object_row(o, with_source=False) for o in taken.scene.objects],
-        "objects_out": [schemas.object_row(o, with_source=False) for o in changed],
+        "objects_in": [object_row(o, with_source=False) for o in taken.scene.objects],
+        "objects_out": [object_row(o, with_source=False) for o in changed],
         "removed": [name for name in before if name not in names],
     }
 
@@ -276,4 +277,4 @@ def _is_other(o: SceneObject, was: SceneObject) -> bool:
 
 
 def _notice_rows(edit: EditRequest, notices: Sequence[Notice]) -> list[schemas.Row]:
-    return [schemas.notice_row(replace(n, item_id=edit.edit_id)) for n in notices]
+    return [notice_row(replace(n, item_id=edit.edit_id)) for n in notices]

@@ -22,8 +22,8 @@ from pipelines.execution.resume import (
 from pipelines.execution.shard_step import ShardTask, ShardWriter, StepShards, add_schemas
 from stable_data.content_id import content_id
 from stable_data.errors import Notice
-from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import notice_row
 
 
 class JobSettings(Protocol):
@@ -179,7 +179,7 @@ def _write_notices(folder: RunFolder, job: ShardJob) -> None:
     """Writes the rows that belong to no shard."""
     for table, found in (("failures", job.lost()), ("warnings", job.odd())):
         if OF_DATASET not in folder.shard_ids(table):
-            folder.write_shard(table, OF_DATASET, [schemas.notice_row(n) for n in found])
+            folder.write_shard(table, OF_DATASET, [notice_row(n) for n in found])
 
 
 def _planned(steps: Sequence[StepShards[Any]]) -> dict[str, set[str]]:

@@ -16,6 +16,7 @@ from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_iso
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import notice_row
 
 Rows: TypeAlias = dict[str, list[schemas.Row]]
 """Rows by table."""
@@ -240,10 +241,10 @@ def rows_or_failure(
     except of_the_run:
         raise
     except StableDataError as error:
-        return {"failures": [schemas.notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
+        return {"failures": [notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
     except Exception as error:  # noqa: BLE001 - the one place where an unexpected error becomes a row
         message = f"{item_id}: {unexpected_failure(error)}"
-        return {"failures": [schemas.notice_row(Notice(item_id, progress.step, "unexpected", message))]}
+        return {"failures": [notice_row(Notice(item_id, progress.step, "unexpected", message))]}
 
 
 def unexpected_failure(error: Exception) -> str:
@@ -262,7 +263,7 @@ def rows_isolated(
         ProcessFailure.CRASHED: "the process that read it died; is the file hostile?",
         ProcessFailure.TIMED_OUT: f"took over {seconds:g} s; is it hostile, or is seconds_per_item too short for it?",
     }[found]
-    return {"failures": [schemas.notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
+    return {"failures": [notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
 
 
 def engine_stopped(failure: str) -> ConfigError:

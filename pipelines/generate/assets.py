@@ -17,8 +17,8 @@ from pipelines.preprocess.plan import AssetUseCount, file_digest
 from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
-from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import notice_row
 
 _PER_SHARD = 16
 
@@ -62,7 +62,7 @@ class CopyAssets(ItemStep[AssetUse]):
         if path is not None:
             item = replace(item, mesh_sha256=file_digest(path))
         made = preprocess_asset(item, shelf.annotation(item.asset_id), store, AssetSettings(), progress)
-        return {"assets": [made.asset], "meshes": [made.mesh], "warnings": [schemas.notice_row(n) for n in made.notices]}
+        return {"assets": [made.asset], "meshes": [made.mesh], "warnings": [notice_row(n) for n in made.notices]}
 
 
 @lru_cache(maxsize=1)

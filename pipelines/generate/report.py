@@ -24,7 +24,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.simulation.render import contact_sheet
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 
 SHEET = "report/contact_sheet.png"
 """Contact sheet of the pictures."""

@@ -64,6 +64,7 @@ from stable_data.scene import Relation, RelationKind, Scene
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import SettleResult, settle
 from stable_data.storage import schemas
+from stable_data.storage.table_rows import card_row, notice_row, scene_row
 
 SOURCE = "generated"
 """The ``source`` of rows of ``scenes``."""
@@ -171,7 +172,7 @@ class GenerateWork(ShardStep[Task]):
             try:
                 yield task if isinstance(task, LayoutTask) else task.sample()
             except SceneError as error:
-                rows["failures"].append(schemas.notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
+                rows["failures"].append(notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 
     def _generated(
         self, tasks: Sequence[LayoutTask], opened: GenerateWorkerState, tell: ProgressReporter
@@ -237,11 +238,11 @@ class GenerateWork(ShardStep[Task]):
         name = made.task.scene_id
         rows: Rows = {
             "turns": [_turn_row(name, number, turn) for number, turn in enumerate(made.turns)],
-            "warnings": [schemas.notice_row(n) for n in made.warnings],
+            "warnings": [notice_row(n) for n in made.warnings],
         }
         if made.scene is None:
             assert made.failure is not None
-            return rows | {"failures": [schemas.notice_row(made.failure)]}
+            return rows | {"failures": [notice_row(made.failure)]}
         progress = ItemProgress("judge")
         with time_limited(self.settings.seconds_per_item):
             make = partial(self._judged, made, made.scene, progress)
@@ -277,7 +278,7 @@ class GenerateWork(ShardStep[Task]):
             "layout_sha256": None,
             "duplicate_group": group,
         }
-        row = {**schemas.scene_row(scene), **schemas.card_row(card), **audit.rows(), **origin}
+        row = {**scene_row(scene), **card_row(card), **audit.rows(), **origin}
         told = [Notice(name, n.step, n.code, n.message) for n in (*notices, *audit.notices)]
         if not_as_said:
             lost = ", ".join(map(str, not_as_said))
@@ -289,7 +290,7 @@ class GenerateWork(ShardStep[Task]):
             told += notices_of(made.correction, name)
         if why_not:
             told.append(Notice(name, "settle", "not_settled", f"{name}: the physics engine was not used: {why_not}"))
-        found: Rows = {"warnings": [schemas.notice_row(n) for n in dict.fromkeys(told)]}
+        found: Rows = {"warnings": [notice_row(n) for n in dict.fromkeys(told)]}
         if rest is not None and self.settings.keep_settled:
             found["settled"] = [_settled_row(name, rest)]
         query = self.settings.accepting
@@ -297,7 +298,7 @@ class GenerateWork(ShardStep[Task]):
             return found | {"scenes": [row]}
         reason = _why_rejected(query.text, {column: row[column] for column in query.columns}, rest)
         failure = Notice(name, "accept", REJECTED, f"{name}: {reason}")
-        return found | {"rejected": [row | {"code": REJECTED, "reason": reason}], "failures": [schemas.notice_row(failure)]}
+        return found | {"rejected": [row | {"code": REJECTED, "reason": reason}], "failures": [notice_row(failure)]}
 
     def _settled(self, correction: Correction | None, scene: Scene, shapes: Sequence[Shape]) -> tuple[SettleResult | None, str]:
         """The result of the physics engine for a scene, or the reason why there is none."""
@@ -417,7 +418,7 @@ def _turn_row(name: str, number: int, turn: Turn) -> schemas.Row:
         "prompt_tokens": p.prompt_tokens,
         "reply_tokens": p.reply_tokens,
         "cost": p.cost,
-        "unmatched": [] if turn.furnished is None else sorted(turn.furnished.unmatched),
+        "unmatched": [] if turn.assigned is None else sorted(turn.assigned.unmatched),
         "coarse": None if done is None else _poses(done.start),
         "corrected": None if done is None or done.certified is None else _poses(done.certified),
         "card_before": None if done is None or done.card_before is None else asdict(done.card_before),

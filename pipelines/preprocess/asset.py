@@ -130,7 +130,7 @@ def _asset_row(
 
 
 def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore, paint: Paint) -> schemas.Row:
-    kept = store.kept_parts(asset_id)
+    kept = store.stored_parts(asset_id)
     parts = convex_parts(asset.mesh, given=kept or store.colliders(asset_id), kept=bool(kept))
     glb = write_glb(asset.mesh, paint=paint)
     return {

@@ -19,6 +19,7 @@ from stable_data.scene import Scene
 from stable_data.scene_graph.relations import SceneGraph
 from stable_data.scene_graph.staging import samples_of, stage_scene
 from stable_data.storage import schemas
+from stable_data.storage.table_rows import card_row, object_row, scene_row
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ def preprocess_scene(
     prepared = prepare_scene(dataset, scene_id, store, settings, progress, writer)
     scene, audit = prepared.scene, prepared.audit
     origin = origin_of(dataset, scene, settings)
-    row = {**schemas.scene_row(scene), **schemas.card_row(add_counts(audit.card(), scene)), **audit.rows(), **origin}
+    row = {**scene_row(scene), **card_row(add_counts(audit.card(), scene)), **audit.rows(), **origin}
     samples = (sample for one in (scene, *prepared.others) for sample in sample_rows(one, origin["split"]))
     return SceneRows(row, tuple(samples), prepared.notices)
 
@@ -160,14 +161,14 @@ def other_tasks(scene: Scene, graph: SceneGraph, settings: SceneSettings) -> tup
 
 def sample_rows(scene: Scene, split: str) -> Iterator[schemas.Row]:
     """The rows of ``samples`` of a staged scene, one for each stage."""
-    row = schemas.scene_row(scene) | {"split": split}
+    row = scene_row(scene) | {"split": split}
     head = {k: row[k] for k in ("scene_id", "split", "table_type", "table_size", "restricted_zone", "task")}
     for sample in samples_of(scene):
         yield {
             **head,
             "stage": str(sample.stage),
-            "objects_in": [schemas.object_row(o, with_source=False) for o in sample.objects_in],
-            "objects_out": [schemas.object_row(o, with_source=False) for o in sample.objects_out],
+            "objects_in": [object_row(o, with_source=False) for o in sample.objects_in],
+            "objects_out": [object_row(o, with_source=False) for o in sample.objects_out],
         }
 
 

@@ -17,7 +17,7 @@ from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.storage import schemas
+from stable_data.storage.table_rows import notice_row
 
 if TYPE_CHECKING:
     from models.point_encoder import PointEncoder
@@ -74,7 +74,7 @@ class AssetStep(DatasetStep[AssetUse]):
         embedding = _text_features(self.data, self.fingerprint).get(item.asset_id)
         shaping = AssetSettings(self.settings.num_points)
         made = preprocess_asset(item, dataset.annotation(item.asset_id), store, shaping, progress, embedding)
-        warnings = [schemas.notice_row(n) for n in made.notices]
+        warnings = [notice_row(n) for n in made.notices]
         return {"assets": [made.asset], "meshes": [made.mesh], "sdf": list(made.grids), "warnings": warnings}
 
 
@@ -117,7 +117,7 @@ class SceneStep(DatasetStep[str]):
         """The rows of one scene."""
         dataset, store = self.opened()
         made = preprocess_scene(dataset, item, store, self.settings.scene_settings(), progress, task_writer(self.settings))
-        warnings = [schemas.notice_row(n) for n in made.notices]
+        warnings = [notice_row(n) for n in made.notices]
         return {"scenes": [made.scene], "samples": list(made.samples), "warnings": warnings}
 
 

@@ -14,6 +14,7 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage import schemas
 from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import scene_from_row
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +140,7 @@ def _of_run(run: RunFolder, where: str) -> Iterator[LayoutTask | Notice]:
     query = parse_filter(where, schemas.SCHEMAS["scenes"]) if where.strip() else None
     for batch in run.batches("scenes", where=None if query is None else query.expression):
         for row in batch.to_pylist():
-            scene = schemas.scene_from_row(row)
+            scene = scene_from_row(row)
             yield task_of_scene(scene) if scene.task is not None else _without_task(scene.scene_id)
 
 

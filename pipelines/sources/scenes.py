@@ -27,6 +27,7 @@ from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.scene import Scene
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import scene_from_row
 
 ORIGIN_COLUMNS = ("source", "split", "layout_path", "layout_sha256", "duplicate_group")
 """Columns of ``scenes`` that state the origin of a scene."""
@@ -202,7 +203,7 @@ class TableSource:
         """Reads one scene from its row and audits it again."""
         progress.step = "read"
         row = self.row(scene_id)
-        scene = schemas.scene_from_row(row)
+        scene = scene_from_row(row)
         progress.step = "mesh"
         scene, shapes, notices = self.store.resolved(scene)
         progress.step = "audit"

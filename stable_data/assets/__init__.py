@@ -1,1 +1,1 @@
-"""Assets: their geometry, catalogues of them, and the search for one that fits."""
+"""Assets: their geometry, catalogues, and retrieval."""

@@ -1,4 +1,4 @@
-"""What an annotation says about an asset."""
+"""The annotation of an asset in its dataset."""
 
 import re
 from collections.abc import Mapping
@@ -10,21 +10,21 @@ from stable_data.scene import Vec3
 
 @dataclass(frozen=True, slots=True)
 class AssetAnnotation:
-    """What Asset_annotation.json says about one asset; defaults where it says nothing.
+    """The entry of one asset in Asset_annotation.json, with defaults for missing values.
 
     Attributes:
-        asset_id: Its uid.
-        category: Its kind, as annotated.
-        description: A few words for it.
-        caption: A sentence about it (``detailed_caption``).
-        source: Where it comes from, such as ``gen``.
+        asset_id: Identifier of the asset.
+        category: Category, as annotated.
+        description: Short description.
+        caption: Description in a sentence (``detailed_caption``).
+        source: Origin, such as ``gen``.
         mass: Kilograms, if given.
-        is_container: Whether things can lie in it, if given.
-        on_table: Whether it belongs on a table.
-        mark_deletion: Whether the annotators wanted it removed.
-        is_composite: Whether it is several things in one mesh.
-        extents_z_up: Its box in mesh units along the z-up axes, if given. The format gives it y-up.
-        raw: The entry of the file, so that writing loses nothing. Not compared.
+        is_container: Whether other objects can be placed inside, if given.
+        on_table: Whether the asset belongs on a table.
+        mark_deletion: Whether the annotators marked it for deletion.
+        is_composite: Whether the mesh contains several objects.
+        extents_z_up: Box extents in mesh units along the z-up axes, if given. The file gives them y-up.
+        raw: The entry of the file, for a lossless round trip. Not compared.
     """
 
     asset_id: str
@@ -42,23 +42,23 @@ class AssetAnnotation:
 
     @property
     def words(self) -> str:
-        """Its description, else its caption."""
+        """The description, or the caption if there is no description."""
         return self.description or self.caption
 
     @property
     def licence(self) -> str | None:
-        """Under which it may be used, if the file says so."""
+        """The licence, if the file gives one."""
         return str(self.raw.get("licence") or self.raw.get("license") or "").strip() or None
 
 
 def category_of(instance: str) -> str:
-    """The kind that an instance name speaks of: words joined by ``_``, lower case, without numbers and tokenizer debris.
+    """Returns the category in an instance name: words joined by ``_``, lower case, without numbers and tokenizer marks.
 
     Args:
         instance: Such as ``12_Paper##clip_0`` or ``pen_0``.
 
     Returns:
-        Such as ``paperclip`` or ``pen``; ``object`` where nothing is left.
+        Such as ``paperclip`` or ``pen``; ``object`` if no word is left.
     """
     words = re.sub(r"^\d+_|_\d+(?:\.\d+)?$", "", instance).replace("##", "").lower()
     return re.sub(r"[\W_]+", "_", words).strip("_") or "object"

@@ -1,4 +1,4 @@
-"""Raw layouts get their assets: from libraries in order, the first that has a match serving."""
+"""Assigns assets to the objects of layouts."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from stable_data.scene import TABLE, Scene
 from stable_data.scene_graph.support_tree import SupportTree
 
 STEP = "assets"
-"""The step that this module's notices name."""
+"""The step in the notices of this module."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,9 +18,9 @@ class AssignedLayout:
     """A layout whose objects have assets.
 
     Attributes:
-        scene: The layout; objects without a match are left out, and so is what rests on them.
-        unmatched: Why there is no asset, by instance.
-        notices: What was left out, and what about a choice deserves a look.
+        scene: The layout, without unmatched objects and the objects that they support.
+        unmatched: Instance -> why it has no asset.
+        notices: Removed objects, unusable assets, and assets that could not be stretched.
     """
 
     scene: Scene
@@ -31,27 +31,28 @@ class AssignedLayout:
 def assign_assets(
     scenes: Sequence[Scene], retriever: Retriever, seed: int = 0, fault_of: Callable[[str], str | None] = lambda _: None
 ) -> list[AssignedLayout]:
-    """Layouts with an asset for each object that one is found for, all of them asked for at once.
+    """Assigns an asset to each object of some layouts, with one retrieval for all of them.
 
-    Within a layout equal words and sizes get equal assets. The underside of a thing stays at its height, and what rests on a
-    thing comes with it.
+    Within a layout, equal words and sizes get equal assets. The underside of an object keeps its height, and supported objects
+    move with their support.
 
     Args:
-        scenes: The layouts, staged, with supports.
+        scenes: The layouts, with stages and supports.
         retriever: Finds assets.
-        seed: Decides among assets that are as good.
-        fault_of: Why an asset cannot be used, by its id; None where it can. Of what cannot, the next best takes the place.
+        seed: Decides between equally good assets.
+        fault_of: Function from an asset id to why the asset cannot be used, or None if it can. The next best asset replaces an
+            unusable one.
     """
-    asked = [(k, o) for k, scene in enumerate(scenes) for o in scene.objects]
+    requested = [(k, o) for k, scene in enumerate(scenes) for o in scene.objects]
     queries = [
         AssetQuery(o.description, o.size, o.category, scenes[k].scene_id, leans=o.support not in (None, TABLE))
-        for k, o in asked
+        for k, o in requested
     ]
-    answers, faults = _usable(queries, retriever, seed, fault_of)
+    answers, faults = _retrieve_usable(queries, retriever, seed, fault_of)
     matches: list[dict[str, AssetMatch]] = [{} for _ in scenes]
     unmatched: list[dict[str, UnmatchedQuery]] = [{} for _ in scenes]
-    passed: list[list[Notice]] = [[] for _ in scenes]
-    for (k, o), answer, found in zip(asked, answers, faults, strict=True):
+    notices: list[list[Notice]] = [[] for _ in scenes]
+    for (k, o), answer, found in zip(requested, answers, faults, strict=True):
         name = scenes[k].scene_id
         why = found[0] + (f" (and {len(found) - 1} more assets)" if found[1:] else "") if found else ""
         if isinstance(answer, UnmatchedQuery):
@@ -59,49 +60,48 @@ def assign_assets(
             continue
         matches[k][o.instance] = answer
         if why:
-            passed[k].append(Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} gets another asset; not used: {why}"))
-    return [_furnished(*parts) for parts in zip(scenes, matches, unmatched, passed, strict=True)]
+            notices[k].append(Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} gets another asset; not used: {why}"))
+    return [_assigned(*parts) for parts in zip(scenes, matches, unmatched, notices, strict=True)]
 
 
-def _usable(
-    queries: Sequence[AssetQuery], retriever: Retriever, seed: int, fault_of: Callable[[str], str | None]
+def _retrieve_usable(
+    queries: list[AssetQuery], retriever: Retriever, seed: int, fault_of: Callable[[str], str | None]
 ) -> tuple[list[Answer], list[list[str]]]:
-    """The best asset that can be used for each query, and why those before it cannot.
+    """Returns the best usable asset for each query, and the faults of the better ones.
 
-    Each query is asked anew without what it was given in vain, rather than without all that is known to be broken: so it gets
-    the same whatever was asked before.
+    A query is repeated without the unusable assets that it was given itself, not without all known unusable assets. So its
+    answer does not depend on earlier queries.
     """
-    asked, answers = list(queries), retriever.retrieve(queries, seed)
+    queries, answers = list(queries), retriever.retrieve(queries, seed)
     faults: list[list[str]] = [[] for _ in queries]
-    waiting = list(range(len(asked)))
+    waiting = list(range(len(queries)))
     while waiting:
         again = []
         for k in waiting:
             answer = answers[k]
             if isinstance(answer, AssetMatch) and (fault := fault_of(answer.asset_id)) is not None:
                 faults[k].append(fault)
-                asked[k] = replace(asked[k], without=asked[k].without | {answer.asset_id})
+                queries[k] = replace(queries[k], without=queries[k].without | {answer.asset_id})
                 again.append(k)
         waiting = again
-        for k, answer in zip(again, retriever.retrieve([asked[k] for k in again], seed) if again else (), strict=True):
+        for k, answer in zip(again, retriever.retrieve([queries[k] for k in again], seed) if again else (), strict=True):
             answers[k] = answer
     return answers, faults
 
 
-def _furnished(
-    scene: Scene, matches: Mapping[str, AssetMatch], unmatched: Mapping[str, UnmatchedQuery], passed: Sequence[Notice]
+def _assigned(
+    scene: Scene, matches: Mapping[str, AssetMatch], unmatched: Mapping[str, UnmatchedQuery], notices: list[Notice]
 ) -> AssignedLayout:
-    gone = SupportTree.of(scene.objects).with_descendants(set(unmatched))
-    kept = [o for o in scene.objects if o.instance not in gone]
-    notices = list(passed)
-    for name in sorted(gone):
-        why = f"no asset: {unmatched[name].reason}" if name in unmatched else "its carrier is removed"
+    removed = SupportTree.of(scene.objects).with_descendants(set(unmatched))
+    remaining = [o for o in scene.objects if o.instance not in removed]
+    for name in sorted(removed):
+        why = f"no asset: {unmatched[name].reason}" if name in unmatched else "its support is removed"
         code = "asset_unmatched" if name in unmatched else "carrier_left_out"
         notices.append(Notice(scene.scene_id, STEP, code, f"{scene.scene_id}: {name} is removed; {why}"))
     notices += [
         Notice(scene.scene_id, STEP, "not_stretched", f"{scene.scene_id}: {o.instance} {note}")
-        for o in kept
+        for o in remaining
         if (note := matches[o.instance].note)
     ]
-    objects = substitute_assets(kept, {o.instance: matches[o.instance] for o in kept})
+    objects = substitute_assets(remaining, {o.instance: matches[o.instance] for o in remaining})
     return AssignedLayout(replace(scene, objects=objects), unmatched, tuple(notices))

@@ -1,10 +1,10 @@
-"""How well the box of an asset fits the box that is wanted, and the scale that makes it fit.
+"""How well the box of an asset fits a requested box, and the scale that makes it fit.
 
-Proportions are compared by the cosine of the two boxes' edge vectors, as MesaTask does: 1 where one is the other enlarged. One
-factor for all axes is the least-squares one, ``s = w·e / e·e``: it is what the cosine measures, for ``|w − s e| = |w| sin``, so
-that the asset that scores best is also the one whose box comes nearest. Long edges decide, so a sheet of paper that is wanted
-1 mm thick and modelled 5 mm thick keeps its length, where the geometric mean (which is the factor of equal volume) would shrink
-it by two fifths. And the diagonal never becomes longer than the wanted one, as it does where the longest edges are made equal.
+The score is the cosine of the two edge vectors, as in MesaTask; it is 1 if the boxes have the same proportions. The uniform
+scale is the least-squares factor ``s = w·e / e·e``. It agrees with the cosine, since ``|w − s e| = |w| sin``: the asset with the
+best score also has the nearest box. Long edges have the most influence, so a sheet of paper with a requested thickness of 1 mm
+and a modelled one of 5 mm keeps its length; the geometric mean (the factor of equal volume) would shrink it by two fifths. The
+diagonal never becomes longer than the requested one, unlike with the factor that makes the longest edges equal.
 """
 
 import numpy as np
@@ -13,12 +13,12 @@ import numpy.typing as npt
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 
-_RIGHT_ANGLE = 1e-3  # radians by which a tilt may be off and still take each axis to an axis, for stretching along them
-_ORTHOGONAL = 1e-6
+_RIGHT_ANGLE = 1e-3  # radians by which a tilt may differ from a right-angled one and still be stretched along the axes
+_ORTHOGONAL = 1e-6  # cosine up to which two boxes have no edge in common
 
 
 def box_proportions(boxes: npt.ArrayLike) -> FloatArray:
-    """Boxes as unit vectors, (..., 3) float64.
+    """Returns the edge vectors of boxes as unit vectors, (..., 3) float64.
 
     Args:
         boxes: Edges along x, y and z, (..., 3), any unit, not all zero.
@@ -29,22 +29,22 @@ def box_proportions(boxes: npt.ArrayLike) -> FloatArray:
 
 
 def size_score(one: npt.ArrayLike, other: npt.ArrayLike) -> FloatArray:
-    """Cosine of the proportions of boxes, (...) float64 in [0, 1]; scale-free.
+    """Computes the cosine of the proportions of boxes, (...) float64 in [0, 1]; it does not depend on scale.
 
     Args:
-        one: Unit vectors that :func:`box_proportions` gave, (..., 3).
-        other: Likewise; shapes broadcast.
+        one: Unit vectors of :func:`box_proportions`, (..., 3).
+        other: Unit vectors of :func:`box_proportions`; shapes broadcast.
     """
     product = np.asarray(one) * np.asarray(other)
-    # Added in this order whatever the shapes are, so that a pair scores the same alone and in a batch.
+    # One order of addition for all shapes, so that a pair has the same score alone and in a batch.
     score: FloatArray = np.minimum(product[..., 0] + product[..., 1] + product[..., 2], 1.0)
     return score
 
 
 def uniform_scale_factor(wanted: npt.ArrayLike, boxes: npt.ArrayLike) -> FloatArray:
-    """The factor that brings boxes nearest to the wanted ones, (...) float64, positive.
+    """Computes the factor that scales boxes nearest to requested boxes, (...) float64, positive.
 
-    Where the two share no edge at all, such as a needle laid across another, the factor that makes their diagonals equal.
+    If the two have no edge in common, such as two needles along different axes, the factor makes their diagonals equal.
 
     Args:
         wanted: Metres, (..., 3).
@@ -57,7 +57,7 @@ def uniform_scale_factor(wanted: npt.ArrayLike, boxes: npt.ArrayLike) -> FloatAr
 
 
 def stretched_scale(wanted: Vec3, box: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[Vec3 | None, float]:
-    """Scale along the mesh's own axes that makes the tilted box the wanted one, and how much it distorts.
+    """Computes the scale along the mesh axes that gives the tilted mesh a requested box, and its distortion.
 
     Args:
         wanted: Metres, yaw frame.
@@ -65,8 +65,8 @@ def stretched_scale(wanted: Vec3, box: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[
         tilt_quat_xyzw: Rotation before yaw, unit.
 
     Returns:
-        Metres per mesh unit, or None where the tilt is by no right angles or an edge is zero; and the largest component over the
-        smallest, infinite for None.
+        Metres per mesh unit, or None if the tilt is not right-angled or an edge is zero; and the ratio of the largest and the
+        smallest component, infinite for None.
     """
     turn = np.abs(rotation_matrix(tilt_quat_xyzw))
     if min(wanted) <= 0 or min(box) <= 0 or turn.max(axis=1).min() < np.cos(_RIGHT_ANGLE):
@@ -77,8 +77,8 @@ def stretched_scale(wanted: Vec3, box: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[
 
 
 def _diagonal(boxes: FloatArray) -> FloatArray:
-    """Lengths of boxes' diagonals, (...)."""
+    """Computes the lengths of the diagonals, (...)."""
     largest = boxes.max(axis=-1)
-    edges = boxes / largest[..., None]  # first, so that squares of very small and very large edges stay numbers
+    edges = boxes / largest[..., None]  # so that the squares neither underflow nor overflow
     lengths: FloatArray = largest * np.sqrt((edges * edges).sum(axis=-1))
     return lengths

@@ -1,7 +1,7 @@
-"""Catalogues of assets to choose from: what each is, how large, how it rests, and the row that its words have.
+"""Catalogues of assets for retrieval: category, size, resting tilts, and text embedding of each asset.
 
-A catalogue is read from the tables of a preprocess run, or from a folder in the MesaTask-10K format. It is light: no mesh is
-kept, and the text encoder is whatever the caller hands in.
+A catalogue is read from the tables of a preprocess run, or from a folder in the MesaTask-10K format. It contains no meshes, and
+the caller passes the text encoder.
 """
 
 import math
@@ -22,9 +22,9 @@ from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Vec3
 from stable_data.storage.row_groups import rows_from_table
 from stable_data.storage.run_folder import RunFolder
 
-_SAME_TILT = math.radians(5.0)
+_SAME_TILT = math.radians(5.0)  # tilts that differ by at most this are counted as one
 _RIGHT_ANGLE = 1e-6
-_STEEP = math.radians(45.0)
+_STEEP = math.radians(45.0)  # a long asset whose axis is closer to vertical than this has been seen standing
 _COLUMNS = (
     "asset_id",
     "category",
@@ -41,10 +41,10 @@ _COLUMNS = (
 
 
 def asset_sentence(words: str, category: str) -> str:
-    """What is encoded of a thing: its kind, then its words, so that a kind that is known is heard on both sides.
+    """Returns the sentence to encode: the category, if it is known, then the words, for queries and assets alike.
 
     Example:
-        >>> sentence("a slim one with a red cap", "water_bottle")
+        >>> asset_sentence("a slim one with a red cap", "water_bottle")
         'water bottle, a slim one with a red cap'
     """
     return ", ".join(part for part in (category.replace("_", " ").strip(), words.strip()) if part)
@@ -52,12 +52,12 @@ def asset_sentence(words: str, category: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class RestingTilt:
-    """A way in which an asset lies still.
+    """A tilt in which an asset rests.
 
     Attributes:
         quat_xyzw: Rotation before yaw, unit.
         extents: Box of the tilted mesh in the yaw frame, mesh units.
-        count: How often it was seen; 0 where it is only assumed.
+        count: Number of objects with this tilt; 0 if the tilt is only assumed.
     """
 
     quat_xyzw: QuatXyzw
@@ -70,18 +70,18 @@ class Asset:
     """One entry of a catalogue.
 
     Attributes:
-        asset_id: Its uid.
-        category: Its kind; empty where unknown.
-        description: A few words for it.
-        caption: A sentence about it.
-        licence: As stated, or None: unknown.
-        source: Where it comes from.
+        asset_id: Identifier of the asset.
+        category: Category; empty if unknown.
+        description: Short description.
+        caption: Description in a sentence.
+        licence: Licence, or None if unknown.
+        source: Origin of the asset.
         extents: Box of the mesh, mesh units, z up.
-        tilts: How it usually rests, most frequent first; tilts within five degrees of a more frequent one are that one. Last
-            come those at which a long thing that was only seen lying would lean in a cup.
-        on_table: Whether it belongs on a table.
-        mark_deletion: Whether the annotators wanted it removed.
-        is_composite: Whether it is several things in one mesh.
+        tilts: Resting tilts, most frequent first; tilts within five degrees of a more frequent one are counted as that one. The
+            last ones, for a long asset that was only seen lying, are assumed tilts of leaning in a cup.
+        on_table: Whether the asset belongs on a table.
+        mark_deletion: Whether the annotators marked it for deletion.
+        is_composite: Whether the mesh contains several objects.
     """
 
     asset_id: str
@@ -98,12 +98,12 @@ class Asset:
 
     @property
     def words(self) -> str:
-        """What it is found by: its description, else its caption, else its category."""
+        """The text for retrieval: the description, else the caption, else the category."""
         return self.description.strip() or self.caption.strip() or self.category.replace("_", " ").strip()
 
     @property
     def is_offered(self) -> bool:
-        """Whether its annotations let it be put on a table."""
+        """Whether its annotations allow its use on a table."""
         return self.on_table and not self.mark_deletion and not self.is_composite
 
 
@@ -112,12 +112,12 @@ class AssetLibrary:
     """A catalogue.
 
     Attributes:
-        name: What matches and errors call it.
-        assets: N assets, by uid.
-        features: Unit row of each one's words, (N, D) float32, or None: not encoded yet.
-        encoder_fingerprint: Which encoder made them; empty where the dataset does not say.
-        names_category: Whether they are of :func:`asset_sentence`, or of the words alone, as a dataset's own.
-        left_out: uid -> why an asset of the dataset cannot be retrieved at all.
+        name: Name of the library in matches and errors.
+        assets: N assets, sorted by identifier.
+        features: Unit rows of the words, (N, D) float32, or None if they are not encoded yet.
+        encoder_fingerprint: Fingerprint of the encoder of the features; empty if the dataset does not state it.
+        names_category: Whether the features are those of :func:`asset_sentence`, or of the words alone, as in a dataset.
+        left_out: Asset id -> why an asset of the dataset cannot be retrieved.
 
     Raises:
         ConfigError: ``library_empty``, ``asset_duplicate`` or ``features_invalid``.
@@ -131,7 +131,7 @@ class AssetLibrary:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuses a library that nothing can be found in."""
+        """Checks that there are assets, that they are unique, and the features."""
         if not self.assets:
             reasons = ", ".join(f"{n} {why}" for why, n in Counter(self.left_out.values()).most_common()) or "no assets"
             raise ConfigError(f"library {self.name}: {reasons}, expected assets with words and extents", "library_empty")
@@ -147,29 +147,29 @@ class AssetLibrary:
         return len(self.assets)
 
     def embedded(self, encoder: TextEncoder, cache: Path | None = None) -> "AssetLibrary":
-        """The library with its words encoded.
+        """Returns the library with the features of an encoder.
 
         Args:
             encoder: The text encoder.
-            cache: A file that keeps the rows, see :func:`stable_data.assets.text_embeddings.embed_texts`.
+            cache: A cache file of features, see :func:`stable_data.assets.text_embeddings.embed_texts`.
         """
         rows = embed_texts([asset_sentence(a.words, a.category) for a in self.assets], encoder, cache)
         return replace(self, features=rows, encoder_fingerprint=encoder.fingerprint, names_category=True)
 
 
 def library_of_run(run: RunFolder, name: str | None = None, *, own_features: bool = False) -> AssetLibrary:
-    """The catalogue of a preprocess run, local or in an object store.
+    """Reads the catalogue of a preprocess run, local or in an object store.
 
-    Where the run does not say whether an asset belongs on a table, it does if a scene has it there. An asset that no scene uses
-    stands as it is.
+    If the run does not state whether an asset belongs on a table, it does if a scene contains it. The resting tilt of an asset
+    that no scene contains is upright.
 
     Args:
         run: The run folder.
-        name: What to call the library; by default the run's address.
-        own_features: Take the text features that came with the dataset. Otherwise call :meth:`AssetLibrary.embedded`.
+        name: Name of the library; by default the address of the run.
+        own_features: Whether to use the text features of the dataset. Otherwise call :meth:`AssetLibrary.embedded`.
 
     Raises:
-        ConfigError: The table ``assets`` is missing, cannot be read, or holds nothing that can be used.
+        ConfigError: The table ``assets`` is missing, cannot be read, or contains no usable asset.
     """
     name = name or run.uri
     rows = run.table("assets", [*_COLUMNS, "text_embedding"] if own_features else _COLUMNS).to_pylist()
@@ -185,7 +185,6 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
     assets, features = list[Asset](), dict[str, Any]()
     for row in rows:
         uid, extents = row["asset_id"], as_vec3(row["extents"])
-        on_table = bool(row["resting_tilts"]) if row["on_table"] is None else row["on_table"]
         asset = Asset(
             uid,
             row["category"] or "",
@@ -195,7 +194,7 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
             caption=row["caption"] or "",
             licence=row["licence"],
             source=row["source"] or "",
-            on_table=on_table,
+            on_table=bool(row["resting_tilts"]) if row["on_table"] is None else row["on_table"],
             mark_deletion=row["mark_deletion"] is True,
             is_composite=row["is_composite"] is True,
         )
@@ -208,8 +207,8 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
 def build_library(
     name: str, assets: Sequence[Asset], features: Mapping[str, Any] | None, left_out: dict[str, str]
 ) -> AssetLibrary:
-    """The assets that can be found, by uid."""
-    kept = []
+    """Makes a library of the assets that can be retrieved, sorted by identifier; adds the others to ``left_out``."""
+    usable = []
     for asset in sorted(assets, key=lambda a: a.asset_id):
         why = ""
         if not asset.words:
@@ -221,26 +220,26 @@ def build_library(
         if why:
             left_out[asset.asset_id] = why
         else:
-            kept.append(asset)
-    rows = np.array([features[a.asset_id] for a in kept], np.float32) if features is not None and kept else None
-    return AssetLibrary(name, tuple(kept), rows, left_out=left_out)
+            usable.append(asset)
+    rows = np.array([features[a.asset_id] for a in usable], np.float32) if features is not None and usable else None
+    return AssetLibrary(name, tuple(usable), rows, left_out=left_out)
 
 
 def merge_similar_tilts(tilts: Iterable[tuple[QuatXyzw, int]]) -> list[tuple[QuatXyzw, int]]:
-    """Tilts, most frequent first; those close to a more frequent one are counted as that one."""
-    kept: list[tuple[QuatXyzw, int]] = []
+    """Sorts tilts, most frequent first, and counts a tilt close to a more frequent one as that one."""
+    merged: list[tuple[QuatXyzw, int]] = []
     for quat, count in sorted(tilts, key=lambda item: (-item[1], item[0])):
-        for k, (other, total) in enumerate(kept):
+        for k, (other, total) in enumerate(merged):
             if 2 * math.acos(min(1.0, abs(sum(a * b for a, b in zip(quat, other, strict=True))))) <= _SAME_TILT:
-                kept[k] = (other, total + count)
+                merged[k] = (other, total + count)
                 break
         else:
-            kept.append((quat, count))
-    return sorted(kept, key=lambda item: (-item[1], item[0]))
+            merged.append((quat, count))
+    return sorted(merged, key=lambda item: (-item[1], item[0]))
 
 
 def add_leaning_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> list[tuple[QuatXyzw, int]]:
-    """Tilts with those at which a long thing that was only seen lying leans in a cup, its top towards -y."""
+    """Adds tilts of leaning in a cup, with the top towards -y, for a long asset that was only seen lying."""
     axis = int(np.argmax(extents))
     is_long = extents[axis] > SLENDER_ASSET * sorted(extents)[1]
     if not tilts or not is_long or any(abs(rotation_matrix(q)[2, axis]) > math.cos(_STEEP) for q, _ in tilts):
@@ -250,29 +249,29 @@ def add_leaning_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3) -> l
 
 
 def resting_tilts(tilts: Sequence[tuple[QuatXyzw, int]], extents: Vec3, points: FloatArray | None) -> tuple[RestingTilt, ...]:
-    """The tilts with their boxes; upright where none is known."""
+    """Returns the tilts with their boxes, or the upright one if no tilt is known."""
     if not tilts:
         return (RestingTilt(UPRIGHT, extents),)
     return tuple(RestingTilt(quat, _tilted_extents(quat, extents, points), count) for quat, count in tilts)
 
 
 def _tilted_extents(quat: QuatXyzw, extents: Vec3, points: FloatArray | None) -> Vec3:
-    """Box of a tilted mesh: exact for right angles and for vertices, close for surface points, else that of its turned box."""
+    """Computes the box of a tilted mesh: exact for right angles, close for surface points, else the box of its tilted box."""
     if points is None or is_right_angled(quat):
         return rotated_extents(extents, quat)
     reach = np.ptp(points, axis=0)
-    # Points on a surface miss its corners: they are stretched to the box that is known exactly.
+    # Sampled surface points miss the corners, so they are stretched to the exact box of the mesh.
     stretched = points * np.divide(extents, reach, out=np.ones(3), where=reach > 0)
     return as_vec3(np.ptp(stretched @ rotation_matrix(quat).T, axis=0))
 
 
 def is_right_angled(quat: QuatXyzw) -> bool:
-    """Whether a rotation takes each axis to an axis."""
+    """Whether a rotation maps each axis to an axis."""
     return bool((np.abs(rotation_matrix(quat)).max(axis=0) > 1 - _RIGHT_ANGLE).all())
 
 
 def _surface_points(run: RunFolder, asset_ids: Sequence[str]) -> dict[str, FloatArray]:
-    """Surface points of some assets, (P, 3) each, mesh units."""
+    """Reads the surface points of some assets, (P, 3) each, mesh units."""
     if not asset_ids:
         return {}
     table = run.table("assets", ["asset_id", "points"], pc.field("asset_id").isin(list(asset_ids)))
@@ -285,6 +284,6 @@ def _quat(values: Sequence[float]) -> QuatXyzw:
 
 
 def as_vec3(values: Any) -> Vec3:
-    """Three numbers as a tuple of floats."""
+    """Converts three numbers to a tuple of floats."""
     x, y, z = (float(v) for v in values)
     return (x, y, z)

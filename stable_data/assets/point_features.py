@@ -1,4 +1,4 @@
-"""Point features of a run, read back: by exact use, or of the nearest one."""
+"""Point features of a run: of an exact aspect and tilt, or of the nearest ones."""
 
 import math
 from collections.abc import Mapping
@@ -15,30 +15,30 @@ from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.storage.run_folder import RunFolder
 
 FeatureKey: TypeAlias = tuple[str, tuple[int, int, int], QuatXyzw]
-"""Asset, steps of its aspect, and key of its tilt."""
+"""Asset id, aspect in steps, and rounded tilt."""
 
 FAR_TILT = math.radians(5)
-"""A feature of a tilt that differs by more than this describes another point cloud, radians."""
+"""Difference of tilts above which a feature describes another point cloud, radians."""
 
 
 def feature_key(asset_id: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> FeatureKey:
-    """The key of the feature of an asset at a scale and tilt."""
+    """Returns the key of the feature of an asset at a scale and tilt."""
     return asset_id, aspect_steps(scale), tilt_key(tilt_quat_xyzw)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointFeatures:
-    """Features of the assets of a run, all of one encoder; R rows.
+    """The R features of the assets of a run, all from one encoder.
 
     Attributes:
-        values: Feature of the normalised point cloud, (R, F) float32.
+        values: Features of the normalised point clouds, (R, F) float32.
         aspects: Scale divided by its largest component, (R, 3) float64.
         tilts: Rotation before yaw as a unit quaternion xyzw, (R, 4) float64.
-        log_extents: Natural logarithm of the bounding box in the yaw frame at the usual scale, metres, by key, (3,) float64; nan
-            where unknown. The size of an object is in its row of ``scenes``.
-        row_of: Row of each key.
-        rows_of: Rows of each asset.
-        fingerprint: Of the encoder.
+        log_extents: Key -> natural logarithm of the box extents in the yaw frame at the typical scale, metres, (3,) float64; nan
+            if unknown. The size of an object is in its row of ``scenes``.
+        row_of: Key -> row.
+        rows_of: Asset id -> rows.
+        fingerprint: Fingerprint of the encoder.
     """
 
     values: npt.NDArray[np.float32]
@@ -50,7 +50,7 @@ class PointFeatures:
     fingerprint: str
 
     def of(self, asset_id: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> npt.NDArray[np.float32]:
-        """The feature of an asset at a scale and tilt that scenes of the run use, (F,) float32.
+        """Returns the feature of an asset at a scale and tilt that occur in scenes of the run, (F,) float32.
 
         Raises:
             ConfigError: The run has no feature of the asset at this aspect and tilt (``feature_missing``).
@@ -59,16 +59,16 @@ class PointFeatures:
         if key not in self.row_of:
             message = f"asset {asset_id}: no feature at aspect {key[1]}, tilt {key[2]} by encoder {self.fingerprint}"
             raise ConfigError(
-                f"{message}, expected one for each use in a scene of the run; run preprocess with features", "feature_missing"
+                f"{message}, expected one for each object of the run's scenes; run preprocess with features", "feature_missing"
             )
         feature: npt.NDArray[np.float32] = self.values[self.row_of[key]]
         return feature
 
     def nearest(self, asset_id: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[npt.NDArray[np.float32], float]:
-        """The feature of an asset whose aspect, and then tilt, is nearest.
+        """Returns the feature of an asset with the nearest aspect, and among these with the nearest tilt.
 
         Returns:
-            The feature, (F,) float32, and by how much its tilt differs, radians.
+            The feature, (F,) float32, and the difference of its tilt, radians.
 
         Raises:
             ConfigError: The run has no feature of the asset (``feature_missing``).
@@ -88,14 +88,14 @@ class PointFeatures:
 
 
 def read_features(run: RunFolder) -> PointFeatures:
-    """The table ``features`` of a run.
+    """Reads the table ``features`` of a run.
 
     Args:
         run: A run folder, or any folder with the table.
 
     Raises:
-        ConfigError: The table is missing (``table_missing``) or empty (``features_missing``), cannot be read, or holds features
-            of several encoders or lengths (``features_mixed``).
+        ConfigError: The table is missing (``table_missing``) or empty (``features_missing``), cannot be read, or contains
+            features of several encoders or lengths (``features_mixed``).
     """
     table = run.table("features")
     found = sorted(pc.unique(table["encoder_fingerprint"]).to_pylist(), key=str)

@@ -1,7 +1,7 @@
-"""Scores of one library's assets for many queries at once, and the choice among those that are as good as the best.
+"""Scores of one library's assets for many queries at once, and the choice among the equally good ones.
 
-Matrix products in float32 say which assets can matter; those few are then scored in one fixed order of operations, so that what
-is chosen for a query does not depend on what else is asked.
+Matrix products in float32 preselect the assets that can be best. These few are then scored in one fixed order of operations, so
+that the choice for a query does not depend on the other queries.
 """
 
 import hashlib
@@ -22,12 +22,12 @@ from stable_data.scene import FloatArray, IntArray
 Tickets = npt.NDArray[np.uint64]
 BoolArray = npt.NDArray[np.bool_]
 
-_BLOCK, _MAX_SCORES = 128, 1 << 24  # queries whose scores stay in the processor's cache; scores that are held at a time
-_FITTING = math.radians(5.0)  # boxes whose edge vectors are no further apart have the same proportions
-_NOT_MUCH = math.radians(10.0)  # a tilt that fits so much worse than the best is not taken, however usual it is
-_BARRED = -2.0  # instead of the dot product of unit rows, which is never less than -1
-_DECIMALS = 9  # scores that agree so far are equal
-_MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # the finaliser of splitmix64 (Steele, Lea and Flood 2014)
+_BLOCK, _MAX_SCORES = 128, 1 << 24  # queries in a block, whose scores fit the processor's cache; scores in memory at once
+_FITTING = math.radians(5.0)  # a misfit up to this counts as a perfect fit
+_MAX_EXCESS = math.radians(10.0)  # a tilt whose misfit exceeds the least one by more than this is never chosen
+_BARRED = -2.0  # score of an excluded asset; the dot product of unit rows is at least -1
+_DECIMALS = 9  # scores that agree to this number of decimals are equal
+_MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # finaliser of splitmix64 (Steele, Lea and Flood 2014)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,32 +41,32 @@ class RetrievalSettings:
     """Weight of the size score."""
 
     floor: float = 0.55
-    """Smallest text score of a match; the default was measured with all-MiniLM-L6-v2 (docs/retrieval.md)."""
+    """Minimum text score of a match; the default was measured with all-MiniLM-L6-v2 (docs/retrieval.md)."""
 
     margin: float = 0.02
-    """Scores this close to the best count as equal: among them the same category is preferred, then the seed decides."""
+    """Scores this close to the best are equally good: among them the same category is preferred, then the seed decides."""
 
     top_k_text: int | None = None
-    """Assets that are compared, the best by text score alone (20 in MesaTask); without a value all are. An asset that is not
-    allowed does not count.
+    """Number of assets with the highest text scores that are compared (20 in MesaTask), or None for all. Assets that may not
+    be chosen do not count.
     """
 
     tilt_patience: float = 2.0
-    """The most usual resting tilt is taken where its misfit (the angle whose cosine is the size score) is at most this many
-    times that of the best tilt plus ten degrees, or five degrees.
+    """The most frequent resting tilt is used whose misfit (the angle whose cosine is the size score) is at most this factor
+    times the least misfit and at most ten degrees above it, or is at most five degrees.
     """
 
     licences: frozenset[str] | None = None
-    """Licences that are allowed; without a value all are. An asset whose licence is unknown is in no list."""
+    """Allowed licences, or None for all. A list excludes assets whose licence is unknown."""
 
     stretch: bool = False
-    """Whether assets are scaled along each axis to the wanted size, as in the paper; else they are scaled by one factor."""
+    """Whether assets are scaled along each axis to the requested size, as in the paper; otherwise the scale is uniform."""
 
     max_distortion: float = 2.0
-    """With ``stretch``, the largest ratio of an asset's largest and smallest scale; the paper has no bound."""
+    """With ``stretch``, the maximum ratio of an asset's largest and smallest scale; the paper has no bound."""
 
     def __post_init__(self) -> None:
-        """Refuses numbers that give no order."""
+        """Checks the ranges of the numbers."""
         bounds = {
             "text_weight": (self.text_weight, 1e-6, math.inf),
             "size_weight": (self.size_weight, 0.0, math.inf),
@@ -85,14 +85,14 @@ class RetrievalSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedAssets:
-    """What one library offers for B queries.
+    """The choices of one library for B queries.
 
     Attributes:
-        asset: Index of the asset, (B,) int64; -1 where no text score reaches the floor.
+        asset: Index of the asset, (B,) int64; -1 if no text score reaches the floor.
         tilt: Index of its resting tilt, (B,) int64.
-        text: Its text score, (B,) float64; where there is no match, the nearest asset's.
-        size: Its size score at the tilt that fits best, (B,) float64; 0 where there is no match.
-        nearest: The asset with the highest text score where there is no match, (B,) int64; else -1.
+        text: Its text score, (B,) float64; that of the nearest asset if there is no match.
+        size: Its size score at the tilt that fits best, (B,) float64; 0 if there is no match.
+        nearest: The asset with the highest text score if there is no match, (B,) int64; else -1.
     """
 
     asset: IntArray
@@ -104,32 +104,32 @@ class RankedAssets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WantedBoxes:
-    """What boxes are wanted.
+    """The requested boxes of B queries.
 
     Attributes:
-        shapes: Their proportions, (B, 3).
-        leans: Whether what is in each may lean on what carries it, (B,).
+        shapes: Proportions, (B, 3).
+        leans: Whether the object of the query may lean on its support, (B,).
     """
 
     shapes: FloatArray
     leans: BoolArray
 
     def of(self, rows: IntArray) -> "WantedBoxes":
-        """Those of some queries, one after the other."""
+        """Returns the boxes of some queries, in the given order."""
         return WantedBoxes(self.shapes[rows], self.leans[rows])
 
 
 class AssetScores:
-    """One library, laid out for scoring: the assets that are offered and allowed.
+    """The assets of one library that may be chosen, as arrays for scoring.
 
     Args:
         library: The library, with features.
         settings: How to choose.
 
     Attributes:
-        assets: The assets that may be chosen.
-        features: Their rows, (N, D) float32.
-        names_category: What they are of, see :class:`~stable_data.assets.catalog.AssetLibrary`.
+        assets: The N assets that may be chosen.
+        features: Text features of the assets, (N, D) float32.
+        names_category: As in :class:`~stable_data.assets.catalog.AssetLibrary`.
     """
 
     def __init__(self, library: AssetLibrary, settings: RetrievalSettings) -> None:
@@ -140,14 +140,14 @@ class AssetScores:
         self.features: Rows = library.features if len(allowed) == len(library) else library.features[allowed]
         self.names_category = library.names_category
         self._boxes = box_proportions([t.extents for a in self.assets for t in a.tilts] or np.ones((0, 3)))
-        # How a thing would lean in a cup; upright where nothing is known comes first.
+        # Assumed tilts of leaning in a cup have count 0, and so does the upright tilt of an unused asset, which is the first.
         self._only_leaning = np.array([k > 0 and t.count == 0 for a in self.assets for k, t in enumerate(a.tilts)], np.bool_)
         self._num_tilts = np.array([len(a.tilts) for a in self.assets], np.int64)
         self._first_tilt = np.cumsum(self._num_tilts) - self._num_tilts
         self._codes = {name: k for k, name in enumerate(sorted({_kind(a.category) for a in self.assets} - {""}))}
         self._category = np.array([self._codes.get(_kind(a.category), -2) for a in self.assets], np.int64)
         self._tickets = np.array([tie_break_number(a.asset_id) for a in self.assets], np.uint64)
-        self._slack = 2.0 * self.features.shape[1] * 2.0**-24  # what a float32 product of unit rows may be off
+        self._slack = 2.0 * self.features.shape[1] * 2.0**-24  # bound on the rounding error of a float32 product
 
     def choose(
         self,
@@ -158,15 +158,15 @@ class AssetScores:
         leans: BoolArray,
         without: Sequence[Collection[str]],
     ) -> RankedAssets:
-        """The best asset for each query, and how it lies.
+        """Chooses the best asset and its resting tilt for each query.
 
         Args:
             features: Unit rows of the queries' texts, (B, D) float32.
-            wanted: Wanted boxes in the yaw frame, (B, 3) float64, metres.
-            categories: What each is to be, where known.
-            tickets: What decides among equals, (B,) uint64.
-            leans: Whether each may lean on what carries it, (B,).
-            without: Ids of assets that are not to be chosen, for each query.
+            wanted: Requested boxes in the yaw frame, (B, 3) float64, metres.
+            categories: Requested categories, None if unknown.
+            tickets: Random bits that decide between equals, (B,) uint64.
+            leans: Whether the object of the query may lean on its support, (B,).
+            without: Ids of excluded assets, for each query.
         """
         shapes, barred = box_proportions(wanted), self._barred(without)
         codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
@@ -174,16 +174,14 @@ class AssetScores:
         size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
         for start in range(0, len(features), size):
             block = slice(start, start + size)
-            boxes, own = (
-                WantedBoxes(shapes[block], leans[block]),
-                [(k - start, n) for k, n in barred if start <= k < start + size],
-            )
+            boxes = WantedBoxes(shapes[block], leans[block])
+            own = [(k - start, n) for k, n in barred if start <= k < start + size]
             parts.append(self._choose(features[block], boxes, codes[block], tickets[block], own))
         columns = zip(*((p.asset, p.tilt, p.text, p.size, p.nearest) for p in parts), strict=True)
         return RankedAssets(*(np.concatenate(column) for column in columns))
 
     def _barred(self, without: Sequence[Collection[str]]) -> list[tuple[int, int]]:
-        """Queries and assets, by number, that are not to come together."""
+        """Returns the excluded pairs of query and asset, by index."""
         if not any(without):
             return []
         number = {asset.asset_id: n for n, asset in enumerate(self.assets)}
@@ -192,12 +190,13 @@ class AssetScores:
     def _choose(
         self, features: Rows, boxes: WantedBoxes, codes: IntArray, tickets: Tickets, barred: Sequence[tuple[int, int]]
     ) -> RankedAssets:
-        """The same for a block of queries."""
+        """Chooses for a block of queries; ``barred`` has the excluded pairs."""
         rough = features @ self.features.T  # (B, N)
         for k, n in barred:
             rough[k, n] = _BARRED
         rows, cols, text = self._candidates(rough, features, boxes)
         size, rows, cols, text = self._best(rows, cols, text, features, boxes)
+        # Among equally good assets those of the requested category are preferred, then the random bits decide.
         same = self._category[cols] == codes[rows]
         has_same = np.zeros(len(features), np.bool_)
         has_same[rows[same]] = True
@@ -215,10 +214,10 @@ class AssetScores:
         return RankedAssets(asset, tilt, texts, sizes, nearest)
 
     def _candidates(self, rough: Rows, features: Rows, boxes: WantedBoxes) -> tuple[IntArray, IntArray, FloatArray]:
-        """Pairs of query and asset that can be the best or as good, by query, and their text scores to within the slack."""
+        """Returns pairs of query and asset that can be best or equally good, and their text scores to within the slack."""
         s, slack = self._settings, self._slack
         best = rough.argmax(axis=1)
-        # One asset's whole score bounds the text score of all that are to matter beside it.
+        # The total score of one asset is a lower bound of the best score, and so gives the least useful text score.
         known = s.text_weight * rough[np.arange(len(rough)), best] + s.size_weight * self._sizes(best, boxes)
         bar = np.maximum((known - s.margin - s.size_weight) / s.text_weight, s.floor) - 2 * slack
         edge = np.full(len(rough), s.floor + 2 * slack)
@@ -228,6 +227,7 @@ class AssetScores:
             bar, edge = np.maximum(bar, kth - 2 * slack), np.maximum(edge, kth + 2 * slack)
         rows, cols = np.nonzero(rough >= bar[:, None].astype(np.float32))
         text = rough[rows, cols].astype(np.float64)
+        # Scores close to a threshold are computed exactly, since the rough ones may be on the wrong side.
         close = np.flatnonzero(text < edge[rows])
         text[close] = self._text(rows[close], cols[close], features)
         keep = text >= s.floor
@@ -241,10 +241,10 @@ class AssetScores:
     def _best(
         self, rows: IntArray, cols: IntArray, text: FloatArray, features: Rows, boxes: WantedBoxes
     ) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:
-        """Of candidates those as good as each query's best: size scores, queries, assets and exact text scores."""
+        """Selects the candidates as good as each query's best: size scores, queries, assets and exact text scores."""
         s = self._settings
         size = self._sizes(cols, boxes.of(rows))
-        for slack in (2 * self._slack, 0.0):
+        for slack in (2 * self._slack, 0.0):  # first with rough text scores, then the remaining ones with exact scores
             score = np.round(s.text_weight * text + s.size_weight * size, _DECIMALS)
             best = np.full(len(features), -np.inf)
             np.maximum.at(best, rows, score)
@@ -255,12 +255,12 @@ class AssetScores:
         return size, rows, cols, text
 
     def _text(self, rows: IntArray, cols: IntArray, features: Rows) -> FloatArray:
-        """Text scores of pairs, (P,) float64, always added up in the same order."""
+        """Computes text scores of pairs, (P,) float64, always summed in the same order."""
         scores: FloatArray = (features[rows] * self.features[cols]).sum(axis=1).astype(np.float64)
         return scores
 
     def _nearest(self, rough: Rows, features: Rows, lost: IntArray) -> tuple[IntArray, FloatArray]:
-        """The asset with the highest text score for some queries, and that score."""
+        """Returns the asset with the highest text score for some queries, and that score."""
         rows, cols = np.nonzero(rough[lost] >= rough[lost].max(axis=1, keepdims=True) - 2 * np.float32(self._slack))
         text = self._text(lost[rows], cols, features)
         order = np.lexsort((-cols, np.round(text, _DECIMALS), rows))
@@ -268,7 +268,7 @@ class AssetScores:
         return cols[last], text[last]
 
     def _sizes(self, cols: IntArray, boxes: WantedBoxes) -> FloatArray:
-        """Size scores of pairs at the tilt that fits best, (P,) float64."""
+        """Computes size scores of pairs at the tilt that fits best, (P,) float64."""
         if not len(cols):
             return np.zeros(0)
         scores, starts = self._tilt_scores(cols, boxes)
@@ -276,21 +276,21 @@ class AssetScores:
         return best
 
     def _tilt(self, cols: IntArray, boxes: WantedBoxes) -> IntArray:
-        """The resting tilt of each pair: the most usual one that fits as well as the best, or nearly, (P,) int64."""
+        """Returns the resting tilt of each pair, the most frequent one whose fit is close to the best, (P,) int64."""
         if not len(cols):
             return np.zeros(0, np.int64)
         scores, starts = self._tilt_scores(cols, boxes)
         counts = self._num_tilts[cols]
         misfits = np.arccos(scores)
         least = np.minimum.reduceat(misfits, starts)
-        most = np.maximum(np.minimum(self._settings.tilt_patience * least, least + _NOT_MUCH), _FITTING)
+        most = np.maximum(np.minimum(self._settings.tilt_patience * least, least + _MAX_EXCESS), _FITTING)
         fits = misfits <= np.repeat(most, counts)
-        number = np.arange(len(scores)) - np.repeat(starts, counts)  # tilts are sorted, the most usual first
+        number = np.arange(len(scores)) - np.repeat(starts, counts)  # tilts are sorted, the most frequent first
         chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(scores)), starts)
         return chosen
 
     def _tilt_scores(self, cols: IntArray, boxes: WantedBoxes) -> tuple[FloatArray, IntArray]:
-        """Size scores of pairs at each of the asset's tilts, one after the other, and where each pair's begin, (P,) int64."""
+        """Computes size scores of pairs at each tilt of the asset, concatenated, and the start of each pair, (P,) int64."""
         counts = self._num_tilts[cols]
         starts = np.cumsum(counts) - counts
         tilts = np.arange(counts.sum()) + np.repeat(self._first_tilt[cols] - starts, counts)
@@ -299,13 +299,13 @@ class AssetScores:
 
 
 def tie_break_number(*parts: str | int) -> int:
-    """Sixty-four bits of a hash of some words and numbers: what lots are drawn with."""
+    """Returns 64 bits of a hash of words and numbers, the random bits that decide between equals."""
     text = "\x00".join(map(str, parts))
     return int.from_bytes(hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest(), "little")
 
 
 def _mixed(bits: Tickets) -> Tickets:
-    """The lots of pairs: bits of asset and query, mixed so that each asset is as likely."""
+    """Mixes the combined bits of asset and query, so that all assets are equally likely."""
     for shift, factor in _MIX:
         bits = (bits ^ (bits >> np.uint64(shift))) * np.uint64(factor)
     return bits ^ (bits >> np.uint64(31))
@@ -316,5 +316,5 @@ def _may_be_used(asset: Asset, settings: RetrievalSettings) -> bool:
 
 
 def _kind(category: str) -> str:
-    """A category as it is compared; empty for none."""
+    """Returns a category in its form for comparison; empty for no category."""
     return category_of(category) if category.strip() else ""

@@ -1,9 +1,8 @@
-"""From words and a wanted box to an asset, its resting tilt and its scale.
+"""Retrieval: from words and a requested box to an asset, its resting tilt and its scale.
 
-``score = 0.9 · text + 0.1 · size``: the dot product of unit text features, and the cosine of the proportions of the wanted box
-and the asset's box at the resting tilt that fits best. Below a floor of the text score nothing matches: the object is reported,
-with the nearest asset, and not forced. A choice depends on the query, the seed and the libraries alone, never on what else is
-asked in the same call.
+``score = 0.9 · text + 0.1 · size``: the dot product of unit text features, and the cosine of the proportions of the requested
+box and the asset's box at the resting tilt that fits best. If no text score reaches the floor, there is no match, and the
+answer names the nearest asset. A choice depends on the query, the seed and the libraries, never on other queries of the call.
 """
 
 import math
@@ -21,24 +20,23 @@ from stable_data.errors import ConfigError, SceneError
 from stable_data.json_text import quote_value
 from stable_data.scene import QuatXyzw, Vec3
 
-_PROBED = 32  # assets whose words are encoded again to see whether features of unknown origin are this encoder's
-_MOST_TEXTS = 20_000  # whose features are kept: 31 MB of 384 numbers
-_RELATED = 0.5  # how near they must be on average: those of another encoder are at about 0
+_PROBED = 32  # assets whose words are encoded again to check whether features of unknown origin are from this encoder
+_MOST_TEXTS = 20_000  # texts whose features are cached: 31 MB with 384 numbers each
+_RELATED = 0.5  # minimum mean cosine in this check; with another encoder it is about 0
 
 
 @dataclass(frozen=True, slots=True)
 class AssetQuery:
-    """An object that wants an asset.
+    """An object that needs an asset.
 
     Attributes:
-        text: Words for it. Where there are none, its category says what it is.
+        text: Description of the object; if it is empty, the category is used alone.
         size: Box in the yaw frame, metres.
-        category: What kind of thing it is, if known: encoded with the words, and preferred among assets that are as good; never
-            demanded.
-        key: What it is drawn by beside the seed, such as ``scene_id/instance``: with a key of its own each of several equal
-            queries may get another asset, and with their scene's key all get the same.
-        leans: Whether it is carried by another thing, on which it may lean; else it has the tilts that it was seen at.
-        without: Ids of assets that it is not to get.
+        category: Category, if known: encoded with the text, and preferred among equally good assets, but not required.
+        key: Decides between equally good assets together with the seed. With different keys, such as ``scene_id/instance``,
+            equal queries may get different assets; with one key for a scene they get the same asset.
+        leans: Whether another object supports it, so that it may lean; otherwise only observed tilts are used.
+        without: Ids of excluded assets.
     """
 
     text: str
@@ -49,13 +47,13 @@ class AssetQuery:
     without: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        """Refuses a box without extent."""
+        """Checks the size."""
         if len(self.size) != 3 or not all(map(math.isfinite, self.size)) or min(self.size) < 0 or max(self.size) <= 0:
             found = f"query {quote_value(self.text)} has size {self.size}"
             raise SceneError(f"{found}, expected width, depth and height in metres", "size_invalid")
 
     def sentence(self, *, names_category: bool = True) -> str:
-        """What is encoded of it: its category and its words, or its words alone where it has any."""
+        """Returns the sentence to encode: category and text, or without ``names_category`` the text alone if there is one."""
         is_named = names_category or not self.text.strip()
         return asset_sentence(self.text, (self.category or "") if is_named else "")
 
@@ -65,16 +63,16 @@ class AssetMatch:
     """The asset for a query.
 
     Attributes:
-        asset_id: Its uid.
-        library: The library that serves it.
-        category: Its category; empty where unknown.
-        score: What it was chosen by.
+        asset_id: Identifier of the asset.
+        library: Name of its library.
+        category: Category; empty if unknown.
+        score: Weighted sum of the two scores.
         text_score: Dot product of the text features.
         size_score: Cosine of the proportions, at the resting tilt that fits best.
-        tilt_quat_xyzw: Its resting tilt.
-        scale: Metres per mesh unit along the mesh's own axes.
-        size: Its box at that tilt and scale, metres, yaw frame.
-        note: Why it is scaled evenly although it was to be stretched; else empty.
+        tilt_quat_xyzw: The chosen resting tilt.
+        scale: Metres per mesh unit along the axes of the mesh.
+        size: Box at that tilt and scale, metres, yaw frame.
+        note: Why the scale is uniform although the settings require stretching; else empty.
     """
 
     asset_id: str
@@ -91,13 +89,13 @@ class AssetMatch:
 
 @dataclass(frozen=True, slots=True)
 class UnmatchedQuery:
-    """A query that no library has an asset for.
+    """The answer to a query without a match.
 
     Attributes:
-        reason: One line for a person.
-        nearest: The asset whose words come nearest; empty where the query has none.
-        library: Its library.
-        text_score: How near.
+        reason: Explanation in one line.
+        nearest: Id of the asset with the highest text score; empty if the query has no words.
+        library: Name of the library of the nearest asset.
+        text_score: Text score of the nearest asset.
     """
 
     reason: str
@@ -110,7 +108,7 @@ Answer: TypeAlias = AssetMatch | UnmatchedQuery
 
 
 class Retriever:
-    """Finds assets in libraries, the first that has a match serving.
+    """Finds assets in libraries, which are searched in order; the first match is used.
 
     Args:
         libraries: In order of preference, with features of the same encoder.
@@ -118,8 +116,8 @@ class Retriever:
         settings: How assets are chosen.
 
     Raises:
-        ConfigError: There is no library, one has no features or those of another encoder, two have one name, or the licences
-            leave none an asset.
+        ConfigError: There is no library, a library has no features or those of another encoder, two libraries have the same
+            name, or the licences exclude all assets.
     """
 
     def __init__(
@@ -143,17 +141,17 @@ class Retriever:
         self._known: dict[str, Rows] = {}
 
     def retrieve(self, queries: Sequence[AssetQuery], seed: int = 0) -> list[Answer]:
-        """An asset for each query, or why there is none.
+        """Finds an asset for each query, or the reason why there is none.
 
         Args:
-            queries: The queries; each is answered as if it were asked alone.
-            seed: Decides among assets that are as good: with the same seed a query always gets the same one.
+            queries: The queries; the answer to each does not depend on the others.
+            seed: Decides between equally good assets: with the same seed a query always gets the same asset.
 
         Returns:
-            One answer a query.
+            One answer for each query.
 
         Raises:
-            ConfigError: The encoder gives anything but unit rows of the libraries' length.
+            ConfigError: The encoder does not return unit rows of the libraries' length.
         """
         kinds = {scores.names_category for _, scores in self._libraries}
         texts = list(dict.fromkeys(q.sentence(names_category=kind) for kind in sorted(kinds) for q in queries if q.sentence()))
@@ -162,7 +160,7 @@ class Retriever:
         return self._answers(queries, self._encoded(texts), seed)
 
     def _encoded(self, texts: Sequence[str]) -> dict[str, Rows]:
-        """The row (D,) of each text; scenes say the same of their things again and again, so it is kept."""
+        """Returns the row (D,) of each text, from a cache, since scenes repeat the same descriptions."""
         found = {text: self._known[text] for text in texts if text in self._known}
         if unknown := [text for text in texts if text not in found]:
             rows = check_rows(self._encoder(unknown), len(unknown), "the text encoder")
@@ -182,16 +180,16 @@ class Retriever:
         for name, scores in self._libraries:
             if not waiting:
                 break
-            asked = [queries[k] for k in waiting]
+            waiting_queries = [queries[k] for k in waiting]
             choices = scores.choose(
-                np.stack([rows[query.sentence(names_category=scores.names_category)] for query in asked]),
-                np.array([query.size for query in asked], np.float64),
-                [query.category for query in asked],
-                np.array([tie_break_number(seed, query.key, query.sentence()) for query in asked], np.uint64),
-                np.array([query.leans for query in asked], np.bool_),
-                [query.without for query in asked],
+                np.stack([rows[query.sentence(names_category=scores.names_category)] for query in waiting_queries]),
+                np.array([query.size for query in waiting_queries], np.float64),
+                [query.category for query in waiting_queries],
+                np.array([tie_break_number(seed, query.key, query.sentence()) for query in waiting_queries], np.uint64),
+                np.array([query.leans for query in waiting_queries], np.bool_),
+                [query.without for query in waiting_queries],
             )
-            for k, answer in zip(waiting, self._read(name, scores, choices, asked), strict=True):
+            for k, answer in zip(waiting, self._read(name, scores, choices, waiting_queries), strict=True):
                 previous = answers[k]
                 is_nearer = not isinstance(previous, UnmatchedQuery) or not previous.nearest
                 if isinstance(answer, AssetMatch) or is_nearer or answer.text_score > previous.text_score:
@@ -200,7 +198,7 @@ class Retriever:
         return answers
 
     def _read(self, name: str, scores: AssetScores, choices: RankedAssets, queries: Sequence[AssetQuery]) -> list[Answer]:
-        """What one library answers."""
+        """Converts the choices of one library to answers."""
         columns = zip(
             *(c.tolist() for c in (choices.asset, choices.tilt, choices.text, choices.size, choices.nearest)), strict=True
         )
@@ -209,7 +207,7 @@ class Retriever:
         answers: list[Answer] = []
         for query, factor, (index, tilt, text, size, nearest) in zip(queries, factors, columns, strict=True):
             if index < 0 and scores.assets[nearest].asset_id in query.without:
-                answers.append(UnmatchedQuery("it is to go without all that the libraries have"))
+                answers.append(UnmatchedQuery("the query excludes all assets of the libraries"))
             elif index < 0:
                 answers.append(self._unmatched(name, scores.assets[nearest], text, query))
             else:
@@ -228,11 +226,10 @@ class Retriever:
             if stretched is not None and distortion <= self.settings.max_distortion:
                 scale, box = stretched, query.size
             elif stretched is None:
-                note = "scaled evenly: it is flat or leans, and cannot be stretched to a box"
+                note = "is scaled uniformly: it is flat or leans, so it cannot be stretched to a box"
             else:
-                note = f"scaled evenly: to be stretched, it would be distorted {distortion:.2g} times, at most " + (
-                    f"{self.settings.max_distortion:g} allowed"
-                )
+                allowed = f"expected at most {self.settings.max_distortion:g}"
+                note = f"is scaled uniformly: stretching would distort it by a factor of {distortion:.2g}, {allowed}"
         return AssetMatch(
             asset.asset_id,
             name,
@@ -258,7 +255,7 @@ def _wordless() -> UnmatchedQuery:
 
 
 def _check_encoder(library: AssetLibrary, encoder: TextEncoder) -> None:
-    """Refuses a library whose features are not this encoder's; where it does not say, they are tried."""
+    """Checks that the features of a library are from an encoder; features of unknown origin are compared with new ones."""
     if library.features is None:
         message = f"library {library.name} has no text features; call embedded(encoder) on it first"
         raise ConfigError(message, "features_missing")

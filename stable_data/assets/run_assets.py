@@ -1,4 +1,4 @@
-"""Assets of a run's own tables, for jobs that see the run folder and not the dataset that it was made of."""
+"""Assets from the tables of a run, for jobs that have the run folder but not the original dataset."""
 
 import hashlib
 import weakref
@@ -19,19 +19,19 @@ from stable_data.storage.run_folder import RunFolder, Uri
 
 
 class RunAssets:
-    """An :class:`~stable_data.assets.store.AssetSource` over the table ``meshes``: its GLBs as files, named by their content.
+    """An :class:`~stable_data.assets.store.AssetSource` for the table ``meshes``: its GLBs as files, named by their hash.
 
-    The files of a row group are written when the first of them is asked for; those that are there already, such as another
-    process's, are used. A file is served once its content has been hashed, and a GLB that has another hash than its row states
-    is never written: runs of any origin may share the folder. Of the table no more than a row group is held at a time. It is a
-    :class:`~stable_data.assets.store.PartSource` too: the convex parts are those of the table.
+    The first request for a file writes the files of its row group; existing files, such as those of another process, are used.
+    A file is returned only after its hash is verified, and a GLB whose hash differs from that of its row is never written, so
+    runs of any origin can share the folder. At most one row group of the table is in memory. The class is also a
+    :class:`~stable_data.assets.store.PartSource` with the convex parts of the table.
 
     Args:
         run: The run folder.
         files: Local folder for the files.
 
     Raises:
-        ConfigError: The run has no table ``meshes``, it cannot be read, or the files cannot be written.
+        ConfigError: The run has no table ``meshes``, the table cannot be read, or the folder cannot be written.
     """
 
     def __init__(self, run: RunFolder, files: Path) -> None:
@@ -57,11 +57,11 @@ class RunAssets:
             raise cannot_write(str(files), error) from error
 
     def asset_path(self, asset_id: str) -> Path | None:
-        """The asset's repaired mesh as a GLB file, or None where the run has none.
+        """Returns the repaired mesh of an asset as a GLB file, or None if the run has no mesh of it.
 
         Raises:
-            ConfigError: The table cannot be read any more, or the file cannot be written.
-            MeshError: The hash of the row's GLB is not the one that the row states (``mesh_differs``).
+            ConfigError: The table can no longer be read, or the file cannot be written.
+            MeshError: The GLB of the row does not have the hash of the row (``mesh_differs``).
         """
         if asset_id not in self._content_of:
             return None
@@ -77,10 +77,10 @@ class RunAssets:
         return path
 
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
-        """The asset's convex parts as the run has them, in the frame and unit of its mesh; none where it has none.
+        """Returns the convex parts of an asset, in the frame and unit of its mesh; empty if the run has none.
 
         Raises:
-            ConfigError: The table cannot be read any more.
+            ConfigError: The table can no longer be read.
         """
         if asset_id not in self._group_of:
             return ()
@@ -98,7 +98,7 @@ class RunAssets:
         return self._files / f"{sha256}.glb"
 
     def _place(self, group: int, wanted: str) -> None:
-        """Writes the files of a row group that have the stated content, each in one step: ``wanted``, and those not there yet."""
+        """Atomically writes the file ``wanted`` and all missing files of a row group, if their content has the stated hash."""
         rows = self._meshes.read([group])
         try:
             for glb, sha256 in zip(rows["glb"], rows["sha256"].to_pylist(), strict=True):
@@ -111,7 +111,7 @@ class RunAssets:
 
 
 def _digest(path: Path) -> str | None:
-    """Hash of a file's content; None where there is none that can be read."""
+    """Computes the SHA-256 of a file; None if it cannot be read."""
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -120,10 +120,10 @@ def _digest(path: Path) -> str | None:
 
 
 def run_store(run: Uri) -> AssetStore:
-    """The assets of a run, their files in a folder of their own that goes when the store does.
+    """Opens the assets of a run; their files are in a temporary folder that is deleted with the store.
 
     Args:
-        run: The run's folder or URI.
+        run: Folder or URI of the run.
 
     Raises:
         ConfigError: As :class:`RunAssets`.
@@ -135,10 +135,10 @@ def run_store(run: Uri) -> AssetStore:
 
 
 def run_annotations(run: RunFolder) -> dict[str, AssetAnnotation]:
-    """What a run's table ``assets`` says of its assets, as annotations, by id.
+    """Returns asset id -> annotation from the table ``assets`` of a run.
 
     Raises:
-        ConfigError: The run has no such table, or it cannot be read.
+        ConfigError: The run has no such table, or the table cannot be read.
     """
     columns = ["asset_id", "category", "description", "caption", "licence", "source", "extents", "mass", "is_container"]
     return {row["asset_id"]: _annotation(row) for row in run.table("assets", columns).to_pylist()}

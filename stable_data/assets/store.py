@@ -1,4 +1,4 @@
-"""Geometry of assets: what a scene's objects look like at their scale and tilt, computed once."""
+"""The geometry of assets and of objects at their scale and tilt, computed once and cached."""
 
 import math
 from collections import OrderedDict
@@ -29,31 +29,31 @@ from stable_data.rotations import normalise_quat
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
 
 ASPECT_STEP = math.log(1.05)
-"""Aspects are snapped to powers of 1.05, so that assets scaled nearly alike share a grid."""
+"""Aspects are rounded to powers of 1.05, so that assets with similar scales share a grid."""
 
-# The tree of a shape lives as long as it, and takes 560 bytes a triangle.
-_GOES_WITH = 48
-_PASSING = ("glb_unreadable", "unexpected")  # faults that may be the machine's
-_STAND_IN = "a box of its size stands in, and what rests on its mesh is unknown"
+# A shape also owns its search tree of 560 bytes per triangle, so the cache weighs it as a multiple of its vertices.
+_SHAPE_WEIGHT = 48
+_TRANSIENT = ("glb_unreadable", "unexpected")  # codes of errors that the machine may cause, and that may not recur
+_STAND_IN = "a box of its size replaces it, so contacts with its mesh are unknown"
 
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
 
 class AssetSource(Protocol):
-    """Where meshes come from; a :class:`~stable_data.mesatask.MesaTaskDataset` is one."""
+    """A source of meshes, such as a :class:`~stable_data.mesatask.MesaTaskDataset`."""
 
     def asset_path(self, asset_id: str) -> Path | None:
-        """The asset's GLB file, or None where there is none."""
+        """Returns the GLB file of an asset, or None if there is none."""
         ...
 
 
 @runtime_checkable
 class PartSource(Protocol):
-    """A source that also keeps the convex parts of its assets, such as the tables of a run."""
+    """A source that also stores the convex parts of its assets, such as the tables of a run."""
 
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
-        """Convex parts, in the frame and unit of the asset's mesh; none where it has none."""
+        """Returns the convex parts in the frame and unit of the asset's mesh; empty if there are none."""
         ...
 
 
@@ -62,9 +62,9 @@ class AssetMesh:
     """A mesh that was read and repaired.
 
     Attributes:
-        mesh: Mesh units, z up, centred on its box.
-        report: What it is and what repair did.
-        notices: What was odd about it.
+        mesh: The mesh, in mesh units, z up, centred on its box.
+        report: Properties of the mesh, and the repairs.
+        notices: Problems of the file.
     """
 
     mesh: Mesh
@@ -72,8 +72,8 @@ class AssetMesh:
     notices: tuple[Notice, ...]
 
 
-class _Recent(Generic[K, V]):
-    """The most recently used values whose weights stay under a bound."""
+class _Cache(Generic[K, V]):
+    """A cache of the most recently used values, with a bound on the sum of their weights."""
 
     def __init__(self, max_weight: int) -> None:
         self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
@@ -93,27 +93,27 @@ class _Recent(Generic[K, V]):
 
 
 class AssetStore:
-    """Meshes, shapes and grids of assets: each computed when first asked for, kept while memory allows.
+    """Meshes, shapes, colours and grids of assets: computed on the first request and cached.
 
     Args:
-        source: Where the meshes are.
-        max_bytes: Bound on what the meshes, the shapes and the grids that are kept take, each, bytes.
+        source: The source of the meshes.
+        max_bytes: Maximum size of each of the caches, bytes.
     """
 
     def __init__(self, source: AssetSource, max_bytes: int = 256 * 2**20) -> None:
         self._source = source
-        self._meshes: _Recent[str, AssetMesh | MeshError] = _Recent(max_bytes)
-        self._shapes: _Recent[Hashable, Shape] = _Recent(max_bytes)
-        self._grids: _Recent[Hashable, SdfGrid] = _Recent(max_bytes)
-        self._paints: _Recent[str, tuple[Paint, tuple[Notice, ...]]] = _Recent(max_bytes)
+        self._meshes: _Cache[str, AssetMesh | MeshError] = _Cache(max_bytes)
+        self._shapes: _Cache[Hashable, Shape] = _Cache(max_bytes)
+        self._grids: _Cache[Hashable, SdfGrid] = _Cache(max_bytes)
+        self._paints: _Cache[str, tuple[Paint, tuple[Notice, ...]]] = _Cache(max_bytes)
         self._faults: dict[str, str | None] = {}
 
     def asset(self, asset_id: str) -> AssetMesh:
-        """The repaired mesh of an asset.
+        """Returns the repaired mesh of an asset.
 
         Raises:
-            MeshError: It is missing or cannot be used; the same words each time, but what may be the machine's fault is tried
-                anew each time: else what a process made would depend on what it had made before.
+            MeshError: The mesh is missing or cannot be used. The error is cached, except for errors that the machine may cause:
+                these are tried again each time, so that results do not depend on what the process did before.
         """
         found = self._meshes.get(asset_id, lambda: self._load(asset_id), _mesh_bytes)
         if isinstance(found, MeshError):
@@ -121,80 +121,80 @@ class AssetStore:
         return found
 
     def colliders(self, asset_id: str) -> tuple[Mesh, ...]:
-        """The convex parts that came with an asset's file, in the frame of its mesh; none where it has none that can be used.
+        """Returns the convex parts in an asset's file, in the frame of its mesh; empty if there are no usable ones.
 
         Raises:
-            MeshError: The file cannot be read for now: other parts would be made of it, and kept.
+            MeshError: The file cannot be read at the moment. An empty result would make the caller compute and store other parts.
         """
         path = self._source.asset_path(asset_id)
         return () if path is None else colliders_of(path, asset_id)
 
-    def kept_parts(self, asset_id: str) -> tuple[Mesh, ...]:
-        """The convex parts that its source keeps of an asset, see :class:`PartSource`; none where it keeps none."""
+    def stored_parts(self, asset_id: str) -> tuple[Mesh, ...]:
+        """Returns the convex parts of an asset from a :class:`PartSource`; empty if the source has none."""
         return self._source.parts(asset_id) if isinstance(self._source, PartSource) else ()
 
     def shape(self, o: SceneObject) -> tuple[Shape, tuple[Notice, ...]]:
-        """The geometry of an object at its scale and tilt.
+        """Returns the geometry of an object at its scale and tilt.
 
-        Where its scale is missing, or gives another box than ``size``, the mesh is fitted to ``size``; where the mesh itself is
-        missing or broken, or nothing fits, a box of ``size`` stands in.
+        If the scale is missing, or gives another box than ``size``, the mesh is fitted to ``size``. If the mesh is missing or
+        broken, or cannot be fitted, the geometry is a box of ``size``.
 
         Returns:
-            The shape, metres, yaw frame; and what had to be done, with the object's instance as ``item_id``.
+            The shape, metres, yaw frame; and notices of replacements, with the object's instance as ``item_id``.
         """
-        shape, _, odd = self._shape_and_scale(o)
-        return shape, odd
+        shape, _, notices = self._shape_and_scale(o)
+        return shape, notices
 
     def _shape_and_scale(self, o: SceneObject) -> tuple[Shape, Vec3 | None, tuple[Notice, ...]]:
-        """As ``shape``, with the scale that the mesh has in it; None where none fits, the object's own where there is no mesh."""
+        """As ``shape``, with the scale of the mesh: None if no scale fits, that of the object if there is no mesh."""
         if o.asset_id is None:
-            return Shape.box(o.size), o.scale, ()  # the reader has said why
+            return Shape.box(o.size), o.scale, ()  # the reader of the scene has given a notice
         try:
             asset = self.asset(o.asset_id)
         except MeshError as error:
             message = f"object {o.instance}: {error}; {_STAND_IN}"
             return Shape.box(o.size), o.scale, (Notice(o.instance, "mesh", error.code, message),)
-        odd = tuple(Notice(o.instance, n.step, n.code, f"object {o.instance}: {n.message}") for n in asset.notices)
+        notices = tuple(Notice(o.instance, n.step, n.code, f"object {o.instance}: {n.message}") for n in asset.notices)
         if o.scale is not None:
             shape = self._scaled(o.asset_id, asset, o.scale, o.tilt_quat_xyzw)
             if has_size(shape.size, o.size):
-                return shape, o.scale, odd
+                return shape, o.scale, notices
             message = (
                 f"object {o.instance}: asset {o.asset_id} at its scale is {_in_cm(shape.size)}, expected {_in_cm(o.size)}; "
                 "the mesh is scaled to the size; is it a different mesh from the annotated one?"
             )
-            odd = (*odd, Notice(o.instance, "mesh", "asset_differs", message))
+            notices = (*notices, Notice(o.instance, "mesh", "asset_differs", message))
         scale = fitted_scale(asset.mesh, o.tilt_quat_xyzw, o.size)
         shape = self._scaled(o.asset_id, asset, scale, o.tilt_quat_xyzw)
         if has_size(shape.size, o.size):
-            return shape, scale, odd
+            return shape, scale, notices
         message = (
             f"object {o.instance}: asset {o.asset_id} fitted to its size is {_in_cm(shape.size)}, expected {_in_cm(o.size)}; "
             f"{_STAND_IN}"
         )
-        return Shape.box(o.size), None, (*odd, Notice(o.instance, "mesh", "asset_does_not_fit", message))
+        return Shape.box(o.size), None, (*notices, Notice(o.instance, "mesh", "asset_does_not_fit", message))
 
     def shapes(self, scene: Scene) -> tuple[list[Shape], tuple[Notice, ...]]:
-        """The geometry of every object of a scene, in its order, and the notices with the scene as ``item_id``."""
+        """Returns the geometry of every object of a scene, in order, and notices with the scene as ``item_id``."""
         return self.resolved(scene)[1:]
 
     def resolved(
         self, scene: Scene, convention: PositionConvention = PositionConvention.BOX_CENTRE
     ) -> tuple[Scene, list[Shape], tuple[Notice, ...]]:
-        """A scene as its meshes make it, so that what is kept of it is what is judged.
+        """Returns a scene whose positions and scales agree with its meshes, so that the stored scene is the audited one.
 
         Args:
-            scene: As read.
-            convention: Which point of a tilted object the scene's positions are.
+            scene: The scene from a file.
+            convention: The point of a tilted object that the positions of the file refer to.
 
         Returns:
-            The scene with every position at the centre of its object's box in the yaw frame and every scale as the mesh has it
-            (``source`` keeps the file's); the geometry of its objects, in its order; and the notices, with the scene as
+            The scene with every position at the centre of the object's box in the yaw frame, and with the scales of the shapes
+            (``source`` still has those of the file); the geometry of its objects, in order; and notices with the scene as
             ``item_id``.
         """
         objects, shapes, notices = [], [], []
         for o in scene.objects:
-            shape, scale, odd = self._shape_and_scale(o)
+            shape, scale, found = self._shape_and_scale(o)
             if scale != o.scale:
                 o = replace(o, scale=scale)
             if convention is PositionConvention.MESH_CENTRE:
@@ -205,61 +205,61 @@ class AssetStore:
                     message = (
                         f"object {o.instance}: its box position needs its missing mesh; the mesh centre in the file is used"
                     )
-                    odd = (*odd, Notice(o.instance, "mesh", "position_unknown", message))
+                    found = (*found, Notice(o.instance, "mesh", "position_unknown", message))
             objects.append(o)
             shapes.append(shape)
-            notices += [Notice(scene.scene_id, n.step, n.code, n.message) for n in odd]
+            notices += [Notice(scene.scene_id, n.step, n.code, n.message) for n in found]
         return replace(scene, objects=tuple(objects)), shapes, tuple(notices)
 
     def fault_of(self, asset_id: str) -> str | None:
-        """Why the mesh of an asset cannot be used, one line; None where it can, or where that may be otherwise another time.
+        """Returns in one line why the mesh of an asset cannot be used; None if it can, or if the error may not recur.
 
-        What cannot be read for now is not passed over for another asset: else the same task gave another scene elsewhere.
+        An asset with a transient error must not be replaced by another one: the same task would give another scene elsewhere.
         """
         if asset_id not in self._faults:
             try:
                 self.asset(asset_id)
                 self._faults[asset_id] = None
             except MeshError as error:
-                if error.code in _PASSING:
-                    return None  # asked again the next time
+                if error.code in _TRANSIENT:
+                    return None  # not cached
                 self._faults[asset_id] = str(error)
         return self._faults[asset_id]
 
     def mesh_of(self, o: SceneObject) -> Mesh | None:
-        """The repaired mesh of an object, mesh units, or None where it has none that can be used."""
+        """Returns the repaired mesh of an object, mesh units, or None if it has no usable mesh."""
         try:
             return None if o.asset_id is None else self.asset(o.asset_id).mesh
         except MeshError:
             return None
 
     def paint(self, asset_id: str) -> tuple[Paint, tuple[Notice, ...]]:
-        """The colours of the faces of an asset's repaired mesh, and why there are none where its file's cannot be read.
+        """Returns the face colours of an asset's repaired mesh, and a notice if the colours of the file cannot be read.
 
         Raises:
             MeshError: The mesh is missing or cannot be used.
         """
-        return self._paints.get(asset_id, lambda: self._painted(asset_id), lambda p: 256 + sum(f.nbytes for _, f in p[0]))
+        return self._paints.get(asset_id, lambda: self._load_paint(asset_id), lambda p: 256 + sum(f.nbytes for _, f in p[0]))
 
-    def _painted(self, asset_id: str) -> tuple[Paint, tuple[Notice, ...]]:
+    def _load_paint(self, asset_id: str) -> tuple[Paint, tuple[Notice, ...]]:
         mesh, path = self.asset(asset_id).mesh, self._source.asset_path(asset_id)
         assert path is not None
         try:
             return load_paint(path, asset_id, mesh), ()
         except MeshError as error:
-            if error.code in _PASSING:
+            if error.code in _TRANSIENT:
                 raise
             return (), (Notice(asset_id, "mesh", error.code, str(error)),)
 
     def paint_of(self, o: SceneObject) -> Paint:
-        """The colours of an object, none where they are not known."""
+        """Returns the colours of an object; empty if they are unknown."""
         try:
             return () if o.asset_id is None else self.paint(o.asset_id)[0]
         except MeshError:
             return ()
 
     def grid(self, asset_id: str, scale: Vec3) -> SdfGrid:
-        """The signed-distance grid of an asset at the aspect of a scale.
+        """Returns the signed-distance grid of an asset at the aspect of a scale.
 
         Raises:
             MeshError: The mesh is missing or cannot be used.
@@ -273,10 +273,12 @@ class AssetStore:
 
     def _scaled(self, asset_id: str, asset: AssetMesh, scale: Vec3, tilt: QuatXyzw) -> Shape:
         key = (asset_id, scale, tilt)
-        return self._shapes.get(key, lambda: Shape.from_mesh(asset.mesh, scale, tilt), lambda s: _GOES_WITH * s.vertices.nbytes)
+        return self._shapes.get(
+            key, lambda: Shape.from_mesh(asset.mesh, scale, tilt), lambda s: _SHAPE_WEIGHT * s.vertices.nbytes
+        )
 
     def _load(self, asset_id: str) -> AssetMesh | MeshError:
-        """The mesh, or the error that is kept in its place; one that may pass is raised, and so not kept."""
+        """Reads and repairs a mesh. A lasting error is returned, to be cached; a transient one is raised."""
         path = self._source.asset_path(asset_id)
         if path is None:
             return MeshError(
@@ -284,28 +286,28 @@ class AssetStore:
                 "glb_missing",
             )
         try:
-            mesh, odd = load_glb(path, asset_id)
+            mesh, notices = load_glb(path, asset_id)
             mesh, report, repaired = repair_mesh(mesh, asset_id)
         except MeshError as error:
-            if error.code in _PASSING:
+            if error.code in _TRANSIENT:
                 raise
-            return MeshError(str(error), error.code)  # the error itself holds on to the file's content
-        except Exception as error:  # a file that nobody foresaw is one asset lost, whoever asks for it
+            return MeshError(str(error), error.code)  # a new error: the traceback of the old one references the file's content
+        except Exception as error:  # a bug with an unusual file must cost one asset, not the job
             found = f"{type(error).__name__}: {error}"
             raise MeshError(f"asset {asset_id}: {found}; please report this with the file", "unexpected") from error
-        return AssetMesh(mesh, report, odd + repaired)
+        return AssetMesh(mesh, report, notices + repaired)
 
 
 def colliders_of(path: Path, asset_id: str) -> tuple[Mesh, ...]:
-    """The convex parts that a file brings with it; none where it has none that can be used, and the mesh itself is cut up instead.
+    """Returns the convex parts in a file; empty if there are no usable ones, and the caller then decomposes the mesh.
 
     Raises:
-        MeshError: The file cannot be read for now.
+        MeshError: The file cannot be read at the moment.
     """
     try:
         return load_colliders(path, asset_id)
     except MeshError as error:
-        if error.code in _PASSING:
+        if error.code in _TRANSIENT:
             raise
         return ()
 
@@ -319,36 +321,36 @@ def _mesh_bytes(found: AssetMesh | MeshError) -> int:
 
 
 def aspect_steps(scale: Vec3) -> tuple[int, int, int]:
-    """Aspect of a scale, snapped to 5 %: how many steps of 1.05 each axis is below the largest one."""
+    """Returns the aspect of a scale, rounded to 5 %: the number of factors 1.05 between each axis and the largest one."""
     largest = max(scale)
     x, y, z = (round(math.log(largest / s) / ASPECT_STEP) for s in scale)
     return x, y, z
 
 
 def aspect_of(steps: tuple[int, int, int]) -> Vec3:
-    """Aspect, (3,), largest component 1, of the steps that :func:`aspect_steps` gave."""
+    """Returns the aspect of the steps of :func:`aspect_steps`, (3,), with 1 as its largest component."""
     x, y, z = (math.exp(-ASPECT_STEP * k) for k in steps)
     return x, y, z
 
 
 def canonical_quaternion(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
-    """The unit quaternion, with one of the two signs that mean the same rotation."""
+    """Returns the unit quaternion with a fixed choice of sign, since q and -q are the same rotation."""
     sign = 1.0 if next((q for q in reversed(tilt_quat_xyzw) if abs(q) > 0.01), 1.0) > 0 else -1.0
     x, y, z, w = (sign * q + 0.0 for q in normalise_quat(tilt_quat_xyzw))
     return x, y, z, w
 
 
 def tilt_key(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
-    """A tilt with each component snapped to 0.01: those within about a degree count as one."""
+    """Returns a tilt with each component rounded to 0.01, so that tilts within about one degree are equal."""
     x, y, z, w = (round(q, 2) + 0.0 for q in canonical_quaternion(tilt_quat_xyzw))
     return x, y, z, w
 
 
 def fitted_scale(mesh: Mesh, tilt_quat_xyzw: QuatXyzw, size: Vec3) -> Vec3:
-    """Scale along the mesh's axes that makes the tilted mesh as large as a box, or nearly so.
+    """Computes the scale along the mesh axes that fits the tilted mesh to a box.
 
-    Exact for tilts by right angles, where each axis of the box belongs to one of the mesh. Elsewhere the better of a
-    least-squares fit and one uniform factor, which is also what a fit that would flatten the mesh gives way to.
+    The fit is exact for right-angled tilts, which map each axis of the mesh to one of the box. Otherwise it is the better one of
+    a least-squares fit and a uniform factor; the uniform factor also replaces a fit that would flatten the mesh.
 
     Args:
         mesh: Mesh units.
@@ -362,7 +364,7 @@ def fitted_scale(mesh: Mesh, tilt_quat_xyzw: QuatXyzw, size: Vec3) -> Vec3:
     turned = np.abs(Rotation.from_quat(tilt_quat_xyzw).as_matrix()) * extents
     turned[turned < 1e-9 * extents.max()] = 0.0
     fitted, _ = nnls(turned, wanted)
-    is_flat = extents < 1e-9 * extents.max()  # such an axis has no scale of its own
+    is_flat = extents < 1e-9 * extents.max()  # the data do not determine the scale of such an axis
     fitted[is_flat] = np.median(fitted[~is_flat])
     uniform = np.full(3, wanted.max() / Shape.from_mesh(mesh, (1.0, 1.0, 1.0), tilt_quat_xyzw).size.max())
     scales: list[Vec3] = [tuple(s.tolist()) for s in (fitted, uniform) if s.min() >= 0.05 * s.max() > 0]

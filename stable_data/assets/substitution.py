@@ -1,7 +1,7 @@
-"""Wanted objects become objects with assets: where they were, what they are called, standing on what they stood on.
+"""Replaces requested objects by objects with assets, with the same instance, x, y, yaw and support.
 
-An asset is seldom as high as the box that was wanted. So the underside is what stays: at its height where the object stands on
-the table or on something that is not replaced, and on its carrier where that one changes.
+An asset is seldom as high as the requested box, so the height of the underside is preserved: in the world frame, or relative to
+the support if the support changes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,14 +13,14 @@ from stable_data.scene_graph.support_tree import SupportTree
 
 
 def substitute_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
-    """The object as a match makes it.
+    """Returns an object with the asset of a match.
 
-    Its instance, x, y, yaw, description, stage and support stay, and so does the height of its underside. Asset, category
-    (where the asset has one), tilt, scale and size are the match's. What rests on it is not looked at: see :func:`substitute_assets`.
+    Instance, x, y, yaw, description, stage, support and the height of the underside are those of the object. Asset, category
+    (if the asset has one), tilt, scale and size are those of the match. :func:`substitute_assets` also moves supported objects.
 
     Args:
         wanted: The object; ``position`` is the centre of its box in the yaw frame, metres, world frame.
-        match: What was found for it.
+        match: The match of the object.
     """
     x, y, _ = wanted.position
     return replace(
@@ -35,19 +35,19 @@ def substitute_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
 
 
 def substitute_assets(objects: Sequence[SceneObject], matches: Mapping[str, AssetMatch]) -> tuple[SceneObject, ...]:
-    """A layout with assets in place of wanted objects, what they carry moved with them.
+    """Replaces the objects of a layout by objects with assets, and moves supported objects with their supports.
 
-    What stands on a carrier (``support``) is lifted or lowered by as much as the carrier's top moves; what lies within the
-    carrier's height, as in a bowl, keeps its place between the carrier's underside and top. Both hold through stacks of any
-    height. x and y stay: whether everything still has room is for the corrector to see to.
+    An object on top of its support moves up or down with the top of the support. An object within the height of its support, as
+    in a bowl, keeps its relative height between underside and top. Both hold for stacks of any height. x and y do not change;
+    the corrector resolves collisions.
 
     Args:
-        objects: The layout. A support that is not among them, such as ``table`` or an object of an earlier stage, stays as it
-            is.
-        matches: instance -> match, for those that get an asset; the others are only moved with their carriers.
+        objects: The layout. A support that is not one of them, such as ``table`` or an object of an earlier stage, does not
+            change.
+        matches: Instance -> match, for objects that get an asset; the other objects only move with their supports.
 
     Returns:
-        The objects, in their order.
+        The objects, in the given order.
 
     Raises:
         SceneError: Supports form a cycle (``support_circle``).
@@ -62,7 +62,7 @@ def substitute_assets(objects: Sequence[SceneObject], matches: Mapping[str, Asse
 def _placed(
     o: SceneObject, match: AssetMatch | None, wanted: Mapping[str, SceneObject], done: Mapping[str, SceneObject]
 ) -> SceneObject:
-    """An object with its asset, on its carrier as that one is now."""
+    """Returns an object with its asset, at its height on the replaced support."""
     low = o.bottom
     if o.support in done and o.support is not None:
         before, after = wanted[o.support], done[o.support]

@@ -1,6 +1,6 @@
-"""Unit rows for words: what a text encoder is, and a file that keeps what it said.
+"""Text embeddings as unit rows: the protocol of a text encoder, and a cache file for its rows.
 
-The library knows no model: whoever has one hands it in. Rows of two encoders are never compared, so each names itself by the
+The library contains no model; the caller passes one. Rows of different encoders cannot be compared, so each encoder has the
 fingerprint of its weights.
 """
 
@@ -17,35 +17,35 @@ from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, cannot_write
 
 Rows: TypeAlias = npt.NDArray[np.float32]
-"""One unit row a text, (N, D) float32: compared by dot product."""
+"""One unit row for each text, (N, D) float32, compared by dot product."""
 
 _UNIT_TOLERANCE = 1e-3
 _FINGERPRINT = b"stable_data.encoder_fingerprint"
 
 
 class TextEncoder(Protocol):
-    """Turns sentences into unit rows; the row of a sentence depends on that sentence alone."""
+    """Converts sentences to unit rows; the row of a sentence depends on that sentence alone."""
 
     @property
     def fingerprint(self) -> str:
-        """Which weights it has: encoders with the same fingerprint give the same rows."""
+        """Identifies the weights: encoders with the same fingerprint compute the same rows."""
         ...
 
     def __call__(self, texts: Sequence[str], /) -> Rows:
-        """Unit rows, (N, D) float32."""
+        """Computes unit rows, (N, D) float32."""
         ...
 
 
 def check_rows(rows: npt.ArrayLike, num: int, where: str) -> Rows:
-    """Rows as they must be to be compared.
+    """Checks that rows can be compared, and returns them as contiguous float32.
 
     Args:
-        rows: What is to be (N, D), finite, of unit length.
+        rows: Expected to be (N, D), finite and of unit length.
         num: N.
-        where: What they are of, for the message.
+        where: Origin of the rows, for the message.
 
     Raises:
-        ConfigError: They are not (``features_invalid``).
+        ConfigError: The rows are not as expected (``features_invalid``).
     """
     found = np.ascontiguousarray(rows, np.float32)
     if found.ndim != 2 or len(found) != num or (num > 0 and found.shape[1] == 0) or not np.isfinite(found).all():
@@ -59,46 +59,46 @@ def check_rows(rows: npt.ArrayLike, num: int, where: str) -> Rows:
 
 
 def embed_texts(texts: Sequence[str], encoder: TextEncoder, cache: Path | None = None) -> Rows:
-    """The encoder's rows for texts; each different text is encoded once.
+    """Computes the rows of texts; equal texts are encoded once.
 
     Args:
         texts: N sentences.
         encoder: The encoder.
-        cache: A Parquet file of texts and their rows by this encoder. What it holds is not encoded again; what it lacks is
-            added, in one step.
+        cache: A Parquet file of texts and their rows from this encoder. Its texts are not encoded again; missing texts are added
+            atomically.
 
     Returns:
         (N, D) float32.
 
     Raises:
-        ConfigError: The file is of another encoder (``features_of_another_encoder``), cannot be used or written; or the encoder
-            gives anything but unit rows.
+        ConfigError: The file is from another encoder (``features_of_another_encoder``), cannot be read or written; or the
+            encoder does not return unit rows.
     """
     distinct = list(dict.fromkeys(texts))
     if not distinct:
         return np.zeros((0, 0), np.float32)
-    kept, known = ([], np.zeros((0, 0), np.float32)) if cache is None else _read(cache, encoder.fingerprint)
-    place = {text: k for k, text in enumerate(kept)}
+    encoded, known = ([], np.zeros((0, 0), np.float32)) if cache is None else _read(cache, encoder.fingerprint)
+    place = {text: k for k, text in enumerate(encoded)}
     missing = [text for text in distinct if text not in place]
     if missing:
         new = check_rows(encoder(missing), len(missing), "the text encoder")
-        if kept and known.shape[1] != new.shape[1]:
+        if encoded and known.shape[1] != new.shape[1]:
             message = f"{cache} contains features of {known.shape[1]} numbers, but the encoder returns {new.shape[1]}"
             raise ConfigError(f"{message}; delete the file or choose another file", "features_of_another_encoder")
-        known = np.concatenate([known, new]) if kept else new
-        kept = [*kept, *missing]
-        place = {text: k for k, text in enumerate(kept)}
+        known = np.concatenate([known, new]) if encoded else new
+        encoded = [*encoded, *missing]
+        place = {text: k for k, text in enumerate(encoded)}
         if cache is not None:
-            _write(cache, kept, known, encoder.fingerprint)
+            _write(cache, encoded, known, encoder.fingerprint)
     return np.ascontiguousarray(known[[place[text] for text in texts]])
 
 
 def _read(cache: Path, fingerprint: str) -> tuple[list[str], Rows]:
-    """Texts and rows of a file; none where it is not there."""
+    """Reads the texts and rows of a cache file; both are empty if it does not exist."""
     if not cache.exists():
         return [], np.zeros((0, 0), np.float32)
     try:
-        with pq.ParquetFile(cache) as file:  # opened once: another writer may put a newer file in its place meanwhile
+        with pq.ParquetFile(cache) as file:  # opened once: another process may replace the file
             table = file.read()
         found = (table.schema.metadata or {}).get(_FINGERPRINT, b"").decode()
         texts = table["text"].to_pylist()
@@ -115,7 +115,6 @@ def _read(cache: Path, fingerprint: str) -> tuple[list[str], Rows]:
 
 
 def _write(cache: Path, texts: Sequence[str], rows: Rows, fingerprint: str) -> None:
-    """Puts a file in place in one step."""
     features = pa.FixedSizeListArray.from_arrays(pa.array(rows.ravel()), rows.shape[1]).cast(pa.list_(pa.float32()))
     table = pa.table({"text": pa.array(texts, pa.string()), "feature": features})
     sink = pa.BufferOutputStream()

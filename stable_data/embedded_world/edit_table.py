@@ -26,7 +26,8 @@ from stable_data.instructions.naming import ObjectNamer
 from stable_data.scene import TABLE, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.scene_graph.relations import scene_graph, supports
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import Row, object_row, scene_from_row
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import object_row, scene_from_row
 
 _SAME_TILT = 1e-6  # largest difference per component of a tilt from a file and the equal tilt of the catalogue
 _DIGITS = 9  # decimals of lengths in metres: a millionth of a millimetre

@@ -68,7 +68,7 @@ def asset_parts(asset_id: str, mesh: Mesh, store: AssetStore) -> tuple[Mesh, ...
     """
     known = _ASSET_PARTS.setdefault(store, {})
     if asset_id not in known:
-        known[asset_id] = store.kept_parts(asset_id) or collider_parts(mesh, given=store.colliders(asset_id))
+        known[asset_id] = store.stored_parts(asset_id) or collider_parts(mesh, given=store.colliders(asset_id))
     return known[asset_id]
 
 

@@ -12,7 +12,7 @@ from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
 from stable_data.storage.row_groups import TableFiles, row_slices
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 
 NEEDED = ("scenes", "assets", "meshes")
 """Tables that a run must have so that its scenes can be built."""

@@ -1,1 +1,1 @@
-"""Runs as folders of Parquet files: schemas, rows, queries, and loading for training."""
+"""Runs as folders of Parquet files: schemas, rows, filter expressions, and loading for training."""

@@ -1,4 +1,4 @@
-"""The order of a table's rows in an epoch: fixed by a seed and the epoch, made window by window."""
+"""The order of a table's rows in an epoch, determined by a seed and the epoch and computed one window at a time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ _WINDOW_BYTES = 256 * 2**20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowGroupWindow:
-    """Row groups that are held together.
+    """Row groups that are in memory at the same time.
 
     Attributes:
-        start: Where the first of their rows stands in the epoch.
-        stop: Where the first row after them stands.
-        groups: Numbers of the row groups.
-        seed: What their rows are shuffled by, or None.
+        start: Position of the first row in the epoch.
+        stop: Position after the last row.
+        groups: Indices of the row groups.
+        seed: Seed of the shuffle of their rows, or None for no shuffle.
     """
 
     start: int
@@ -28,7 +28,7 @@ class RowGroupWindow:
     seed: tuple[int, ...] | None
 
     def rows_at(self, places: IntArray) -> IntArray:
-        """Which of the window's rows, counted over its groups, stand at some places of the epoch."""
+        """Returns the rows of the window, counted over its groups, that are at some positions of the epoch."""
         inside = places - self.start
         if self.seed is None:
             return inside
@@ -38,12 +38,12 @@ class RowGroupWindow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpochOrder:
-    """Row groups in an order of their own each epoch, then rows within windows of row groups.
+    """The order of an epoch: shuffled row groups, then shuffled rows within windows of row groups.
 
     Attributes:
         groups: The row groups of a table.
-        seed: None: the order of the files, a window for each row group.
-        window_rows: Rows that a window holds at most; it holds one row group at least, and 256 MB at most.
+        seed: Seed of the shuffle, or None for the order of the files with one window for each row group.
+        window_rows: Maximum number of rows in a window; a window has at least one row group and at most 256 MB.
     """
 
     groups: Sequence[RowGroup]
@@ -51,7 +51,7 @@ class EpochOrder:
     window_rows: int
 
     def windows(self, epoch: int) -> Iterator[RowGroupWindow]:
-        """The windows of an epoch; every row group is in one of them."""
+        """Yields the windows of an epoch; every row group is in exactly one of them."""
         window: list[int] = []
         start = stop = num_bytes = 0
         for index in self._groups_of(epoch):

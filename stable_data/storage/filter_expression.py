@@ -1,9 +1,9 @@
-"""Conditions on the rows of a table, in words: ``stable and num_stacked >= 2``.
+"""Conditions on the rows of a table as text, such as ``stable and num_stacked >= 2``.
 
-A condition names columns, compares them with constants and joins the comparisons with ``and``, ``or`` and ``not``. It is read
-by Python's own parser and nothing of it is ever run; Arrow evaluates it, and skips the parts of a file whose statistics rule
-it out. A value that is unknown (null) makes no row pass: neither ``stable`` nor ``not stable`` holds where stability was never
-judged. Only ``is None`` and ``is not None`` ask for it: ``aws is None or aws >= 1`` takes what is unknown too.
+A condition compares columns with constants and joins the comparisons with ``and``, ``or`` and ``not``. Python's parser reads
+it, but no part of it is executed. Arrow evaluates it, and skips the parts of a file whose statistics exclude it. A row with an
+unknown value (null) does not pass: if stability was never judged, neither ``stable`` nor ``not stable`` is true. Only
+``is None`` and ``is not None`` test for null: ``aws is None or aws >= 1`` also selects rows with unknown ``aws``.
 
 A condition has at most :data:`LONGEST_QUERY` characters and :data:`DEEPEST_QUERY` levels. Many comparisons, and lists of many
 constants, are one level.
@@ -23,13 +23,13 @@ import pyarrow.dataset as ds
 from stable_data.errors import ConfigError
 
 LONGEST_QUERY = 1_000_000
-"""Most characters of a condition: room for 10,000 ids of 96 characters each."""
+"""Maximum number of characters of a condition: enough for 10,000 ids of 96 characters each."""
 
 DEEPEST_QUERY = 30
-"""Most levels of a condition's syntax tree. The reader here and the evaluation in Arrow recurse once a level."""
+"""Maximum depth of a condition's syntax tree. The reader in this module and the evaluation in Arrow recurse once per level."""
 
-_WIDEST = 8  # parts of one chain in Arrow's expression
-_LONGEST_SHOWN = 200  # characters of a condition that a message repeats
+_WIDEST = 8  # maximum number of operands in one chain of Arrow's expression
+_LONGEST_SHOWN = 200  # maximum number of characters of a condition in a message
 
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], pc.Expression]] = {
     ast.Eq: eq,
@@ -46,9 +46,9 @@ class FilterExpression:
     """A condition on rows.
 
     Attributes:
-        text: As it was written.
-        columns: What it looks at, in the order of their first mention.
-        expression: The same for Arrow; true, false, or null where it depends on what is unknown.
+        text: The text of the condition.
+        columns: The columns that it names, in the order of their first mention.
+        expression: The Arrow expression; true, false, or null if it depends on unknown values.
     """
 
     text: str
@@ -56,33 +56,33 @@ class FilterExpression:
     expression: pc.Expression
 
     def rows(self, table: pa.Table) -> pa.Table:
-        """Those rows of a table that pass."""
+        """Returns the rows of a table that pass."""
         return table.filter(self.expression)
 
     def passes(self, row: Mapping[str, Any], schema: pa.Schema) -> bool:
-        """Whether one row does.
+        """Whether one row passes.
 
         Args:
-            row: Column -> value; other columns than :attr:`columns` may be missing.
-            schema: Of its table.
+            row: Column -> value; columns other than :attr:`columns` may be missing.
+            schema: Schema of its table.
         """
         columns = pa.schema([schema.field(name) for name in self.columns])
         return len(self.rows(pa.Table.from_pylist([{name: row[name] for name in self.columns}], columns))) == 1
 
 
 def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
-    """A condition from its words.
+    """Parses a condition.
 
     Args:
         text: Such as ``stable and num_stacked >= 2``, ``table_type in ["office_table", "desk"]``, ``0 < float_rate <= 0.1`` or
             ``aws is None or aws >= 1``.
-        schema: The table's, whose columns of numbers, texts and truths may be named.
+        schema: Schema of the table; the condition may name its columns of numbers, strings and booleans.
 
     Raises:
-        ConfigError: It cannot be read, is too long or too deep, or names no such column (``query_invalid``).
+        ConfigError: The text cannot be parsed, is too long or too deep, or names an unknown column (``query_invalid``).
     """
     if len(text) > LONGEST_QUERY:
-        raise _invalid(text, f"has {len(text)} characters, expected at most {LONGEST_QUERY}; ask in several queries")
+        raise _invalid(text, f"has {len(text)} characters, expected at most {LONGEST_QUERY}; use several queries")
     tree: ast.expr | None
     try:
         # A condition may have several lines; spaces within its text constants stay as they are.
@@ -90,13 +90,13 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
     except (SyntaxError, ValueError) as error:
         raise _invalid(text, f"cannot be read ({getattr(error, 'msg', error)})") from error
     except (RecursionError, MemoryError):
-        tree = None  # Python's parser has limits of its own, beyond ours
+        tree = None  # too deep for Python's parser, whose limits are higher than DEEPEST_QUERY
     if tree is None or _is_deep(tree):
         raise _invalid(text, f"nests deeper than {DEEPEST_QUERY} levels; use fewer parentheses")
     reader = _Reader(text, schema)
     try:
         expression = reader.truth(tree)
-        ds.InMemoryDataset(schema.empty_table()).to_table(filter=expression)  # finds comparisons of unlike things
+        ds.InMemoryDataset(schema.empty_table()).to_table(filter=expression)  # raises if types cannot be compared
     except ConfigError:
         raise
     except pa.ArrowException as error:
@@ -111,7 +111,7 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
 
 
 class _Reader:
-    """Turns a syntax tree into an expression."""
+    """Converts a syntax tree to an Arrow expression."""
 
     def __init__(self, text: str, schema: pa.Schema) -> None:
         self._text, self._schema = text, schema
@@ -119,7 +119,7 @@ class _Reader:
         self.columns: dict[str, None] = {}
 
     def truth(self, node: ast.expr) -> pc.Expression:
-        """An expression that is true or false."""
+        """Converts a node with a boolean value."""
         if isinstance(node, ast.BoolOp):
             return _joined(and_ if isinstance(node.op, ast.And) else or_, [self.truth(value) for value in node.values])
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
@@ -179,9 +179,9 @@ class _Reader:
 
 
 def _joined(operation: Callable[[Any, Any], Any], parts: list[pc.Expression]) -> pc.Expression:
-    """One expression of many, nested no deeper than their logarithm, since Arrow recurses into it on the C++ stack.
+    """Joins expressions with logarithmic depth, since Arrow recurses into an expression on the C++ stack.
 
-    Arrow makes one chain of nested operations of the same kind, whatever their shape. A double negation keeps groups apart.
+    Arrow flattens nested operations of the same kind into one chain. A double negation separates the groups.
     """
     while len(parts) > _WIDEST:
         parts = [~~reduce(operation, parts[start : start + _WIDEST]) for start in range(0, len(parts), _WIDEST)]
@@ -189,10 +189,10 @@ def _joined(operation: Callable[[Any, Any], Any], parts: list[pc.Expression]) ->
 
 
 def _is_in(value: pc.Expression, constants: list[Any]) -> pc.Expression:
-    """Whether a value equals one of some constants; null where the value is.
+    """Whether a value equals one of some constants; null if the value is null.
 
-    ``isin`` alone is false for null, compares unlike types, and tells -0.0 from 0.0. One comparison of each type is added to
-    it: with zero where zero is among them.
+    ``isin`` alone is false for null, compares different types, and distinguishes -0.0 from 0.0. So one comparison for each
+    type of constant is added: with zero, if zero is among the constants.
     """
     parts = []
     for kind in dict.fromkeys(map(type, constants)):
@@ -213,7 +213,7 @@ def _is_deep(tree: ast.expr) -> bool:
 
 
 def _quoted(words: ast.AST | str) -> str:
-    """What was written, as a message repeats it: bounded, on one line."""
+    """Quotes text for a message: on one line, of bounded length."""
     text = repr(words if isinstance(words, str) else ast.unparse(words))
     return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
 

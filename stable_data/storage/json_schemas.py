@@ -1,6 +1,6 @@
-"""The contracts as files: JSON Schema of a scene, a layout reply and a task info, and the columns of every table.
+"""The files in ``schemas/``: JSON Schemas of a scene, a layout reply and a task info, and the columns of every table.
 
-Written by ``make schemas`` into ``schemas/`` and checked in; a test keeps them in step with the code.
+``make schemas`` writes them; they are part of the repository, and a test compares them with the code.
 """
 
 import json
@@ -14,23 +14,16 @@ from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.task_info import TASK_INFO_SCHEMA
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
-_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
-
-
-def _numbers(count: int, description: str) -> dict[str, Any]:
-    return {"type": "array", "items": _NUMBER, "minItems": count, "maxItems": count, "description": description}
-
-
-_ZONE = _numbers(4, "x_min, x_max, y_min, y_max, centimetres")
+_TEXT = {"type": "string"}
 
 MOST_ENTRIES = 1000
-"""Most objects of a layout reply, and most instances that it removes. The checks of a reply allow fewer objects."""
+"""Maximum number of objects in a layout reply, and of instances that it removes. The checks of a reply allow fewer objects."""
 
 LONGEST_CM = 1e6
-"""Lengths, coordinates and angles of a layout reply are smaller than this, centimetres or degrees."""
+"""Exclusive bound on the magnitude of lengths, coordinates and angles in a layout reply, centimetres or degrees."""
 
 LEAST_SIDE_CM = 0.1
-"""Least side of an object of a layout reply, after it is rounded to one decimal, centimetres."""
+"""Minimum side of an object in a layout reply after rounding to one decimal, centimetres."""
 
 _REPLY_NUMBER = {"type": "number", "exclusiveMinimum": -LONGEST_CM, "exclusiveMaximum": LONGEST_CM}
 
@@ -84,11 +77,11 @@ LAYOUT_REPLY: dict[str, Any] = {
         },
     },
 }
-"""The replies that ``models.semantic_reasoner.text.reply_json.parse_reply`` reads: centimetres and degrees."""
+"""JSON Schema of the replies that ``models.semantic_reasoner.text.reply_json.parse_reply`` reads, centimetres and degrees."""
 
 
 def json_schema_of(type_: pa.DataType) -> dict[str, Any]:
-    """JSON Schema of a value of an Arrow type; null is always allowed, as in Arrow."""
+    """Returns the JSON Schema of a value of an Arrow type; null is always allowed, as in Arrow."""
     if pa.types.is_struct(type_):
         properties = {f.name: json_schema_of(f.type) for f in type_}
         return {
@@ -109,22 +102,18 @@ def json_schema_of(type_: pa.DataType) -> dict[str, Any]:
 
 
 def scene_schema() -> dict[str, Any]:
-    """JSON Schema of a row of ``scenes``."""
+    """Returns the JSON Schema of a row of ``scenes``."""
     properties = {}
     for column in SCHEMAS["scenes"]:
-        about = {k.decode(): v.decode() for k, v in column.metadata.items() if v}
-        properties[column.name] = json_schema_of(column.type) | {"description": _described(about)}
+        about = [column.metadata[key].decode() for key in (b"meaning", b"unit")]
+        properties[column.name] = json_schema_of(column.type) | {"description": ", ".join(filter(None, about))}
     stage = properties["objects"]["items"]["properties"]["stage"]
     stage["enum"] = [*map(str, Stage), None]
     return {"$schema": _DRAFT, "title": "Scene", "type": "object", "required": list(properties), "properties": properties}
 
 
-def _described(about: dict[str, str]) -> str:
-    return f"{about['meaning']}, {about['unit']}" if "unit" in about else about["meaning"]
-
-
 def tables_document() -> dict[str, Any]:
-    """Name, type, unit and meaning of every column of every table."""
+    """Returns the name, type, unit and meaning of every column of every table."""
     return {
         "table_version": TABLE_VERSION,
         "tables": {
@@ -143,7 +132,7 @@ def tables_document() -> dict[str, Any]:
 
 
 def contract_files() -> dict[str, str]:
-    """File name -> content of everything in ``schemas/``."""
+    """Returns file name -> content of all files in ``schemas/``."""
     documents = {
         "scene.schema.json": scene_schema(),
         "layout_reply.schema.json": LAYOUT_REPLY,
@@ -154,7 +143,7 @@ def contract_files() -> dict[str, str]:
 
 
 def write_contracts(folder: Path) -> None:
-    """Writes the files."""
+    """Writes the files of :func:`contract_files` into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in contract_files().items():
         (folder / name).write_text(content, "utf-8")

@@ -1,4 +1,4 @@
-"""The row groups of a table, of one run or of several: listed once, read one by one in whichever process holds a copy."""
+"""The row groups of a table of one or several runs: listed once, then read one by one, also in worker processes."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -18,22 +18,16 @@ from stable_data.errors import ConfigError, cannot_read
 from stable_data.scene import IntArray
 from stable_data.storage.filter_expression import FilterExpression, parse_filter
 from stable_data.storage.run_folder import RunFolder, Uri, read_row_groups
-from stable_data.storage.schemas import (
-    SCHEMAS,
-    Row,
-    add_schema_metadata,
-    check_schema,
-    missing_columns,
-    warn_of_missing_columns,
-)
+from stable_data.storage.schema_checks import add_schema_metadata, check_schema, missing_columns, warn_of_missing_columns
+from stable_data.storage.schemas import SCHEMAS, Row
 
 SPLITS = ("train", "validation", "test", "unseen")
-"""What a row's ``split`` may be."""
+"""The values of the column ``split``."""
 
-_REQUESTS = 16
-_ARRAYS = (pa.float16(), pa.float32(), pa.int32())
+_REQUESTS = 16  # concurrent reads of an object store
+_ARRAYS = (pa.float16(), pa.float32(), pa.int32())  # element types of lists that become numpy arrays
 _SLICE_BYTES = 4 * 2**20
-_NUMBER = ".row"
+_NUMBER = ".row"  # temporary column; no column of a table starts with a dot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +35,12 @@ class RowGroup:
     """One row group of one file.
 
     Attributes:
-        run: Which of the runs, counted from 0.
-        path: The file, as its file system names it.
-        index: Which of the file's row groups.
-        num_rows: Rows, without those that are not asked for.
-        num_bytes: All columns and rows, decompressed.
-        chosen: Which rows, (num_rows,) int64, or None: all of them.
+        run: Index of the run.
+        path: Path of the file, as its file system names it.
+        index: Index of the row group in the file.
+        num_rows: Number of selected rows.
+        num_bytes: Size of all columns and rows, decompressed.
+        chosen: Indices of the selected rows, (num_rows,) int64, or None for all rows.
     """
 
     run: int
@@ -60,26 +54,26 @@ class RowGroup:
 class TableFiles:
     """The row groups of a table in the order of its files.
 
-    A column that a file lacks, because it was written before the column existed, is read as null; a warning names it.
+    A column that a file lacks, because the file is older than the column, is read as null; a warning names the column.
 
     Args:
-        uri: The run folder; or several, whose rows come one run after the other.
+        uri: The run folder, or several, whose rows follow one another.
         table: Name in SCHEMAS.
-        leaves: Columns or leaves of columns, as Parquet names them, or None: all.
-        split: Rows of which split, or None: all. Others are left out before anything is made of them.
-        where: Which rows, a condition as :mod:`stable_data.storage.filter_expression` has it, or None: all. Likewise; row
-            groups that the files' statistics rule out are not opened.
+        leaves: Columns or leaves of columns, as Parquet names them, or None for all.
+        split: Split of the rows, or None for all rows. Other rows are removed before decoding.
+        where: Condition on the rows (:mod:`stable_data.storage.filter_expression`), or None for all rows. Other rows are
+            removed before decoding, and row groups that the statistics of the files exclude are not opened.
 
     Attributes:
-        uri: The run folder, or all of them in one string.
-        split: As given.
-        where: As given.
-        groups: The row groups that hold rows.
-        starts: Number of the first row of each, and of the row after the last, (groups + 1,) int64.
+        uri: The run folder, or all run folders in one string.
+        split: The argument.
+        where: The argument.
+        groups: The row groups with at least one selected row.
+        starts: Index of the first row of each row group, and the total number of rows, (groups + 1,) int64.
 
     Raises:
-        ConfigError: The table is not there, was written by another version, cannot be read, or has no such split or columns;
-            or no run is given, or one twice.
+        ConfigError: The table is missing, was written by another version or cannot be read; the split or a column does not
+            exist; or no run is given, or one run twice.
     """
 
     def __init__(
@@ -101,7 +95,7 @@ class TableFiles:
             raise ConfigError(f"runs are [{self.uri}], expected at least one run and no duplicates", "runs_invalid")
         paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
         self._schema = leaf_schema(SCHEMAS[table], leaves)
-        query = self._query()  # once: threads of Python 3.11 that parse side by side may fail
+        query = self._query()  # once, before the threads: concurrent parsing in Python 3.11 may fail
         with ThreadPoolExecutor(_REQUESTS) as pool:
             listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query), paths))
         self.groups = [group for groups, _ in listed for group in groups]
@@ -116,25 +110,25 @@ class TableFiles:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of which rows there are, in which order."""
+        """Hash of the selected rows and their order."""
         return content_id([(group.run, group.path.rpartition("/")[2], group.index, group.num_rows) for group in self.groups])
 
     def read(self, groups: Sequence[int], *, use_threads: bool = False) -> pa.Table:
-        """The rows of some row groups, in that order.
+        """Reads the rows of some row groups, in the given order.
 
         Raises:
-            ConfigError: A file was changed or removed since.
+            ConfigError: A file was changed or removed in the meantime.
         """
-        if self._process != os.getpid():  # forked: a file system is not shared with the parent
+        if self._process != os.getpid():  # after a fork: a file system cannot be shared with the parent process
             self._folders, self._process = [RunFolder(uri) for uri in self._uris], os.getpid()
         of_files = [list(of_file) for _, of_file in groupby((self.groups[g] for g in groups), lambda g: (g.run, g.path))]
         if len(of_files) == 1 or all(self._folders[of_file[0].run].is_local for of_file in of_files):
             return pa.concat_tables([self._read_file(of_file, use_threads) for of_file in of_files])
-        with ThreadPoolExecutor(_REQUESTS) as pool:  # an object store answers late, but many at once
+        with ThreadPoolExecutor(_REQUESTS) as pool:  # an object store has a high latency but serves many requests at once
             return pa.concat_tables(pool.map(lambda of_file: self._read_file(of_file, False), of_files))
 
     def _read_file(self, groups: list[RowGroup], use_threads: bool) -> pa.Table:
-        """The rows of row groups of one file."""
+        """Reads row groups of one file."""
         folder, path = self._folders[groups[0].run], groups[0].path
         try:
             with pq.ParquetFile(path, filesystem=folder.filesystem, pre_buffer=True) as file:
@@ -149,11 +143,11 @@ class TableFiles:
     def _paths(self, folder: RunFolder) -> list[str]:
         paths = folder.files(self._table)
         if not paths:
-            folder.dataset(self._table)  # says what is missing
+            folder.dataset(self._table)  # raises the error that describes the missing table
         return paths
 
     def _list_groups(self, run: int, path: str, query: FilterExpression | None) -> tuple[list[RowGroup], list[str]]:
-        """The row groups of a file that hold rows, and the columns that are asked for and missing."""
+        """Lists the row groups of a file that have selected rows, and the requested columns that it lacks."""
         folder, schema = self._folders[run], SCHEMAS[self._table]
         try:
             with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
@@ -167,15 +161,15 @@ class TableFiles:
         return [group for group in groups if group.num_rows], missing
 
     def _query(self) -> FilterExpression | None:
-        """The condition that split and where make."""
+        """Returns the condition of ``split`` and ``where`` together."""
         parts = ([f"split == {self.split!r}"] if self.split else []) + ([f"({self.where})"] if self.where else [])
         if self.where:
-            parse_filter(self.where, SCHEMAS[self._table])  # so that what is wrong with it is said of it alone
+            parse_filter(self.where, SCHEMAS[self._table])  # alone first, so that an error quotes the user's text only
         return parse_filter(" and ".join(parts), SCHEMAS[self._table]) if parts else None
 
 
 def _possible(query: FilterExpression, path: str, schema: pa.Schema, folder: RunFolder) -> list[int]:
-    """The row groups of a file that its statistics do not rule out."""
+    """Returns the row groups of a file that its statistics do not exclude."""
     fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
     return [group.id for group in fragment.subset(query.expression, schema=schema).row_groups]
 
@@ -195,14 +189,11 @@ def _row_group(
 
 
 def leaf_schema(schema: pa.Schema, leaves: Sequence[str] | None) -> pa.Schema:
-    """The part of a schema that some leaves make.
+    """Returns the columns of a schema, and the fields of their structs, that contain one of some leaves.
 
     Args:
-        schema: Of a table.
-        leaves: Columns or leaves of columns, as Parquet names them, or None: all.
-
-    Returns:
-        Its columns, and the fields of their structs, that hold one of the leaves.
+        schema: Schema of a table.
+        leaves: Columns or leaves of columns, as Parquet names them, or None for all.
     """
     if leaves is None:
         return schema
@@ -215,16 +206,16 @@ def _leaf_type(type_: pa.DataType, paths: list[list[str]]) -> pa.DataType:
     if [] in paths:
         return type_
     if pa.types.is_list(type_):
-        return pa.list_(_leaf_type(type_.value_type, [path[2:] for path in paths]))  # "list", "element"
+        return pa.list_(_leaf_type(type_.value_type, [path[2:] for path in paths]))  # Parquet's levels "list" and "element"
     fields = [(field, [path[1:] for path in paths if path[0] == field.name]) for field in type_]
     return pa.struct([field.with_type(_leaf_type(field.type, under)) for field, under in fields if under])
 
 
 def check_columns(table: str, columns: Sequence[str] | None) -> None:
-    """Refuses columns that a table does not have.
+    """Checks that a table has some columns.
 
     Raises:
-        ConfigError: ``column_unknown``.
+        ConfigError: A column does not exist (``column_unknown``).
     """
     known = SCHEMAS[table].names if table in SCHEMAS else []
     unknown = [name for name in columns or () if name not in known]
@@ -233,11 +224,7 @@ def check_columns(table: str, columns: Sequence[str] | None) -> None:
 
 
 def _check_split(table: str, split: str | None) -> None:
-    """Refuses a split that a table does not have.
-
-    Raises:
-        ConfigError: ``split_unknown``.
-    """
+    """Checks that a table has a split."""
     if split is None:
         return
     if table in SCHEMAS and "split" not in SCHEMAS[table].names:
@@ -247,13 +234,13 @@ def _check_split(table: str, split: str | None) -> None:
 
 
 def row_slices(table: pa.Table) -> Iterator[pa.Table]:
-    """A table in slices of about 4 MB: as Python objects its rows take many times the room."""
+    """Yields slices of a table of about 4 MB: as Python objects, rows need many times the memory."""
     step = max(1, table.num_rows * _SLICE_BYTES // max(1, table.nbytes))
     return (table.slice(start, step) for start in range(0, table.num_rows, step))
 
 
 def rows_from_table(table: pa.Table) -> list[Row]:
-    """Rows as dictionaries; lists of float16, float32 and int32, which are clouds and grids, as numpy arrays."""
+    """Returns rows as dictionaries; lists of float16, float32 and int32 (point clouds and grids) become numpy arrays."""
     columns = [_values(column) for column in table.columns]
     return [dict(zip(table.column_names, values, strict=True)) for values in zip(*columns, strict=True)]
 
@@ -263,6 +250,6 @@ def _values(column: pa.ChunkedArray) -> list[Any]:
         return list(column.to_pylist())
     flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
     ends = np.cumsum(pc.fill_null(pc.list_value_length(column), 0).to_numpy()).tolist()
-    # Copies: an array that keeps a whole row group alive, and that torch may not write to, helps nobody.
+    # Copies, because a view is read-only for torch and keeps the whole row group in memory.
     arrays = (flat[start:end].copy() for start, end in pairwise([0, *ends]))
     return [array if valid else None for array, valid in zip(arrays, column.is_valid().to_pylist(), strict=True)]

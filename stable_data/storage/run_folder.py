@@ -3,10 +3,10 @@
 A run folder::
 
     manifest.json                  resolved configuration, input fingerprint, code and table versions
-    <table>/part-<id>.parquet      shards, named by the content of what they were made from
+    <table>/part-<id>.parquet      shards, named by a hash of their inputs
     report/index.html
 
-A shard is written aside and put in place in one step: it exists, so it is complete.
+A shard is written to a temporary file and then renamed, so a shard that exists is complete.
 """
 
 import fcntl
@@ -26,29 +26,24 @@ import pyarrow.parquet as pq
 
 from stable_data.atomic_files import temporary_path
 from stable_data.errors import ConfigError, cannot_read, cannot_write
-from stable_data.storage.schemas import (
-    SCHEMAS,
-    add_schema_metadata,
-    arrow_table,
-    check_schema,
-    missing_columns,
-    warn_of_missing_columns,
-)
+from stable_data.storage.schema_checks import add_schema_metadata, check_schema, missing_columns, warn_of_missing_columns
+from stable_data.storage.schemas import SCHEMAS
+from stable_data.storage.table_rows import arrow_table
 
 Uri: TypeAlias = str | os.PathLike[str]
-"""Where a run lies: a local path, or a URI that pyarrow knows, such as ``s3://bucket/prefix``."""
+"""Address of a run: a local path, or a URI that pyarrow supports, such as ``s3://bucket/prefix``."""
 
 _Columns: TypeAlias = list[str] | Mapping[str, pc.Expression] | None
 
 MAX_BYTES = 96 * 10**6
-"""A file holds at most this much before compression, so it stays under 100 MB."""
+"""Maximum bytes of a file before compression, so that no file exceeds 100 MB."""
 
 MAX_DECODED = 2**30
-"""What is read whole of a file takes at most this much memory, bytes: ten times what one that is written here takes."""
+"""Maximum memory for the decoded content of one file, bytes: ten times the content of a file that this module writes."""
 
 _ROW_GROUP = 1024
-_FILES_AT_ONCE = 32  # their footers are in memory together, and are read side by side from an object store
-_AHEAD = 8  # files of an object store that are fetched while another is looked at
+_FILES_AT_ONCE = 32  # files of one dataset: their footers are in memory together, and are read concurrently
+_AHEAD = 8  # files of an object store that are fetched while another one is processed
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
 
 
@@ -56,11 +51,11 @@ class RunFolder:
     """The folder of one run.
 
     Args:
-        uri: A local path, or a URI that pyarrow knows such as
-            ``s3://bucket/prefix?endpoint_override=http%3A//host%3A9000``; credentials come from the environment.
+        uri: A local path, or a URI that pyarrow supports such as
+            ``s3://bucket/prefix?endpoint_override=http%3A//host%3A9000``; credentials are read from the environment.
 
     Raises:
-        ConfigError: No file system takes the URI.
+        ConfigError: No file system supports the URI.
     """
 
     def __init__(self, uri: Uri) -> None:
@@ -73,24 +68,24 @@ class RunFolder:
         except (pa.ArrowInvalid, ValueError, OSError) as error:
             raise ConfigError(f"{uri}: {error}; expected a local path or an s3:// or gs:// URI", "output_invalid") from error
         if not self.root:
-            raise ConfigError(f"{uri}: names no bucket; expected a local path or an s3:// or gs:// URI", "output_invalid")
+            raise ConfigError(f"{uri}: has no bucket; expected a local path or an s3:// or gs:// URI", "output_invalid")
 
     def __reduce__(self) -> tuple[type["RunFolder"], tuple[str]]:
-        return type(self), (self.uri,)  # file systems are opened anew in each worker
+        return type(self), (self.uri,)  # a file system cannot be sent to a worker, so each worker opens one
 
     @property
     def is_local(self) -> bool:
-        """Whether it lies on this machine's file system."""
+        """Whether the folder is on a local file system."""
         return isinstance(self.filesystem, pafs.LocalFileSystem)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Holds a local folder for one run; the lock goes with the process, however it ends.
+        """Locks a local folder for one run; the lock ends with the process, also if the process is killed.
 
-        An object store has no such lock: two runs there write the same bytes under the same names.
+        An object store has no lock; concurrent runs of one job write the same bytes under the same names there.
 
         Raises:
-            ConfigError: Another run holds it, or it cannot be written.
+            ConfigError: Another run holds the lock, or the folder cannot be written.
         """
         self.make(".")
         if not self.is_local:
@@ -105,19 +100,19 @@ class RunFolder:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise ConfigError(
-                    f"{self.uri}: another run is writing to this folder, expected one at a time; wait for it or choose another folder",
+                    f"{self.uri}: another run is writing to this folder, expected one run at a time; wait or choose another folder",
                     "locked",
                 ) from error
             for pattern in (".*.tmp-*", "*/.*.tmp-*"):
                 for stale in Path(self.root).glob(pattern):
-                    stale.unlink(missing_ok=True)  # left by a run that was killed
+                    stale.unlink(missing_ok=True)  # temporary file of a run that was killed
             yield
 
     def make(self, folder: str) -> None:
         """Creates a folder below the root.
 
         Raises:
-            ConfigError: It cannot be created.
+            ConfigError: The folder cannot be created.
         """
         try:
             self.filesystem.create_dir(self._path(folder), recursive=True)
@@ -125,10 +120,10 @@ class RunFolder:
             raise cannot_write(self.uri, error) from error
 
     def write_bytes(self, name: str, content: bytes) -> None:
-        """Puts a file in place in one step.
+        """Writes a file atomically.
 
         Raises:
-            ConfigError: It cannot be written: no permission, or the disk is full.
+            ConfigError: The file cannot be written, for example without permission or if the disk is full.
         """
         target = self._path(name)
         aside = temporary_path(Path(target))
@@ -137,20 +132,20 @@ class RunFolder:
                 aside.parent.mkdir(parents=True, exist_ok=True)
                 _write_local(aside, content)
                 aside.replace(target)
-            else:  # an object appears when its upload ends
+            else:  # an object becomes visible only when its upload ends
                 with self.filesystem.open_output_stream(target) as stream:
                     stream.write(content)
         except OSError as error:
             if self.is_local:
-                with suppress(OSError):  # where a part of the path is a file, there is nothing to remove
+                with suppress(OSError):  # if a folder of the path is a file, there is nothing to remove
                     aside.unlink()
             raise cannot_write(f"{self.uri}/{name}", error) from error
 
     def read_bytes(self, name: str) -> bytes | None:
-        """Content of a file, or None where there is none.
+        """Returns the content of a file, or None if the file does not exist.
 
         Raises:
-            ConfigError: It cannot be read.
+            ConfigError: The file cannot be read.
         """
         path = self._path(name)
         try:
@@ -162,35 +157,35 @@ class RunFolder:
             raise _unreachable(f"{self.uri}/{name}", error) from error
 
     def write_shard(self, table: str, shard_id: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Writes one shard of a table, in several files where it would pass MAX_BYTES.
+        """Writes one shard of a table, as several files if it exceeds MAX_BYTES.
 
-        The first file is put in place last: where it exists, the others do.
+        The first file is written last: if it exists, the shard is complete.
 
         Args:
             table: Name in SCHEMAS.
-            shard_id: ``content_id`` of what the rows were made from.
+            shard_id: ``content_id`` of the inputs of the rows.
             rows: Column -> value.
         """
         self.write_table(table, shard_id, arrow_table(table, rows))
 
     def write_table(self, table: str, shard_id: str, rows: pa.Table) -> None:
-        """Writes one shard of a table that is an Arrow table already; see :meth:`write_shard`."""
+        """Writes one shard of a table from an Arrow table; see :meth:`write_shard`."""
         pieces = list(_pieces(rows))
         for number, piece in reversed(list(enumerate(pieces))):
             sink = pa.BufferOutputStream()
             with pq.ParquetWriter(sink, piece.schema, compression="zstd") as writer:
-                if piece.num_rows:  # Hugging Face datasets stumbles over a row group without rows
+                if piece.num_rows:  # Hugging Face datasets fails on a row group without rows
                     writer.write_table(piece, row_group_size=_ROW_GROUP)
             suffix = f"-{number}" if number else ""
             self.write_bytes(f"{table}/part-{shard_id}{suffix}.parquet", sink.getvalue().to_pybytes())
 
     def shard_ids(self, table: str) -> set[str]:
-        """Ids of the shards of a table that are complete; see :meth:`files`."""
+        """Returns the ids of the complete shards of a table; see :meth:`files`."""
         names = (Path(path).name for path in self.files(table))
         return {n.removeprefix("part-").removesuffix(".parquet") for n in names if n.count("-") == 1}
 
     def files(self, table: str) -> list[str]:
-        """Paths of the files of a table's complete shards, by shard and number, as the file system names them.
+        """Returns the paths of the files of complete shards, sorted by shard and number, as the file system names them.
 
         Raises:
             ConfigError: The folder cannot be read.
@@ -204,10 +199,10 @@ class RunFolder:
         return [path for (shard_id, _), path in sorted(paths.items()) if (shard_id, 0) in paths]
 
     def dataset(self, table: str) -> ds.Dataset:
-        """A table of the run, lazily, in the order of its files.
+        """Returns a table of the run as a lazy dataset, in the order of its files.
 
         Raises:
-            ConfigError: The table is not there, cannot be read, or was written by another version.
+            ConfigError: The table is missing, cannot be read, or was written by another version.
         """
         files = self.files(table)
         if not files:
@@ -223,10 +218,10 @@ class RunFolder:
     def batches(
         self, table: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pa.RecordBatch]:
-        """A table of the run, or those of its columns and rows that are asked for, a batch at a time; see :meth:`dataset`.
+        """Yields the batches of a table, or of some of its columns and rows; see :meth:`dataset`.
 
-        Files of a local run are read one after the other, for what is read ahead is more than most want of it; those of an
-        object store some at a time, for each has to be waited for.
+        Files of a local run are read one at a time, since most callers need less than a read-ahead would load. Files of an
+        object store are read several at a time, since each one has a latency.
 
         Raises:
             ConfigError: As :meth:`dataset`.
@@ -244,10 +239,9 @@ class RunFolder:
         where: pc.Expression | None = None,
         shard_ids: Set[str] | None = None,
     ) -> pa.Table:
-        """A table of the run, or those of its columns, or what is made of them, and rows and shards that are asked for.
+        """Returns a table of the run, or some of its columns (or expressions of them), rows and shards.
 
-        See :meth:`dataset`; a file that takes more than MAX_DECODED is refused (``shard_too_big``), but :meth:`batches` reads
-        it.
+        See :meth:`dataset`. A file that needs more than MAX_DECODED is refused (``shard_too_big``); :meth:`batches` reads it.
         """
         wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
         files = [path for path in self.dataset(table).files if shard_ids is None or _shard_of(path) in shard_ids]
@@ -258,26 +252,26 @@ class RunFolder:
             for part in self._parts(table, files):
                 with self._naming_what_is_broken(part):
                     if all(pool.map(_is_small, part.get_fragments())):
-                        rows.append(part.to_table(wanted, filter=where))  # one scan of many files: less work for each
+                        rows.append(part.to_table(wanted, filter=where))  # one scan of many files costs less for each file
                     else:
                         rows += pool.map(lambda path: self._read(table, path, wanted, where), part.files)
         return pa.concat_tables(rows)
 
     def read_file(self, table: str, path: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """One file of a table, or those of its columns that are asked for.
+        """Returns one file of a table, or some of its columns.
 
         Args:
             table: Name in SCHEMAS.
-            path: As :meth:`files` gives it.
-            columns: Columns, or None: all.
+            path: A path from :meth:`files`.
+            columns: Columns, or None for all.
 
         Raises:
-            ConfigError: It cannot be read, or takes more than MAX_DECODED.
+            ConfigError: The file cannot be read, or needs more than MAX_DECODED.
         """
         return self._read(table, path, None if columns is None else list(columns), None)
 
     def warn_of_missing(self, table: str, condition: Iterable[str] = ()) -> None:
-        """Warns of the columns that files of a table lack; see :func:`stable_data.storage.schemas.warn_of_missing_columns`.
+        """Warns of missing columns in a table; see :func:`stable_data.storage.schema_checks.warn_of_missing_columns`.
 
         Args:
             table: Name in SCHEMAS.
@@ -292,7 +286,7 @@ class RunFolder:
         warn_of_missing_columns(self.uri, table, missing, condition)
 
     def num_rows(self, table: str) -> int:
-        """Number of rows of a table of the run; see :meth:`dataset`."""
+        """Returns the number of rows of a table of the run; see :meth:`dataset`."""
         count = 0
         for part in self._parts(table):
             with self._naming_what_is_broken(part):
@@ -300,7 +294,7 @@ class RunFolder:
         return count
 
     def _read(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
-        """What is asked for of one file."""
+        """Reads the requested columns and rows of one file."""
         schema = SCHEMAS[table]
         names = _names_in(schema.names if wanted is None else wanted, where)
         needed = [name for name in schema.names if name in names]
@@ -315,9 +309,9 @@ class RunFolder:
         return _chosen(add_schema_metadata(rows, known), wanted, where)
 
     def _parts(self, table: str, files: Sequence[str] | None = None) -> Iterator[ds.Dataset]:
-        """A table of the run, or some of its files, a few at a time.
+        """Yields a table of the run, or some of its files, as datasets of a few files.
 
-        A dataset keeps the footer of each file that it has read, and runs have many.
+        A dataset stores the footer of each file that it has read, and runs have many files.
         """
         files = self.dataset(table).files if files is None else files
         for start in range(0, len(files), _FILES_AT_ONCE):
@@ -332,7 +326,7 @@ class RunFolder:
             raise cannot_read(self.uri, self._broken(part.files) or part.files[0], error) from error
 
     def _broken(self, files: Sequence[str]) -> str | None:
-        """The first file that cannot be read whole, or None."""
+        """Returns the first file that cannot be read completely, or None."""
         for path in files:
             try:
                 file = pq.ParquetFile(path, filesystem=self.filesystem)
@@ -348,22 +342,22 @@ class RunFolder:
 def read_row_groups(
     file: pq.ParquetFile, path: str, groups: Iterable[int], columns: Sequence[str] | None = None, *, use_threads: bool = True
 ) -> pa.Table:
-    """Row groups of a Parquet file, decoded a few rows at a time: a few bytes of a file may state a great many.
+    """Reads row groups of a Parquet file a few rows at a time, since a small file may decode to very many bytes.
 
     Args:
         file: The file.
-        path: Its name, for the message.
-        groups: Which row groups.
-        columns: Columns or leaves of columns, as Parquet names them, or None: all.
-        use_threads: Whether columns are decoded side by side.
+        path: Path of the file, for the message.
+        groups: Indices of the row groups.
+        columns: Columns or leaves of columns, as Parquet names them, or None for all.
+        use_threads: Whether columns are decoded in parallel.
 
     Raises:
-        ConfigError: They take more than MAX_DECODED (``shard_too_big``).
+        ConfigError: The row groups need more than MAX_DECODED (``shard_too_big``).
     """
     batches, size = list[pa.RecordBatch](), 0
     for group in groups:
         stated = file.metadata.row_group(group).total_byte_size
-        step = max(1, MAX_DECODED // max(1, stated))  # no value is larger than all that is stored
+        step = max(1, MAX_DECODED // max(1, stated))  # no value is larger than the bytes of its row group
         for batch in () if stated > MAX_DECODED else file.iter_batches(step, [group], columns, use_threads=use_threads):
             size += batch.nbytes
             if size > MAX_DECODED:
@@ -372,14 +366,14 @@ def read_row_groups(
         if max(size, stated) > MAX_DECODED:
             raise ConfigError(
                 f"{path}: needs more than {MAX_DECODED:,} bytes of memory, expected at most this for one file of a table; "
-                "do not trust it, or write its rows to several files",
+                "the file may be malicious; if you trust it, write its rows to several files",
                 "shard_too_big",
             )
     return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
 
 
 def _is_small(fragment: ds.ParquetFileFragment) -> bool:
-    """Whether a file cannot take more than MAX_DECODED, since no value of it is larger than all that is stored."""
+    """Whether a file cannot exceed MAX_DECODED; no value is larger than the bytes of its row group."""
     return bool(sum(group.num_rows * group.total_byte_size for group in fragment.row_groups) <= MAX_DECODED)
 
 
@@ -388,21 +382,21 @@ def _shard_of(path: str) -> str:
 
 
 def _names_in(wanted: Iterable[str] | Mapping[str, pc.Expression], where: pc.Expression | None) -> set[str]:
-    """Names of columns, and all words of expressions: Arrow does not list the columns of one, and a word too many costs time alone."""
+    """Returns column names and all words of the expressions: Arrow does not list their columns, and extra words only cost time."""
     expressions = list(wanted.values()) if isinstance(wanted, Mapping) else []
     words = re.findall(r"\w+", " ".join(map(str, expressions if where is None else [*expressions, where])))
     return {*words} if isinstance(wanted, Mapping) else {*wanted, *words}
 
 
 def _chosen(rows: pa.Table, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
-    """Those columns of rows, or what is made of them, and those rows that are asked for."""
+    """Selects columns (or expressions of them) and rows of a table."""
     if where is None and not isinstance(wanted, Mapping):
         return rows if wanted is None else rows.select(wanted)
     return ds.dataset(rows).to_table(wanted, filter=where)
 
 
 def _unreachable(where: str, error: OSError) -> ConfigError:
-    """The error for a place that cannot be looked at."""
+    """Makes the error for an address that cannot be accessed."""
     reason = error.strerror or str(error).strip().partition("\n")[0]
     return ConfigError(
         f"{where}: cannot be read ({reason}), expected the folder of a run; check the address, the network and your read permissions",
@@ -414,11 +408,11 @@ def _write_local(path: Path, content: bytes) -> None:
     with path.open("wb") as stream:
         stream.write(content)
         stream.flush()
-        os.fsync(stream.fileno())  # a rename must not outlive its content
+        os.fsync(stream.fileno())  # after a crash, the renamed file must not exist without its content
 
 
 def _pieces(table: pa.Table) -> Iterator[pa.Table]:
-    """The table in slices of at most MAX_BYTES, or of one row."""
+    """Halves a table until each slice has at most MAX_BYTES or one row."""
     if table.nbytes <= MAX_BYTES or table.num_rows <= 1:
         yield table
         return

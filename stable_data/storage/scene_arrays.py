@@ -1,8 +1,8 @@
-"""Scenes straight from the columns of the ``scenes`` table, many at once.
+"""Scenes directly from the columns of the table ``scenes``, many at once.
 
-Row by row, building Python dictionaries and parsing what a file's other entries were takes most of the time of loading. Here
-neither happens: the leaves that matter are read and turned column by column. Numpy alone, so that a JAX or TensorFlow job may
-use it; ``stable_data.storage.torch_dataset`` makes tensors of it.
+Reading row by row spends most of its time on Python dictionaries and on parsing ``source_json``. This module avoids both: it
+reads only the needed leaves and converts them column by column. It needs numpy only, so that a JAX or TensorFlow job can use
+it; ``stable_data.storage.torch_dataset`` makes tensors from it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +16,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stable_data.scene import IntArray, Relation, RelationKind, Scene, SceneObject, Stage, Tabletop
-from stable_data.storage.schemas import OBJECT, TASK, task_from_row
+from stable_data.storage.schemas import OBJECT, TASK
+from stable_data.storage.table_rows import task_from_row
 
 T = TypeVar("T")
 
@@ -42,16 +43,13 @@ _KINDS = {str(kind): kind for kind in RelationKind}
 
 
 def scenes_from_table(table: pa.Table) -> list[Scene]:
-    """Scenes of rows of ``scenes``, without the ``source`` entries of the files that they were read from.
+    """Returns the scenes of rows of ``scenes``, in order, without the ``source`` entries of the original files.
 
-    Equal to :func:`stable_data.storage.schemas.scene_from_row` on every row, which keeps ``source`` and takes several times as
-    long.
+    The result equals that of :func:`stable_data.storage.table_rows.scene_from_row` on every row, except for ``source``, which
+    that function includes; it takes several times as long.
 
     Args:
         table: Rows with at least SCENE_LEAVES.
-
-    Returns:
-        One scene a row, in order.
     """
     sizes, zones = _vectors(table["table_size"], 2), _vectors(table["restricted_zone"], 4)
     tables = map(Tabletop, table["table_type"].to_pylist(), sizes, zones)
@@ -63,19 +61,19 @@ def scenes_from_table(table: pa.Table) -> list[Scene]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneArrays:
-    """What a policy sees of some scenes; the M objects of all S scenes one after another, not padded.
+    """Scenes as arrays without padding: the M objects of all S scenes follow one another.
 
     Attributes:
-        scene_ids: Ids, S.
+        scene_ids: Identifiers, S.
         instructions: The instruction of each scene's task, or None, S.
-        table_size: (S, 2) float32, metres.
+        table_size: Table extents, (S, 2) float32, metres.
         counts: Number of objects of each scene, (S,) int64.
-        instances: M.
-        asset_ids: None where the scene names no mesh, M.
+        instances: Names of the objects, M.
+        asset_ids: Asset of each object, or None, M.
         poses: x, y, z in metres and yaw in radians, world frame, (M, 4) float32.
         size: Box in the yaw frame, (M, 3) float32, metres.
         tilt_quat_xyzw: Rotation before yaw, (M, 4) float32.
-        stage: Index in ``Stage``, -1 where a scene is not staged, (M,) int64.
+        stage: Index in ``Stage``, -1 if a scene has no stages, (M,) int64.
     """
 
     scene_ids: list[str]
@@ -91,7 +89,7 @@ class SceneArrays:
 
     @classmethod
     def from_scenes(cls, scenes: Sequence[Scene]) -> "SceneArrays":
-        """The arrays of scenes."""
+        """Returns the arrays of scenes."""
         objects = [o for scene in scenes for o in scene.objects]
         return cls(
             scene_ids=[scene.scene_id for scene in scenes],
@@ -108,7 +106,7 @@ class SceneArrays:
 
     @classmethod
     def from_table(cls, table: pa.Table) -> "SceneArrays":
-        """The arrays of rows of ``scenes`` with at least ARRAY_LEAVES; equal to those of the scenes themselves."""
+        """Returns the arrays of rows of ``scenes`` with at least ARRAY_LEAVES, equal to those of the scenes themselves."""
         objects = _flat(table["objects"])
         position, yaw = _numbers(objects, "position", 3), _numbers(objects, "yaw", 1)
         return cls(
@@ -126,24 +124,24 @@ class SceneArrays:
 
 
 def _flat(column: pa.ChunkedArray) -> pa.Array:
-    """The elements of a list column, one after another."""
+    """Concatenates the elements of a list column."""
     return column.combine_chunks().flatten()
 
 
 def _counts(column: pa.ChunkedArray) -> IntArray:
-    """Number of elements of each list, none for null."""
+    """Returns the number of elements of each list, 0 for null."""
     lengths: IntArray = pc.fill_null(pc.list_value_length(column), 0).to_numpy().astype(np.int64)
     return lengths
 
 
 def _split(items: Sequence[T], column: pa.ChunkedArray) -> Iterator[tuple[T, ...]]:
-    """The elements of a list column given back to its rows."""
+    """Groups the concatenated elements of a list column by row."""
     ends = np.cumsum(_counts(column)).tolist()
     return (tuple(items[start:end]) for start, end in pairwise([0, *ends]))
 
 
 def _numbers(objects: pa.StructArray, name: str, width: int) -> npt.NDArray[np.float32]:
-    """A numeric field of every object, (M, width) float32."""
+    """Returns a numeric field of every object, (M, width) float32."""
     values = pc.struct_field(objects, name)
     flat = values if width == 1 else values.flatten()
     numbers: npt.NDArray[np.float32] = flat.to_numpy().astype(np.float32).reshape(-1, width)
@@ -151,7 +149,7 @@ def _numbers(objects: pa.StructArray, name: str, width: int) -> npt.NDArray[np.f
 
 
 def _vectors(column: pa.Array | pa.ChunkedArray, width: int) -> Iterator[Any]:
-    """Lists of one length as tuples, None where they are null."""
+    """Yields lists of one length as tuples, and None for null."""
     array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     whole = zip(*[iter(array.flatten().to_numpy().tolist())] * width, strict=True)
     return (next(whole) if valid else None for valid in column.is_valid().to_pylist())
@@ -164,7 +162,7 @@ def _objects(rows: pa.StructArray) -> list[SceneObject]:
     def vectors(name: str, width: int) -> Iterator[Any]:
         return _vectors(pc.struct_field(rows, name), width)
 
-    # In the order of SceneObject's fields: keyword arguments would cost a third of the time.
+    # Positional, in the order of SceneObject's fields: keyword arguments would take a third of the time.
     columns = (
         texts("instance"),
         texts("category"),

@@ -1,4 +1,4 @@
-"""The scenes of a run that a condition takes, as a run of their own with all that belongs to them."""
+"""Copies the scenes of a run that pass a condition to another run, with their assets and rows of other tables."""
 
 import json
 from collections.abc import Mapping
@@ -16,18 +16,18 @@ from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 
 _SHARD_BYTES = 64 * 10**6
-_OF_ASSETS = ("assets", "meshes", "sdf", "features")
+_ASSET_TABLES = ("assets", "meshes", "sdf", "features")
 
 
 def count_selected(run: RunFolder, where: str) -> tuple[int, int]:
-    """How many scenes of a run pass a condition, and how many there are.
+    """Returns the number of scenes of a run that pass a condition, and the number of all scenes.
 
     Args:
         run: The run.
         where: The condition, see :mod:`stable_data.storage.filter_expression`.
 
     Raises:
-        ConfigError: It is no condition on ``scenes``, or the run has no such table.
+        ConfigError: The condition is not valid for ``scenes``, or the run has no such table.
     """
     query = parse_filter(where, SCHEMAS["scenes"])
     run.warn_of_missing("scenes", query.columns)
@@ -35,23 +35,21 @@ def count_selected(run: RunFolder, where: str) -> tuple[int, int]:
 
 
 def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
-    """Writes the scenes that pass a condition to another folder, with their rows of other tables and the assets that they use.
+    """Writes the scenes that pass a condition to another folder, with their rows of other tables and their assets.
 
-    Columns that the run lacks are null there; a warning names those of ``scenes``.
-
-    Failures are of the run and stay there. Run again, it writes what is missing; what other code has written whole stays as it
-    is.
+    Columns that the run lacks are null in the target; a warning names those of ``scenes``. The table ``failures`` is not
+    copied. A repeated call writes only missing shards, and leaves a complete selection of another code version unchanged.
 
     Args:
         run: The run.
         where: The condition, see :mod:`stable_data.storage.filter_expression`.
-        target: Where to.
+        target: The folder to write.
 
     Returns:
-        Rows by table.
+        Number of rows by table.
 
     Raises:
-        ConfigError: It is no condition on ``scenes``, the run has no such table, or the target holds something else.
+        ConfigError: The condition is not valid for ``scenes``, the run has no such table, or the target has other content.
     """
     query = parse_filter(where, SCHEMAS["scenes"])
     run.warn_of_missing("scenes", query.columns)
@@ -64,10 +62,10 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
         "inputs": {"run": run.uri},
         "settings": {"where": where},
     }
-    was = _former(target, manifest)
-    if was and was["code_version"] != manifest["code_version"]:
-        return dict(was["counts"])
-    if not was:
+    previous = _read_manifest(target, manifest)
+    if previous and previous["code_version"] != manifest["code_version"]:
+        return dict(previous["counts"])
+    if not previous:
         _write_manifest(target, manifest | {"status": "running"})
     scene_ids, asset_ids = set[str](), set[str]()
     for part in run.batches("scenes", ["scene_id", "objects"], query.expression):
@@ -77,7 +75,7 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     for table in read:
         if table == "scenes":
             _write(run, table, query.expression, target)
-        elif table in _OF_ASSETS:
+        elif table in _ASSET_TABLES:
             _write(run, table, pc.field("asset_id").isin(_texts(asset_ids)), target)
         elif "scene_id" in SCHEMAS[table].names:
             _write(run, table, pc.field("scene_id").isin(_texts(scene_ids)), target)
@@ -93,58 +91,57 @@ def _texts(values: set[str]) -> pa.Array:
 
 
 def _write(run: RunFolder, table: str, where: pc.Expression, target: RunFolder) -> None:
-    """As few shards as the size of a file allows, so that neither memory nor the number of files grows with the run."""
-    there = target.shard_ids(table)
-    kept: list[pa.Table] = []
+    """Writes the selected rows of a table in shards of about _SHARD_BYTES: few files, and bounded memory."""
+    existing = target.shard_ids(table)
+    pending: list[pa.Table] = []
     number = 0
 
     def write() -> None:
         nonlocal number
         shard_id = content_id(table, number)
-        if shard_id not in there:
-            target.write_table(table, shard_id, pa.concat_tables([SCHEMAS[table].empty_table(), *kept]))
-        kept.clear()
+        if shard_id not in existing:
+            target.write_table(table, shard_id, pa.concat_tables([SCHEMAS[table].empty_table(), *pending]))
+        pending.clear()
         number += 1
 
     for batch in run.batches(table, where=where):
         if batch.num_rows:
-            kept.append(pa.Table.from_batches([batch]).replace_schema_metadata(SCHEMAS[table].metadata))
-        if sum(part.nbytes for part in kept) > _SHARD_BYTES:
+            pending.append(pa.Table.from_batches([batch]).replace_schema_metadata(SCHEMAS[table].metadata))
+        if sum(part.nbytes for part in pending) > _SHARD_BYTES:
             write()
-    if kept or not number:
+    if pending or not number:  # a table without rows gets one empty shard
         write()
 
 
-def _former(target: RunFolder, manifest: dict[str, object]) -> dict[str, Any]:
-    """The manifest of the selection that is there; empty where there is none.
+def _read_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[str, Any]:
+    """Returns the manifest of an earlier selection in the target; empty if the target is empty.
 
     Raises:
-        ConfigError: Something else is there, or a selection that other code broke off.
+        ConfigError: The target has other content, or an incomplete selection of another code version.
     """
     content = target.read_bytes("manifest.json")
-    held = [table for table in SCHEMAS if target.files(table)]
-    if content is None and not held:
+    if content is None and not any(target.files(table) for table in SCHEMAS):
         return {}
     try:
-        was = {} if content is None else dict(json.loads(content))
+        previous = {} if content is None else dict(json.loads(content))
     except (ValueError, TypeError):
-        was = {}
+        previous = {}
     keys = ("job", "table_version", "input_fingerprint", "settings")
-    refuse_changed(target.uri, {key: was.get(key) for key in keys}, {key: manifest[key] for key in keys})
-    if was.get("code_version") != manifest["code_version"] and not _is_whole(target, was):
-        # Shards are cut, and so named, by the code: rows that are there would be written once more, cut elsewhere.
+    refuse_changed(target.uri, {key: previous.get(key) for key in keys}, {key: manifest[key] for key in keys})
+    if previous.get("code_version") != manifest["code_version"] and not _is_complete(target, previous):
+        # Another code version may divide the rows into other shards, so existing rows could be written twice.
         raise ConfigError(
-            f"{target.uri}: was started by another code version ({was.get('code_version')}), expected {manifest['code_version']}; "
-            "choose a new folder",
+            f"{target.uri}: was started by another code version ({previous.get('code_version')}), "
+            f"expected {manifest['code_version']}; choose a new folder",
             "config_changed",
         )
-    return was
+    return previous
 
 
-def _is_whole(target: RunFolder, was: Mapping[str, Any]) -> bool:
-    counts = was.get("counts")
+def _is_complete(target: RunFolder, previous: Mapping[str, Any]) -> bool:
+    counts = previous.get("counts")
     return (
-        was.get("status") == "complete"
+        previous.get("status") == "complete"
         and isinstance(counts, dict)
         and counts == {table: target.num_rows(table) for table in counts if target.files(table)}
     )

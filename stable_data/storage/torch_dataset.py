@@ -1,7 +1,7 @@
 """Tables of runs for training in PyTorch: by index, or as a stream over ranks and workers that resumes exactly.
 
-The only module of the library that imports torch. Where a run lies on an object store, give a ``DataLoader`` with workers
-``multiprocessing_context="spawn"``: the clients of object stores do not survive a fork.
+This is the only module of the library that imports torch. If a run is in an object store, a ``DataLoader`` with workers needs
+``multiprocessing_context="spawn"``: the clients of object stores do not work after a fork.
 """
 
 from collections import OrderedDict
@@ -30,19 +30,19 @@ _CACHE_BYTES = 256 * 2**20
 
 
 class SceneBatch(TypedDict):
-    """Scenes as padded tensors. Padding holds zeros, -1 in ``stage``; only ``mask`` says what is padding.
+    """Scenes as padded tensors. Padding is 0, and -1 in ``stage``; ``mask`` alone tells padding from objects.
 
     Attributes:
-        scene_ids: Ids, S.
+        scene_ids: Identifiers, S.
         instructions: The instruction of each scene's task, or None, S.
         instances: Names of each scene's objects, S tuples, not padded.
-        asset_ids: Their meshes, None where a scene names none, S tuples, not padded.
-        table_size: (S, 2) float32, metres.
-        mask: True where there is an object, (S, N) bool.
+        asset_ids: Asset of each object or None, S tuples, not padded.
+        table_size: Table extents, (S, 2) float32, metres.
+        mask: True for objects, false for padding, (S, N) bool.
         poses: x, y, z in metres and yaw in radians, world frame, (S, N, 4) float32.
         size: Box in the yaw frame, (S, N, 3) float32, metres.
         tilt_quat_xyzw: Rotation before yaw, (S, N, 4) float32.
-        stage: Index in ``Stage``, -1 where a scene is not staged, (S, N) int64.
+        stage: Index in ``Stage``, -1 if a scene has no stages, (S, N) int64.
     """
 
     scene_ids: list[str]
@@ -58,31 +58,32 @@ class SceneBatch(TypedDict):
 
 
 def collate_scenes(scenes: Sequence[Scene]) -> SceneBatch:
-    """Scenes as padded tensors, in order; a ``collate_fn`` of a ``DataLoader``, or ``collate`` of :class:`TableStream`."""
+    """Converts scenes to padded tensors, in order: ``collate_fn`` of a ``DataLoader``, or ``collate`` of :class:`TableStream`."""
     return _padded(SceneArrays.from_scenes(scenes))
 
 
 class TableDataset(Dataset[Any]):
     """A table of a run by index, in the order of its files.
 
-    Row groups are read as they are asked for, and the last ones used are kept. Reading in random order asks for a row group
-    at every step: where the table is larger than the cache, shuffle with :class:`TableStream`.
+    Row groups are read on demand, and the most recently used ones are cached. Access in random order needs another row group
+    for almost every row: if the table is larger than the cache, shuffle with :class:`TableStream`.
 
     Args:
-        uri: The run folder, as :class:`~stable_data.storage.run_folder.RunFolder` takes it; or several, whose rows come one
-            run after the other.
+        uri: The run folder, as for :class:`~stable_data.storage.run_folder.RunFolder`, or several, whose rows follow one
+            another.
         table: Name in SCHEMAS.
-        columns: Columns to read, or None: all of them.
-        decode: Row, column -> value, to item. By default ``scenes`` with all columns gives a ``Scene`` without its ``source``
-            entries (``decode=scene_from_row`` keeps them), anything else the row itself. Lists of float16, float32 and int32
-            come as numpy arrays. With workers that are spawned it must be a function of a module.
-        split: ``train``, ``validation`` or ``test`` of ``scenes`` or ``samples``; None: the rows of all.
-        where: Which rows, such as ``clean and num_stacked >= 2`` (:mod:`stable_data.storage.filter_expression`); None: all.
-        cache_bytes: How much decoded Parquet is kept at most; the last row group is kept whatever its size.
+        columns: Columns to read, or None for all.
+        decode: Function from a row (column -> value) to an item. By default a row of ``scenes`` with all columns becomes a
+            ``Scene`` without ``source`` entries (``decode=scene_from_row`` includes them), and any other row stays a
+            dictionary. Lists of float16, float32 and int32 are numpy arrays. Spawned workers need a function of a module.
+        split: ``train``, ``validation``, ``test`` or ``unseen`` of ``scenes`` or ``samples``, or None for all rows.
+        where: Condition on the rows, such as ``clean and num_stacked >= 2`` (:mod:`stable_data.storage.filter_expression`), or
+            None for all rows.
+        cache_bytes: Maximum size of the cached row groups; the last one is cached whatever its size.
 
     Raises:
-        ConfigError: The table, a column or a split is not there, the condition is none, or the table was written by another
-            version or cannot be read.
+        ConfigError: The table, a column or the split does not exist, the condition is not valid, or the table was written by
+            another version or cannot be read.
     """
 
     def __init__(
@@ -96,7 +97,7 @@ class TableDataset(Dataset[Any]):
         where: str | None = None,
         cache_bytes: int = _CACHE_BYTES,
     ) -> None:
-        leaves, self._items = _reading(table, columns, decode)
+        leaves, self._items = _choose_decoder(table, columns, decode)
         self._files = TableFiles(uri, table, leaves, split, where)
         self._cache_bytes = cache_bytes
         self._cache: OrderedDict[int, pa.Table] = OrderedDict()
@@ -108,11 +109,11 @@ class TableDataset(Dataset[Any]):
         return len(self._files)
 
     def __getitem__(self, index: int) -> Any:
-        """The item of a row; a negative index counts from the end."""
+        """Returns the item of a row; a negative index counts from the end."""
         return self.__getitems__([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """The items of some rows; a ``DataLoader`` asks for a batch at once."""
+        """Returns the items of some rows; a ``DataLoader`` requests a whole batch with this method."""
         rows = np.array([self._row(index) for index in indices], np.int64)
         groups = np.searchsorted(self._files.starts, rows, "right") - 1
         items: list[Any] = [None] * len(rows)
@@ -129,7 +130,7 @@ class TableDataset(Dataset[Any]):
         return index % len(self)
 
     def _group(self, group: int) -> pa.Table:
-        """A row group, from the cache where it is there."""
+        """Returns a row group from the cache or the file."""
         if group in self._cache:
             self._cache.move_to_end(group)
             return self._cache[group]
@@ -140,13 +141,13 @@ class TableDataset(Dataset[Any]):
 
 
 class TableStream(IterableDataset[Any]):
-    """A table of a run as a stream: in an epoch every row exactly once over all ranks and workers.
+    """A table of a run as a stream: an epoch contains every row exactly once over all ranks and workers.
 
-    The rows of an epoch stand in one order, fixed by ``shuffle_seed`` and the epoch. Each rank takes an even, contiguous part
-    of it, its batches go round the workers, and a ``DataLoader`` gives them back in that order: the batches are the same with
-    any number of workers, and ``num_rows`` of them have been seen wherever training stopped. To that end let the stream make
-    the batches: ``DataLoader(stream, batch_size=None, num_workers=...)``. A ``DataLoader`` that batches by itself still gives
-    every row once, but with workers its order depends on their number.
+    The order of the rows in an epoch depends on ``shuffle_seed`` and the epoch alone. Each rank reads an equal, contiguous part
+    of this order. The workers make its batches in turn, and a ``DataLoader`` returns them in order, so the batches do not depend
+    on the number of workers, and the number of rows seen defines where to resume. This requires that the stream makes the
+    batches: ``DataLoader(stream, batch_size=None, num_workers=...)``. A ``DataLoader`` that makes the batches itself also
+    returns every row once, but in an order that depends on the number of workers.
 
     Args:
         uri: As in :class:`TableDataset`.
@@ -155,18 +156,20 @@ class TableStream(IterableDataset[Any]):
         decode: As in :class:`TableDataset`.
         split: As in :class:`TableDataset`.
         where: As in :class:`TableDataset`.
-        batch_size: Rows in a batch, or None: the stream gives single items.
-        collate: List of items to batch; None leaves the list. ``collate_scenes`` on ``scenes`` goes from columns to tensors.
-        shuffle_seed: None keeps the order of the files; else row groups are shuffled, then rows within windows of them.
-        window_rows: Rows that a window holds at most (one row group at least, 256 MB at most): what is held in memory.
-        rank: This process among those that train together.
-        world_size: Number of those processes.
-        drop_remainder: Give every rank the same number of rows and whole batches only, as collective training needs; fewer
-            than ``world_size * batch_size`` rows are left out, others in each shuffled epoch. Else ranks differ by at most one
-            row.
+        batch_size: Rows in a batch, or None for single items.
+        collate: Function from a list of items to a batch, or None for the list itself. ``collate_scenes`` on ``scenes`` converts
+            columns to tensors directly.
+        shuffle_seed: None for the order of the files; otherwise row groups are shuffled, and then rows within windows of row
+            groups.
+        window_rows: Maximum number of rows in a window, which is in memory at once (at least one row group, at most 256 MB).
+        rank: Index of this process among the training processes.
+        world_size: Number of training processes.
+        drop_remainder: Whether every rank gets the same number of rows and only full batches, as collective training requires.
+            Fewer than ``world_size * batch_size`` rows are then left out, different ones in each shuffled epoch. Otherwise the
+            ranks differ by at most one row.
 
     Raises:
-        ConfigError: As in :class:`TableDataset`; or a setting cannot be, or leaves a rank without a row or a whole batch.
+        ConfigError: As in :class:`TableDataset`; or a setting is out of range, or leaves a rank without a row or a full batch.
     """
 
     def __init__(
@@ -187,7 +190,7 @@ class TableStream(IterableDataset[Any]):
         drop_remainder: bool = False,
     ) -> None:
         _check_settings(batch_size, shuffle_seed, window_rows, rank, world_size)
-        leaves, self._items = _reading(table, columns, decode)
+        leaves, self._items = _choose_decoder(table, columns, decode)
         self._collate = collate
         self._is_columnar = collate is collate_scenes and leaves is SCENE_LEAVES and batch_size is not None
         self._files = TableFiles(uri, table, ARRAY_LEAVES if self._is_columnar else leaves, split, where)
@@ -195,40 +198,40 @@ class TableStream(IterableDataset[Any]):
         self._order = EpochOrder(self._files.groups, shuffle_seed, window_rows)
         self._rank, self._world_size, self._drop_remainder = rank, world_size, drop_remainder
         self._check_enough(table)
-        # Epoch and first row. Shared memory, so that workers that outlive an epoch see the next one.
+        # Epoch and first row, in shared memory: persistent workers then see the next epoch.
         self._plan = torch.zeros(2, dtype=torch.int64)
         self._plan.share_memory_()  # type: ignore[no-untyped-call]
         self._first, self._given, self._skip, self._num_workers = 0, 0, 0, 1
 
     @property
     def num_rows(self) -> int:
-        """Rows of an epoch in this rank."""
+        """Number of rows of an epoch in this rank."""
         return len(self._rank_rows())
 
     @property
     def epoch(self) -> int:
-        """The epoch that the next iteration gives."""
+        """The epoch of the next iteration."""
         return int(self._plan[0])
 
     def __len__(self) -> int:
-        """Items of a whole epoch in this rank: batches, or rows where the stream makes no batches."""
+        """Number of items of an epoch in this rank: batches, or rows if the stream makes no batches."""
         return -(-self.num_rows // self._step)
 
     def set_epoch(self, epoch: int) -> None:
-        """Chooses the epoch of the next iteration; another epoch than the current one starts at its first row."""
+        """Sets the epoch of the next iteration; an epoch other than the current one starts at its first row."""
         if epoch != self.epoch:
             self._start(epoch, 0, 0, 1)
 
     def resume_from(self, num_rows: int) -> None:
-        """Lets the next iteration of this epoch leave out the rows that were seen.
+        """Makes the next iteration of this epoch skip the rows that were already seen.
 
-        With workers it holds until ``set_epoch`` chooses another epoch.
+        With workers, every iteration skips them until ``set_epoch`` sets another epoch.
 
         Args:
-            num_rows: Rows of this epoch that this rank has seen, by whichever number of workers.
+            num_rows: Number of rows of this epoch that this rank has seen, with any number of workers.
 
         Raises:
-            ConfigError: The epoch has not as many.
+            ConfigError: The epoch has fewer rows.
         """
         if not 0 <= num_rows <= self.num_rows:
             raise ConfigError(
@@ -237,17 +240,17 @@ class TableStream(IterableDataset[Any]):
         self._start(self.epoch, num_rows, 0, 1)
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the iteration in this process stands: without workers, or in each worker (torchdata's StatefulDataLoader)."""
+        """Returns the state of the iteration, without workers or in each worker (torchdata's StatefulDataLoader)."""
         state = self._settings() | {"epoch": self.epoch, "num_workers": self._num_workers}
         if self._num_workers > 1:
             return state | {"first": self._first, "given": self._given}
         return state | {"first": min(self._first + self._given * self._step, self.num_rows), "given": 0}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Lets the next iteration continue where :meth:`state_dict` was taken.
+        """Makes the next iteration continue from a state of :meth:`state_dict`.
 
         Raises:
-            ConfigError: ``resume_changed``: the table or a setting that shapes the order is another one now.
+            ConfigError: The table or a setting that determines the order has changed (``resume_changed``).
         """
         for key, now in self._settings().items():
             if state.get(key) != now:
@@ -268,19 +271,19 @@ class TableStream(IterableDataset[Any]):
         epoch, self._first = self._plan.tolist()
         self._given, self._num_workers = skip, num_workers
         if worker is None:
-            self._plan[1] = 0  # the iteration after this one starts at the first row
+            self._plan[1] = 0  # the following iteration starts at the first row
         rows = self._rank_rows()[self._first :]
         for item in self._read(epoch, rows, lambda place: (place // self._step - number) % num_workers == 0, skip):
             self._given += 1
             yield item
 
     def _check_enough(self, table: str) -> None:
-        """Refuses a stream that would give nothing to some rank: it looks like training and is none."""
+        """Checks that every rank gets rows: with none, a training would run without learning anything."""
         least = self._world_size * (self._step if self._drop_remainder else 1)
         if len(self._files) < least:
             of_split = f" of split {self._files.split}" if self._files.split else ""
             of_split += f" where {self._files.where}" if self._files.where else ""
-            whole = f" times batch_size {self._step}, as drop_remainder wants" if self._drop_remainder else ""
+            whole = f" times batch_size {self._step} because of drop_remainder" if self._drop_remainder else ""
             raise ConfigError(
                 f"{self._files.uri}: table {table} has {len(self._files)} rows{of_split}, expected at least {least}, world_size "
                 f"{self._world_size}{whole}; use a larger run or smaller values",
@@ -292,7 +295,7 @@ class TableStream(IterableDataset[Any]):
         self._first, self._given, self._skip, self._num_workers = first, given, given, num_workers
 
     def _settings(self) -> dict[str, Any]:
-        """What shapes the order of the rows and must not change within an epoch."""
+        """Returns the settings that determine the order of the rows; they must not change within an epoch."""
         return {
             "split": self._files.split,
             "where": self._files.where,
@@ -305,7 +308,7 @@ class TableStream(IterableDataset[Any]):
         }
 
     def _rank_rows(self) -> range:
-        """Where this rank's rows stand in an epoch."""
+        """Returns the positions of this rank's rows in an epoch."""
         total, rank, ranks = len(self._files), self._rank, self._world_size
         if self._drop_remainder:
             share = total // ranks // self._step * self._step
@@ -313,7 +316,7 @@ class TableStream(IterableDataset[Any]):
         return range(rank * total // ranks, (rank + 1) * total // ranks)
 
     def _read(self, epoch: int, rows: range, is_ours: Callable[[IntArray], npt.NDArray[np.bool_]], skip: int) -> Iterator[Any]:
-        """The items at those places of an epoch that are ours, but for the first ``skip`` items."""
+        """Yields the items at the positions of an epoch for which ``is_ours`` is true, without the first ``skip`` items."""
         rest, skip_rows = None, skip * self._step
         for window in self._order.windows(epoch):
             places = np.arange(max(window.start, rows.start), min(window.stop, rows.stop))
@@ -344,7 +347,7 @@ class TableStream(IterableDataset[Any]):
 
 
 class _RowDecoder:
-    """Rows through a user's function; a class, so that it can be sent to workers that are spawned."""
+    """Applies a user's function to rows; a class, since spawned workers cannot receive a closure."""
 
     def __init__(self, decode: Decode) -> None:
         self._decode = decode
@@ -353,10 +356,10 @@ class _RowDecoder:
         return [self._decode(row) for row in rows_from_table(table)]
 
 
-def _reading(
+def _choose_decoder(
     table: str, columns: Sequence[str] | None, decode: Decode | None
 ) -> tuple[Sequence[str] | None, Callable[[pa.Table], list[Any]]]:
-    """Which leaves to read, and how to turn them into items."""
+    """Returns the leaves to read, and the function from a table to items."""
     check_columns(table, columns)
     if decode is not None:
         return columns, _RowDecoder(decode)

@@ -7,7 +7,8 @@ from models.semantic_reasoner.text.prompt import ANY_TABLE, Message, ReasonerQue
 from models.semantic_reasoner.text.reply_json import LayoutObject, layout_names, layout_objects
 from stable_data.scene import Stage, Tabletop
 from stable_data.scene_graph.staging import generation_order
-from stable_data.storage.schemas import Row, object_from_row, task_from_row
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import object_from_row, task_from_row
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from stable_data.errors import SceneError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
 from stable_data.scene_graph.relations import supports
-from stable_data.storage.schemas import object_from_row, scene_from_row
+from stable_data.storage.table_rows import object_from_row, scene_from_row
 from tests.stable_data.embedded_world.edit_scenes import made_scenes, row_of
 
 

@@ -23,7 +23,7 @@ from stable_data.scene import Scene
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 from tests.pipelines.runs import content
 
 SMALL = CorrectSettings(weights="none", scenes_per_shard=2, num_pictures=0, position_convention="box_centre")

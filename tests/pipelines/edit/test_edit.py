@@ -30,7 +30,8 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.mesatask.lint import lint_folder
 from stable_data.scene import SceneObject
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import Row, object_from_row, scene_from_row
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import object_from_row, scene_from_row
 from tests.pipelines.edit.edit_runs import ALONE, SMALL, file_of, rows_of
 from tests.pipelines.runs import ROOT, content
 

@@ -11,7 +11,8 @@ from pipelines.execution.shard_job import describe, run_job
 from stable_data.errors import ConfigError
 from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import REQUIRED, SCHEMAS, scene_row
+from stable_data.storage.schemas import REQUIRED, SCHEMAS
+from stable_data.storage.table_rows import scene_row
 from tests.pipelines.runs import content
 
 CUBE = SceneObject("cube", "cube", (0.5, 0.5, 0.1), 0.0, (0.2, 0.2, 0.2), None)

@@ -12,7 +12,8 @@ from pipelines.execution.shard_step import Rows, rows_or_failure
 from pipelines.generate.answers import NOT_OF_A_SCENE
 from stable_data.errors import ConfigError, Notice
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS, notice_row
+from stable_data.storage.schemas import SCHEMAS
+from stable_data.storage.table_rows import notice_row
 
 
 class FailsOnce:

@@ -36,7 +36,8 @@ from stable_data.scene import Scene, Stage, Tabletop
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import Row, scene_from_row
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import scene_from_row
 from stable_data.storage.torch_dataset import TableStream
 from tests.models.semantic_reasoner.engines.endpoint import Act, endpoint
 from tests.models.semantic_reasoner.engines.endpoint import said as completion

@@ -29,7 +29,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import UPRIGHT
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 from tests.models.point_encoder.clouds import tiny_encoder
 from tests.pipelines.runs import ROOT, SMALL, content, run_here
 

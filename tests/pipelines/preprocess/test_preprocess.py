@@ -26,7 +26,7 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.mesatask import MesaTaskDataset, to_box_centre, write_text_features, yaw_frame_box
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 from tests.object_store import object_store
 from tests.pipelines.runs import ROOT, SMALL, content, run_cli, run_here, used_assets
 from tests.scenes import box

@@ -17,7 +17,7 @@ from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Tabletop
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_from_row
+from stable_data.storage.table_rows import scene_from_row
 
 ONE = ["--instruction", "Lift it.", "--table", "office_table", "--size", "120", "60"]
 

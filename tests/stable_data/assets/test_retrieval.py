@@ -274,7 +274,7 @@ def test_what_a_query_is_to_go_without_is_as_if_it_were_not_there() -> None:
 def test_a_query_that_may_have_nothing_is_reported() -> None:
     everything = frozenset(asset.asset_id for asset in CROWD.assets)
     (answer,) = Retriever([CROWD], Noise()).retrieve([replace(CROWD_QUERIES[0], without=everything)])
-    assert answer == UnmatchedQuery("it is to go without all that the libraries have")
+    assert answer == UnmatchedQuery("the query excludes all assets of the libraries")
 
 
 def test_the_floor_is_the_same_to_the_last_bit_alone_and_in_a_batch() -> None:
@@ -344,7 +344,7 @@ def test_scaling_is_even_unless_asked_and_never_distorts_beyond_the_limit(wanted
         assert stretched.note == ""
     else:
         assert (stretched.size, stretched.scale) == (even.size, even.scale)
-        assert "scaled evenly: to be stretched, it would be distorted" in stretched.note
+        assert "scaled uniformly: stretching would distort it by a factor of" in stretched.note
 
 
 def test_what_leans_is_scaled_evenly_and_says_so() -> None:

@@ -49,7 +49,7 @@ def test_convex_parts_are_those_of_the_table(tmp_path: Path) -> None:
     store = AssetStore(RunAssets(run_of(tmp_path / "run"), tmp_path / "files"))
     parts = asset_parts("cube", store.asset("cube").mesh, store)
     assert [part.vertices[:, 0].mean().round(3) for part in parts] == [-0.025, 0.025]
-    assert store.kept_parts("other") == ()
+    assert store.stored_parts("other") == ()
 
 
 def test_annotations_come_from_the_table(tmp_path: Path) -> None:

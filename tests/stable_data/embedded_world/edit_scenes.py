@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from stable_data.embedded_world.scenes import EmbeddedScene, graph_of, make_scene
 from stable_data.embedded_world.settling import audit
-from stable_data.storage.schemas import Row, scene_row
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import scene_row
 
 
 def row_of(made: EmbeddedScene, split: str = "train") -> Row:

@@ -20,7 +20,8 @@ from stable_data.errors import SceneError
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.scene import Scene, Tabletop
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS, Row, arrow_table, object_from_row, scene_from_row
+from stable_data.storage.schemas import SCHEMAS, Row
+from stable_data.storage.table_rows import arrow_table, object_from_row, scene_from_row
 from tests.stable_data.embedded_world.edit_scenes import made_scenes, row_of
 
 pytestmark = pytest.mark.sim

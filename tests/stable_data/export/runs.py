@@ -17,7 +17,8 @@ from stable_data.scene import QuatXyzw, Scene, SceneObject, Tabletop, TaskInfo, 
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS, Row, card_row, scene_row
+from stable_data.storage.schemas import SCHEMAS, Row
+from stable_data.storage.table_rows import card_row, scene_row
 
 KEYS = ("can/0", "cereal_box/0", "mug/0", "plate/0")
 LYING: QuatXyzw = (0.5**0.5, 0.0, 0.0, 0.5**0.5)

@@ -19,7 +19,7 @@ from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection,
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import scene_row
+from stable_data.storage.table_rows import scene_row
 from tests.object_store import object_store
 from tests.stable_data.export.runs import EMPTY, ODD, SCENES, TABLE, at_rest, falling, write_run
 

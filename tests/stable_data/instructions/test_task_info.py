@@ -12,7 +12,7 @@ from stable_data.instructions.task_info import model_task, resolve_task_objects
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo, Vec3
 from stable_data.scene_graph.relations import SceneGraph, scene_graph
-from stable_data.storage.schemas import task_row
+from stable_data.storage.table_rows import task_row
 
 IN, ON = RelationKind.IN, RelationKind.ON
 

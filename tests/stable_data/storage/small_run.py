@@ -8,7 +8,8 @@ from typing import Any
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS, Row, card_row, scene_row
+from stable_data.storage.schemas import SCHEMAS, Row
+from stable_data.storage.table_rows import card_row, scene_row
 from stable_data.storage.torch_dataset import TableStream
 
 SHARDS = (7, 1, 12, 0, 9, 8)

@@ -16,7 +16,8 @@ from stable_data.errors import ConfigError, MissingColumnsWarning
 from stable_data.scene import Scene
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import REQUIRED, SCHEMAS, TABLE_VERSION, card_from_row, scene_from_row
+from stable_data.storage.schemas import REQUIRED, SCHEMAS, TABLE_VERSION
+from stable_data.storage.table_rows import card_from_row, scene_from_row
 from stable_data.storage.torch_dataset import TableDataset, TableStream, collate_scenes
 
 RUNS = Path(__file__).parents[2] / "data" / "run_v3"
@@ -88,7 +89,9 @@ def test_what_a_run_lacks_is_null_and_said(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         assert len(_rows(TableDataset(uri))) == 2  # a scene needs neither
     for where, count in (("stable", 0), ("not stable", 0), ("stable is None", 2), ("clean or stable", 2)):
-        with pytest.warns(MissingColumnsWarning, match="the condition names stable, and unknown is not a pass") as caught:
+        with pytest.warns(
+            MissingColumnsWarning, match="the condition names stable, and rows with null there do not pass"
+        ) as caught:
             assert len(TableDataset(uri, where=where)) == count
         assert "\n" not in str(caught[0].message)
     with pytest.warns(MissingColumnsWarning, match="before stable existed"):
@@ -102,7 +105,7 @@ def test_the_commands_say_in_one_line_what_a_run_lacks(tmp_path: Path) -> None:
     assert "0 of 2 scenes" in counted.stdout
     [line] = counted.stderr.splitlines()
     assert line.startswith(f"warning: {uri}: table scenes was written before stable existed")
-    assert "unknown is not a pass" in line
+    assert "rows with null there do not pass" in line
     chosen = command("query", uri, "clean", "--to", tmp_path / "chosen")
     assert "2 of 2 scenes" in chosen.stdout
     assert len(chosen.stderr.splitlines()) == 1
@@ -118,7 +121,7 @@ def test_any_column_that_is_not_required_may_be_missing(tmp_path: Path) -> None:
         uri = without("preprocess", tmp_path / column, column)
         if column in REQUIRED["scenes"]:
             for read in (lambda uri=uri: RunFolder(uri).table("scenes"), lambda uri=uri: TableDataset(uri)):
-                with pytest.raises(ConfigError, match=f"has no column {column}, expected it in every") as caught:
+                with pytest.raises(ConfigError, match=f"column {column} is missing, expected in every") as caught:
                     read()
                 assert caught.value.code == "column_missing"
             continue

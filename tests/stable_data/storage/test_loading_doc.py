@@ -9,7 +9,8 @@ import pytest
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS, card_row, scene_from_row, scene_row
+from stable_data.storage.schemas import SCHEMAS
+from stable_data.storage.table_rows import card_row, scene_from_row, scene_row
 
 DOC = Path(__file__).parents[3] / "docs" / "loading.md"
 CARD = MetricCard(2, 0, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, True)

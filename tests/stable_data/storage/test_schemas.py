@@ -17,13 +17,12 @@ from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import UPRIGHT, Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
 from stable_data.storage.scene_arrays import scenes_from_table
-from stable_data.storage.schemas import (
-    SCHEMAS,
-    TABLE_VERSION,
+from stable_data.storage.schema_checks import check_schema
+from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
+from stable_data.storage.table_rows import (
     arrow_table,
     card_from_row,
     card_row,
-    check_schema,
     notice_row,
     object_row,
     scene_from_row,

@@ -20,7 +20,8 @@ from stable_data.storage import epoch_shuffle, row_groups
 from stable_data.storage.epoch_shuffle import EpochOrder
 from stable_data.storage.row_groups import RowGroup, rows_from_table
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS, Row, arrow_table, scene_from_row
+from stable_data.storage.schemas import SCHEMAS, Row
+from stable_data.storage.table_rows import arrow_table, scene_from_row
 from stable_data.storage.torch_dataset import TableDataset, TableStream, collate_scenes
 from tests.object_store import object_store
 from tests.stable_data.storage.small_run import IDS, NUM_ROWS, SCENES, ids, scene_id, split_of, stream, write, write_run

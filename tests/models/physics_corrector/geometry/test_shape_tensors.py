@@ -13,7 +13,7 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf.exact import SignedDistance
 from stable_data.geometry.shape import Shape
 from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
-from stable_data.storage import schemas
+from stable_data.storage.table_rows import arrow_table
 from tests.models.physics_corrector.geometry.shapes import store, table, thing
 
 OBLIQUE: QuatXyzw = tuple(Rotation.from_euler("xyz", (30, 50, 70), degrees=True).as_quat().tolist())
@@ -132,7 +132,7 @@ def test_grids_of_the_table_are_taken_instead_of_built() -> None:
     grid = store().grid("ball", (1.0, 1.0, 1.0))
     fields = {name: getattr(grid, name) for name in grid.__slots__}
     row = fields | {"values": grid.values.ravel(), "shape": grid.values.shape, "asset_id": "ball", "aspect": aspect_of(steps)}
-    grids = grids_from_rows(schemas.arrow_table("sdf", [row]).to_pylist())
+    grids = grids_from_rows(arrow_table("sdf", [row]).to_pylist())
     assert grids.keys() == {("ball", steps)}
     np.testing.assert_array_equal(grids["ball", steps].values, grid.values)
     shapes = ShapeCollector(store(), grids=grids)

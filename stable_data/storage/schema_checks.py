@@ -1,0 +1,85 @@
+"""Checks of files against the schemas: versions, missing columns, and null for a column that a file lacks."""
+
+import warnings
+from collections.abc import Iterable, Sequence
+
+import pyarrow as pa
+
+from stable_data.errors import ConfigError, MissingColumnsWarning
+from stable_data.storage.schemas import REQUIRED, TABLE_VERSION
+
+
+def check_schema(schema: pa.Schema, table: str, where: str) -> None:
+    """Checks that a file of a table can be read as the current version.
+
+    Args:
+        schema: Schema of the file.
+        table: Name in SCHEMAS.
+        where: The file or table, for the message.
+
+    Raises:
+        ConfigError: The version is not TABLE_VERSION (``table_version``), or a REQUIRED column is missing (``column_missing``).
+    """
+    found = (schema.metadata or {}).get(b"stable_data.version", b"none").decode()
+    if found != str(TABLE_VERSION):
+        remedy = (
+            "install the version of stable-data that wrote it, or a newer one"
+            if found.isdigit() and int(found) > TABLE_VERSION
+            else "run the job again into a new folder, or read it with the version of stable-data that wrote it"
+        )
+        raise ConfigError(f"{where}: written as table version {found}, expected {TABLE_VERSION}; {remedy}", "table_version")
+    missing = [name for name in REQUIRED[table] if name not in schema.names]
+    if missing:
+        raise ConfigError(
+            f"{where}: column {', '.join(missing)} is missing, expected in every table {table}; run the job again into a new folder",
+            "column_missing",
+        )
+
+
+def add_schema_metadata(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Returns a table with the columns, order and types of a schema; missing columns and struct fields are null."""
+    columns = [
+        table[column.name].cast(column.type) if column.name in table.column_names else pa.nulls(len(table), column.type)
+        for column in schema
+    ]
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def missing_columns(found: Iterable[pa.Field], expected: Iterable[pa.Field]) -> list[str]:
+    """Returns the names of missing columns, and the dotted names of missing struct fields."""
+    types, names = {column.name: column.type for column in found}, list[str]()
+    for column in expected:
+        if column.name not in types:
+            names.append(column.name)
+        else:
+            names += (f"{column.name}.{name}" for name in missing_columns(_struct(types[column.name]), _struct(column.type)))
+    return names
+
+
+def _struct(type_: pa.DataType) -> Sequence[pa.Field]:
+    """The fields of a struct or of a list of structs; empty for another type."""
+    while pa.types.is_list(type_):
+        type_ = type_.value_type
+    return list(type_) if pa.types.is_struct(type_) else []
+
+
+def warn_of_missing_columns(where: str, table: str, missing: Iterable[str], condition: Iterable[str] = ()) -> None:
+    """Warns in one line of columns that a run lacks because it is older than they are; does nothing if no column is missing.
+
+    Args:
+        where: The run.
+        table: Name in SCHEMAS.
+        missing: Result of :func:`missing_columns`.
+        condition: Columns that a condition on the rows names.
+    """
+    missing = list(dict.fromkeys(missing))
+    if not missing:
+        return
+    message = f"{where}: table {table} was written before {', '.join(missing)} existed; they are read as null (unknown)"
+    unknown = [name for name in dict.fromkeys(condition) if name in missing]
+    if unknown:
+        message += (
+            f"; the condition names {', '.join(unknown)}, and rows with null there do not pass: "
+            f'run the job again into a new folder, or write "{unknown[0]} is None or ..."'
+        )
+    warnings.warn(message, MissingColumnsWarning, stacklevel=3)

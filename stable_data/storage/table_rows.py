@@ -1,0 +1,133 @@
+"""Rows of tables from scenes, tasks, cards and notices, and back, without loss."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, fields
+from typing import Any
+
+import pyarrow as pa
+
+from stable_data.errors import Notice
+from stable_data.json_text import json_text
+from stable_data.metrics.card import MetricCard
+from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
+from stable_data.storage.schemas import SAMPLE_OBJECT, SCHEMAS, TASK, Row
+
+
+def arrow_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Returns rows as an Arrow table; the table is empty if there are no rows.
+
+    Args:
+        name: Name in SCHEMAS.
+        rows: Column -> value; every row has every column.
+    """
+    schema = SCHEMAS[name]
+    for row in rows:
+        assert row.keys() == set(schema.names), (name, row.keys() ^ set(schema.names))
+    return pa.Table.from_pylist(list(rows), schema=schema)
+
+
+def _json(source: Mapping[str, Any] | None) -> str | None:
+    return None if source is None else json_text(source, separators=(",", ":"))
+
+
+def _relation_rows(relations: Iterable[Relation]) -> list[Row]:
+    return [{"subject": r.subject, "kind": str(r.kind), "target": r.target} for r in relations]
+
+
+def _relations(rows: Sequence[Mapping[str, str]]) -> tuple[Relation, ...]:
+    return tuple(Relation(r["subject"], RelationKind(r["kind"]), r["target"]) for r in rows)
+
+
+def object_row(o: SceneObject, *, with_source: bool = True) -> Row:
+    """Returns an object as a value of type OBJECT, or of type SAMPLE_OBJECT without its source."""
+    row: Row = {f.name: getattr(o, f.name) for f in SAMPLE_OBJECT}
+    row["stage"] = None if o.stage is None else str(o.stage)
+    return row | {"source_json": _json(o.source)} if with_source else row
+
+
+def object_from_row(row: Mapping[str, Any]) -> SceneObject:
+    """Returns the object of a value that :func:`object_row` made."""
+    source = row.get("source_json")
+    return SceneObject(
+        instance=row["instance"],
+        category=row["category"],
+        description=row["description"],
+        asset_id=row["asset_id"],
+        position=tuple(row["position"]),
+        yaw=row["yaw"],
+        tilt_quat_xyzw=tuple(row["tilt_quat_xyzw"]),
+        scale=None if row["scale"] is None else tuple(row["scale"]),
+        size=tuple(row["size"]),
+        stage=None if row["stage"] is None else Stage(row["stage"]),
+        support=row["support"],
+        source=None if source is None else json.loads(source),
+    )
+
+
+def task_row(task: TaskInfo | None) -> Row | None:
+    """Returns a task info as a value of type TASK."""
+    if task is None:
+        return None
+    row = {f.name: getattr(task, f.name) for f in TASK if f.name not in ("relations", "source_json")}
+    return row | {"relations": _relation_rows(task.relations), "source_json": _json(task.source)}
+
+
+def task_from_row(row: Mapping[str, Any] | None) -> TaskInfo | None:
+    """Returns the task info of a value that :func:`task_row` made."""
+    if row is None:
+        return None
+    return TaskInfo(
+        environment=row["environment"],
+        task=row["task"],
+        goal=tuple(row["goal"]),
+        action_sequence=tuple(row["action_sequence"]),
+        objects_cluster=tuple(row["objects_cluster"]),
+        task_objects=tuple(row["task_objects"]),
+        relations=_relations(row["relations"]),
+        origin=row["origin"],
+        source=None if row["source_json"] is None else json.loads(row["source_json"]),
+    )
+
+
+def scene_row(scene: Scene) -> Row:
+    """Returns a scene as the columns of ``scenes`` that describe the scene itself."""
+    return {
+        "scene_id": scene.scene_id,
+        "table_type": scene.table.table_type,
+        "table_size": scene.table.size_xy,
+        "restricted_zone": scene.table.restricted_zone,
+        "task": task_row(scene.task),
+        "objects": [object_row(o) for o in scene.objects],
+        "relations": _relation_rows(scene.relations),
+        "source_json": _json(scene.source),
+    }
+
+
+def scene_from_row(row: Mapping[str, Any]) -> Scene:
+    """Returns the scene of a row that :func:`scene_row` made; other columns are ignored."""
+    zone, source = row["restricted_zone"], row["source_json"]
+    size_x, size_y = row["table_size"]
+    return Scene(
+        scene_id=row["scene_id"],
+        table=Tabletop(row["table_type"], (size_x, size_y), None if zone is None else tuple(zone)),
+        objects=tuple(object_from_row(o) for o in row["objects"]),
+        task=task_from_row(row["task"]),
+        relations=_relations(row["relations"]),
+        source=None if source is None else json.loads(source),
+    )
+
+
+def card_from_row(row: Mapping[str, Any]) -> MetricCard:
+    """Returns the metric card of a row of ``scenes``."""
+    return MetricCard(**{f.name: row[f.name] for f in fields(MetricCard)})
+
+
+def card_row(card: MetricCard) -> Row:
+    """Returns a metric card as columns of ``scenes``."""
+    return asdict(card)
+
+
+def notice_row(notice: Notice) -> Row:
+    """Returns a notice as a row of ``warnings`` or ``failures``."""
+    return {"id": notice.item_id, "step": notice.step, "code": notice.code, "message": notice.message}
