@@ -204,7 +204,15 @@ class CorrectorTrainer:
         """Sums gradients and figures over the processes, in place."""
         if self.place.world_size == 1:
             return
-        gradients = [p.grad for p in self.network.parameters() if p.grad is not None]
+        parameters = list(self.network.parameters())
+        # A process without a chunk has no gradients yet. All processes must sum the same parameters.
+        has_gradient = torch.tensor([p.grad is not None for p in parameters], dtype=torch.float32, device=self.place.device)
+        torch.distributed.all_reduce(has_gradient)
+        gradients = []
+        for parameter, is_summed in zip(parameters, has_gradient.tolist(), strict=True):
+            if is_summed:
+                parameter.grad = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
+                gradients.append(parameter.grad)
         flat = torch.cat([*(g.flatten() for g in gradients), figures])
         torch.distributed.all_reduce(flat)
         *parts, summed = torch.split(flat, [*(g.numel() for g in gradients), len(figures)])

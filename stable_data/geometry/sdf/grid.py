@@ -1,4 +1,6 @@
-"""Signed-distance grids: their content, and sampling in one or many of them. Needs only numpy; ``build`` makes the grids.
+"""Signed-distance grids: their content, and sampling in one or many of them.
+
+Needs only numpy; :mod:`stable_data.geometry.sdf.build` makes grids.
 
 **Frame.** A grid belongs to a mesh at an aspect (``SceneObject.scale`` divided by its largest component). The mesh, multiplied by
 the aspect and divided by the largest extent of its box, is the *unit mesh*; the grid uses its frame and its unit of length. The

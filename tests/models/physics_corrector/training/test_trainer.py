@@ -14,6 +14,7 @@ from stable_data.errors import ConfigError
 from tests.models.physics_corrector.training.training_scenes import TINY, training_set
 
 DATA = training_set()
+ONE_CHUNK = replace(TINY, batch_size=3, chunk=3)
 
 
 def trained(settings: CorrectorTrainingSettings, steps: int, training: CorrectorTrainer | None = None) -> CorrectorTrainer:
@@ -94,6 +95,28 @@ def test_processes_share_the_chunks_of_a_step() -> None:
         assert torch.equal(one.poses, other.poses)
         assert share == same
         assert torch.equal(torch.rand(3, generator=generator), torch.rand(3, generator=like))
+
+
+def train_in_process(rank: int, folder: str) -> None:
+    """Two steps with one chunk each, of which the second process has none."""
+    torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/store", rank=rank, world_size=2)
+    training = CorrectorTrainer(DATA, ONE_CHUNK, ProcessContext(rank=rank, world_size=2))
+    training.advance()
+    training.advance()
+    torch.save(training.network.state_dict(), Path(folder) / f"{rank}.pt")
+    torch.distributed.destroy_process_group()
+
+
+@pytest.mark.slow
+def test_a_process_without_a_chunk_takes_the_gradients_of_the_others(tmp_path: Path) -> None:
+    torch.multiprocessing.spawn(train_in_process, (str(tmp_path),), nprocs=2)
+    alone = CorrectorTrainer(DATA, ONE_CHUNK)
+    alone.advance()
+    alone.advance()
+    for rank in range(2):
+        shared = torch.load(tmp_path / f"{rank}.pt", weights_only=True)
+        for name, value in alone.network.state_dict().items():
+            torch.testing.assert_close(shared[name], value)
 
 
 def test_physics_counts_from_its_start_and_grows() -> None:
