@@ -21,8 +21,8 @@ import numpy as np
 
 from models.text_encoder import load_default
 from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
-from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import SceneError
 from stable_data.mesatask import MesaTaskDataset

@@ -8,13 +8,13 @@ answers their requests in batches.
 
 from collections.abc import Generator, Mapping, Set
 from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 from models.dual_system.generation_state import GenerationState, StageCandidate
 from models.dual_system.requests import (
     Answer,
     CorrectionRequest,
     Loop,
-    LoopSettings,
     ProposalRequest,
     Request,
     RetrievalRequest,
@@ -25,18 +25,61 @@ from models.semantic_reasoner.language.category_statistics import CategoryStatis
 from models.semantic_reasoner.language.stated_relations import relations_not_held
 from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.replies.to_scene import attach_task_info, objects_of_reply
-from models.semantic_reasoner.staged_layout import LayoutTask
+from models.semantic_reasoner.staged_layout import PROGRESSIVE, LayoutTask
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import layout_objects
 from stable_data.assets.assignment import AssignedLayout
+from stable_data.errors import ConfigError
 from stable_data.metrics.movement import movement
 from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.random_seeds import named_seed
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, Stage
 from stable_data.scene_graph.relations import relations_of, scene_graph
 
-_PAPER = LoopSettings()
+Corrects: TypeAlias = Literal["each", "end", "never"]
+"""When scenes are corrected: after each stage (the paper), once after all stages, or never (its ablations)."""
+
 _CARRYING = frozenset({RelationKind.ON, RelationKind.IN})
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """How the two systems alternate.
+
+    Attributes:
+        schedule: The stages, in order; ``whole`` alone is the one-shot ablation.
+        corrects: When scenes are corrected.
+        earlier_move: Maximum distance that a correction may move the objects of earlier stages, metres; 0 fixes them, infinity
+            sets no limit.
+        tries: Maximum number of attempts at a stage. An attempt is repeated if its objects have no assets or no space, or do
+            not stay as the instruction states. If every attempt misses relations, the one with the fewest missing is used.
+        full: Share of the table that objects may cover before the remaining stages are left out; 1 leaves out none.
+    """
+
+    schedule: tuple[Wanted, ...] = PROGRESSIVE
+    corrects: Corrects = "each"
+    earlier_move: float = float("inf")
+    tries: int = 3
+    full: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Checks the settings."""
+        if not self.schedule or "edit" in self.schedule or self.schedule[0] not in (Stage.TASK, "whole"):
+            raise ConfigError(
+                f"schedule is {[str(w) for w in self.schedule]}, expected task or whole first and no edit", "config_invalid"
+            )
+        if self.tries < 1 or not self.earlier_move >= 0 or not 0 < self.full <= 1:
+            found = f"tries is {self.tries}, earlier_move {self.earlier_move}, full {self.full}"
+            raise ConfigError(f"{found}, expected at least 1, at least 0, and a share in (0, 1]", "config_invalid")
+
+    def is_full(self, scene: Scene) -> bool:
+        """Whether the objects directly on the table cover more than the share ``full`` of it."""
+        width, depth = scene.table.size_xy
+        covered = sum(o.size[0] * o.size[1] for o in scene.objects if o.support in (None, TABLE))
+        return self.full < 1 and covered > self.full * width * depth
+
+
+_PAPER = LoopSettings()
 
 
 def dual_system(

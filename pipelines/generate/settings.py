@@ -5,13 +5,13 @@ from typing import Annotated, Any, ClassVar, cast
 
 from annotated_types import Interval
 
-from models.dual_system.requests import Corrects, LoopSettings
+from models.dual_system.algorithm1 import Corrects, LoopSettings
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
 from pipelines.execution.shard_size import shard_size
-from stable_data.assets.ranking import RetrievalSettings
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage
 from stable_data.storage.filter_expression import FilterExpression, parse_filter

@@ -14,8 +14,8 @@ from pipelines.preprocess.plan import file_digest
 from pipelines.sources.scenes import FolderSource, mesh_cache
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.catalog import AssetLibrary, library_of_run
-from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.retrieval import Retriever
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.run_assets import RunAssets, run_annotations
 from stable_data.assets.store import colliders_of
 from stable_data.content_id import content_id

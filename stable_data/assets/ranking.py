@@ -15,8 +15,8 @@ import numpy.typing as npt
 from stable_data.assets.annotation import category_of
 from stable_data.assets.box_fitting import box_proportions, size_score
 from stable_data.assets.catalog import Asset, AssetLibrary
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows
-from stable_data.errors import ConfigError
 from stable_data.scene import FloatArray, IntArray
 
 Tickets = npt.NDArray[np.uint64]
@@ -28,59 +28,6 @@ _MAX_EXCESS = math.radians(10.0)  # a tilt whose misfit exceeds the least one by
 _BARRED = -2.0  # score of an excluded asset; the dot product of unit rows is at least -1
 _DECIMALS = 9  # scores that agree to this number of decimals are equal
 _MIX = ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB))  # finaliser of splitmix64 (Steele, Lea and Flood 2014)
-
-
-@dataclass(frozen=True, slots=True)
-class RetrievalSettings:
-    """How assets are chosen."""
-
-    text_weight: float = 0.9
-    """Weight of the text score."""
-
-    size_weight: float = 0.1
-    """Weight of the size score."""
-
-    floor: float = 0.55
-    """Minimum text score of a match; the default was measured with all-MiniLM-L6-v2 (docs/retrieval.md)."""
-
-    margin: float = 0.02
-    """Scores this close to the best are equally good: among them the same category is preferred, then the seed decides."""
-
-    top_k_text: int | None = None
-    """Number of assets with the highest text scores that are compared (20 in MesaTask), or None for all. Assets that may not
-    be chosen do not count.
-    """
-
-    tilt_patience: float = 2.0
-    """The most frequent resting tilt is used whose misfit (the angle whose cosine is the size score) is at most this factor
-    times the least misfit and at most ten degrees above it, or is at most five degrees.
-    """
-
-    licences: frozenset[str] | None = None
-    """Allowed licences, or None for all. A list excludes assets whose licence is unknown."""
-
-    stretch: bool = False
-    """Whether assets are scaled along each axis to the requested size, as in the paper; otherwise the scale is uniform."""
-
-    max_distortion: float = 2.0
-    """With ``stretch``, the maximum ratio of an asset's largest and smallest scale; the paper has no bound."""
-
-    def __post_init__(self) -> None:
-        """Checks the ranges of the numbers."""
-        bounds = {
-            "text_weight": (self.text_weight, 1e-6, math.inf),
-            "size_weight": (self.size_weight, 0.0, math.inf),
-            "floor": (self.floor, -1.0, 1.0),
-            "margin": (self.margin, 0.0, math.inf),
-            "top_k_text": (1 if self.top_k_text is None else self.top_k_text, 1, math.inf),
-            "tilt_patience": (self.tilt_patience, 1.0, math.inf),
-            "max_distortion": (self.max_distortion, 1.0, math.inf),
-        }
-        for name, (value, low, high) in bounds.items():
-            if not low <= value <= high:
-                raise ConfigError(
-                    f"retrieval setting {name} is {value}, expected a number from {low:g} to {high:g}", "setting_invalid"
-                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

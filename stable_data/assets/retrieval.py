@@ -14,7 +14,8 @@ import numpy as np
 
 from stable_data.assets.box_fitting import stretched_scale, uniform_scale_factor
 from stable_data.assets.catalog import Asset, AssetLibrary, asset_sentence
-from stable_data.assets.ranking import AssetScores, RankedAssets, RetrievalSettings, tie_break_number
+from stable_data.assets.ranking import AssetScores, RankedAssets, tie_break_number
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows, TextEncoder, check_rows
 from stable_data.errors import ConfigError, SceneError
 from stable_data.json_text import quote_value

@@ -6,13 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from models.dual_system.algorithm1 import dual_system
+from models.dual_system.algorithm1 import Corrects, LoopSettings, dual_system
 from models.dual_system.batching import run_batched
 from models.dual_system.requests import (
     CorrectionRequest,
-    Corrects,
     GenerationResult,
-    LoopSettings,
     ProposalRequest,
     Request,
     RetrievalRequest,

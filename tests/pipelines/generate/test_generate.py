@@ -24,7 +24,7 @@ from pipelines.generate.shard import GenerateWork
 from pipelines.settings import resolve_settings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource, sample_tasks
-from stable_data.assets.ranking import RetrievalSettings
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.cli import app as stable_data

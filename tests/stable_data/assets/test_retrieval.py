@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from stable_data.assets import retrieval
 from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
-from stable_data.assets.ranking import RetrievalSettings
 from stable_data.assets.retrieval import Answer, AssetMatch, AssetQuery, Retriever, UnmatchedQuery
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask.asset_catalog import library_of_folder

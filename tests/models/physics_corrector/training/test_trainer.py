@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch.multiprocessing.spawn import spawn
 
 from models.physics_corrector.flow.checkpoint import save_corrector
 from models.physics_corrector.flow.flow_matching import FlowMatching
@@ -109,7 +110,7 @@ def train_in_process(rank: int, folder: str) -> None:
 
 @pytest.mark.slow
 def test_a_process_without_a_chunk_takes_the_gradients_of_the_others(tmp_path: Path) -> None:
-    torch.multiprocessing.spawn(train_in_process, (str(tmp_path),), nprocs=2)
+    spawn(train_in_process, (str(tmp_path),), nprocs=2)  # type: ignore[no-untyped-call]
     alone = CorrectorTrainer(DATA, ONE_CHUNK)
     alone.advance()
     alone.advance()
