@@ -5,7 +5,9 @@ training can continue with another number of processes.
 """
 
 import os
-from typing import Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import ray
 import torch
@@ -14,15 +16,18 @@ from ray.train.torch import TorchTrainer, get_device
 
 from models.training.distributed import ProcessContext
 from pipelines.execution.ray_executor import WorkerPool, connect
-from pipelines.train.run import TrainingJob
 from stable_data.errors import ConfigError, StableDataError
 
+Work: TypeAlias = Callable[[ProcessContext], None]
+"""Trains, or continues, in one process."""
 
-def run_on_ray(job: TrainingJob, workers: int, address: str | None) -> None:
+
+def run_on_ray(work: Work, out: Path, workers: int, address: str | None) -> None:
     """Trains in the processes of Ray Train.
 
     Args:
-        job: The job with resolved settings and cached data.
+        work: The part of one process; picklable.
+        out: Folder of the training, which every process sees.
         workers: Number of processes.
         address: An existing Ray cluster; None starts a local one.
 
@@ -33,9 +38,9 @@ def run_on_ray(job: TrainingJob, workers: int, address: str | None) -> None:
     num_gpus = int(ray.cluster_resources().get("GPU", 0))
     trainer = TorchTrainer(
         _work,
-        train_loop_config={"job": job, "threads": torch.get_num_threads()},
+        train_loop_config={"work": work, "threads": torch.get_num_threads()},
         scaling_config=ScalingConfig(num_workers=workers, use_gpu=num_gpus >= workers),
-        run_config=RunConfig(name="ray", storage_path=str(job.out)),
+        run_config=RunConfig(name="ray", storage_path=str(out)),
     )
     try:
         trainer.fit()
@@ -63,8 +68,7 @@ def _cause(error: BaseException) -> StableDataError:
 
 def _work(config: dict[str, Any]) -> None:
     """The part of one process."""
-    job: TrainingJob = config["job"]
     context = get_context()
     if os.environ.get("OMP_NUM_THREADS") is None:
         torch.set_num_threads(config["threads"])
-    job.work(ProcessContext(get_device(), context.get_world_rank(), context.get_world_size()))
+    config["work"](ProcessContext(get_device(), context.get_world_rank(), context.get_world_size()))

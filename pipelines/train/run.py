@@ -100,7 +100,7 @@ class TrainingJob(ABC):
                 from pipelines.train.ray_train import run_on_ray  # Ray Train takes seconds to import
 
                 del data  # each process reads its own
-                run_on_ray(job, workers, address)
+                run_on_ray(job.work, job.out, workers, address)
             else:
                 job.work(ProcessContext(training_device()), data)
             return job.finish(folder, manifest)

@@ -92,7 +92,7 @@ def test_a_run_that_wants_gpus_that_no_machine_has_ends_with_one_line(
 
 def test_engines_without_workers_are_refused_before_anything_is_written(settings: EngineSettings, tmp_path: Path) -> None:
     asked = GenerateSettings(settings, weights="none", num_pictures=0, engines=2)
-    with pytest.raises(ConfigError, match=r"engines is 2, .* take workers, or leave engines at 0") as caught:
+    with pytest.raises(ConfigError, match=r"engines is 2, .* use more workers, or leave engines at 0") as caught:
         generate(ONE, str(tmp_path / "out"), asked, WorkerPool())
     assert caught.value.code == "config_invalid"
     assert not (tmp_path / "out").exists()

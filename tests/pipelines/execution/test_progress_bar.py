@@ -88,7 +88,7 @@ def test_who_is_not_heard_of_any_more_is_not_counted(monkeypatch: pytest.MonkeyP
 
 
 def test_a_shard_is_told_of_again_and_again_and_its_end_in_any_case(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(progress_bar, "_TELL_SECONDS", 0.01)
+    monkeypatch.setattr(progress_bar, "_REPORT_SECONDS", 0.01)
     tally = Kept()
     with ProgressReporter(tally, "a", propose=2) as tell:
         until(lambda: tally.told.count({"propose": 2}) > 2)
@@ -111,7 +111,7 @@ def test_a_tally_that_is_lost_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> 
             asked.append("total")
             raise ConnectionError("gone")
 
-    monkeypatch.setattr(progress_bar, "_TELL_SECONDS", 0.01)
+    monkeypatch.setattr(progress_bar, "_REPORT_SECONDS", 0.01)
     monkeypatch.setattr(progress_bar, "_LOG_SECONDS", 0.01)
     asked: list[str] = []
     with ProgressBar("generate", "scene", 1, 0, Lost()) as bar, ProgressReporter(Lost(), "a", propose=1):
@@ -169,7 +169,7 @@ def test_a_run_tells_where_its_scenes_are(
         while not seen and not bar._end.wait(0.01):
             seen.extend(filter(None, [bar._tally.total()]))
 
-    monkeypatch.setattr(ProgressBar, "_look", look)
+    monkeypatch.setattr(ProgressBar, "_update", look)
     generate(TaskSource("tasks", list(TASKS)), str(tmp_path / "out"), settings, workers, [str(dataset)])
     assert sum(seen[0].values()) == 2
 

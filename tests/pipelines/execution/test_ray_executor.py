@@ -293,7 +293,7 @@ def test_a_cluster_without_any_node_is_waited_for_and_given_up_in_the_end(
     monkeypatch.setattr(tqdm, "write", write)
     monkeypatch.setattr(ray_executor, "_LOOK_SECONDS", 0.2)
     monkeypatch.setattr(ray_executor, "_PATIENCE_SECONDS", 1.2)
-    with pytest.raises(ConfigError, match=r"had no core for 0\.02 min, expected one at least; .*run again") as caught:
+    with pytest.raises(ConfigError, match=r"had no core for 0\.02 min, expected at least one; .*run again") as caught:
         list(WorkerPool(1, cluster.address).run(Double(), [1]))
     assert caught.value.code == "cluster_empty"
     monkeypatch.setattr(ray_executor, "_PATIENCE_SECONDS", 120.0)

@@ -419,7 +419,7 @@ def test_a_training_job_reads_the_run(made: Path) -> None:
         ({"scenes_per_shard": -1}, "scenes_per_shard is -1"),
         ({"seconds_per_item": float("nan")}, "seconds_per_item is nan"),
         ({"earlier_move": -1.0}, "earlier_move is -1.0, expected at least 0"),
-        ({"engines": 1, "engine_gpus": 1.5}, "engine_gpus is 1.5, expected a part of a GPU or whole ones"),
+        ({"engines": 1, "engine_gpus": 1.5}, "engine_gpus is 1.5, expected a fraction of a GPU or a whole number"),
         ({"engines": 1, "engine_gpus": float("nan")}, "engine_gpus is nan"),
     ],
 )
@@ -465,7 +465,7 @@ def test_settings_of_all_parts_are_settings_of_the_job(dataset: Path, tmp_path: 
 
 
 def test_no_task_at_all_is_refused_before_anything_is_written(settings: GenerateSettings, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="holds no task"):
+    with pytest.raises(ConfigError, match="contains no usable task"):
         generate(TaskSource.of("tasks", MIXED.lost), str(tmp_path / "out"), settings, ALONE)
     assert not (tmp_path / "out").exists()
 

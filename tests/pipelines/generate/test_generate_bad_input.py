@@ -208,7 +208,7 @@ def test_weights_that_do_not_fit_the_features_are_refused_before_anything_is_wri
     save_corrector(path, settings, awake_network(settings).state_dict(), {"encoder_fingerprint": "another"})
     save_encoder(tiny_encoder(), path.with_name("point_encoder.safetensors"))
     job = replace(PLAIN, weights=str(path), engine=EngineSettings("embedded"))
-    with pytest.raises(ConfigError, match=r"trained on the features of encoder another, found \w+; give the encoder") as caught:
+    with pytest.raises(ConfigError, match=r"trained on the features of encoder another, found \w+; use the encoder") as caught:
         generate(FOUR, str(tmp_path / "out"), job, ALONE, [str(dataset)])
     assert caught.value.code == "encoder_mismatch"
     assert "\n" not in str(caught.value)

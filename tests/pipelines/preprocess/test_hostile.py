@@ -9,7 +9,7 @@ import pytest
 
 from pipelines.execution.ray_executor import ProcessFailure, WorkerPool
 from pipelines.execution.shard_step import Shard
-from pipelines.preprocess import job
+from pipelines.preprocess import convention
 from pipelines.preprocess.job import preprocess
 from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import SceneStep
@@ -98,7 +98,7 @@ def test_items_that_end_or_hold_their_process_are_failures(bare: Path, tmp_path:
 def test_a_check_of_positions_that_dies_stops_with_what_to_set(
     bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(job, "run_isolated", lambda *_, seconds: ProcessFailure.CRASHED)
+    monkeypatch.setattr(convention, "run_isolated", lambda *_, seconds: ProcessFailure.CRASHED)
     with pytest.raises(ConfigError, match=r"crashed over a layout or mesh; set position_convention to box_centre"):
         preprocess(str(bare), str(tmp_path / "out"), SMALL, WorkerPool(1))
 

@@ -72,7 +72,7 @@ def test_scenes_that_are_no_run_take_no_condition(dataset: Path) -> None:
 
 
 def test_scenes_without_a_task_are_named(clean_run: Path, dataset: Path) -> None:
-    with pytest.raises(ConfigError, match="holds no task"):
+    with pytest.raises(ConfigError, match="contains no usable task"):
         tasks_of_scenes(str(clean_run), "num_objects >= 1000")
 
 
@@ -89,7 +89,7 @@ def test_a_file_without_a_usable_row_says_why(tmp_path: Path) -> None:
     path = tmp_path / "tasks.csv"
     path.write_text("instruction,table_type,table_size_cm\nLift it.,office_table,120,60\n")
     with pytest.raises(
-        ConfigError, match=r"expected one at least; 1 are invalid, such as tasks\.csv, row 1: has .fields beyond"
+        ConfigError, match=r"expected at least one; 1 are invalid, such as tasks\.csv, row 1: has .fields beyond"
     ):
         tasks_of_file(path)
 

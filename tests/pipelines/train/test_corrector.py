@@ -197,4 +197,4 @@ def test_the_command_shows_its_plan_and_names_mistakes(clean_run: Path, tmp_path
         assert said in result.stderr
     result = CliRunner().invoke(app, [*command, "--preset", "tiny"])
     assert result.exit_code == 2
-    assert "corrector preset 'tiny' is not known" in result.stderr
+    assert "corrector preset 'tiny' is unknown" in result.stderr

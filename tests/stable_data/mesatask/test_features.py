@@ -106,9 +106,9 @@ _RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
             "features_invalid",
             "a dtype that is list",
         ),
-        (_ONE + _DEEP_LIST + b"u.", "features_invalid", "expected one of numbers"),
+        (_ONE + _DEEP_LIST + b"u.", "features_invalid", "expected a row of numbers"),
         (_ONE + _RECONSTRUCT + b"(K\x01" + _DEEP_LIST + b"\x85N\x89](K\x01etbu.", "features_invalid", "an invalid shape"),
-        (_ONE + b"](](\x8a\xc8" + b"\x7f" * 200 + b"eeu.", "features_invalid", "no table"),
+        (_ONE + b"](](\x8a\xc8" + b"\x7f" * 200 + b"eeu.", "features_invalid", "not a table"),
         (
             pickle.dumps({"uids": ["a"] * 5000, "text_features": [[0.5] * 5000] * 5000}),
             "features_invalid",
