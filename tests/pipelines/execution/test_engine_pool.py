@@ -54,7 +54,7 @@ def test_engines_take_their_parts_of_a_gpu_and_answer(settings: EngineSettings, 
 @pytest.mark.ray
 def test_more_engines_than_the_gpus_have_room_for_are_refused(settings: EngineSettings, local_ray: None) -> None:
     for count, gpus, places in ((3, 0.5, 2), (2, 0.6, 1), (11, 0.1, 10), (1, 2.0, 0)):
-        with pytest.raises(ConfigError, match=rf"engines={count} .* has 1, room for {places} of them; ") as caught:
+        with pytest.raises(ConfigError, match=rf"engines={count} .* has 1, enough for {places} engines; ") as caught:
             engine_pool(settings, count, gpus, may_grow=False)
         assert caught.value.code == "engine_pool"
         assert "\n" not in str(caught.value)
