@@ -64,7 +64,7 @@ def test_the_documented_training_job_runs(run: str) -> None:
 def test_polars_opens_the_tables(run: str) -> None:
     names: dict[str, Any] = {"RUN": run}
     exec(code("polars"), names)  # noqa: S102
-    assert names["clean"].collect()["scene_id"].to_list() == IDS
+    assert names["scenes"].collect()["scene_id"].to_list() == IDS
     objects = names["objects"].drop_nulls("instance")
     assert objects["position"].to_list() == [list(o.position) for s in SCENES for o in s.objects]
 
