@@ -265,6 +265,7 @@ def cluster() -> Iterator[Any]:
     nodes.shutdown()
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_a_local_run_leaves_a_cluster_of_the_same_machine_alone(cluster: Any) -> None:
     assert list(WorkerPool(1).run(Double(), [1])) == [2]  # the head there has no core

@@ -106,7 +106,7 @@ def test_an_asset_that_ends_whoever_reads_it_is_passed_over_where_workers_died(
         Act(drops=True),
         Act(503, {"error": {"message": "no healthy upstream"}}),
         Act(429, {"error": {"code": "insufficient_quota", "message": "You exceeded your current quota"}}),
-        Act(after_s=2.0),
+        pytest.param(Act(after_s=2.0), marks=pytest.mark.slow),
     ],
     ids=["drops", "gateway", "quota", "silence"],
 )
