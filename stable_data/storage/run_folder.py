@@ -251,7 +251,7 @@ class RunFolder:
         with ThreadPoolExecutor(_AHEAD) as pool:
             for part in self._parts(table, files):
                 with self._naming_what_is_broken(part):
-                    if all(pool.map(_is_small, part.get_fragments())):
+                    if all(pool.map(lambda file: _are_small(file.row_groups), part.get_fragments())):
                         rows.append(part.to_table(wanted, filter=where))  # one scan of many files costs less for each file
                     else:
                         rows += pool.map(lambda path: self._read(table, path, wanted, where), part.files)
@@ -354,6 +354,9 @@ def read_row_groups(
     Raises:
         ConfigError: The row groups need more than MAX_DECODED (``shard_too_big``).
     """
+    groups = list(groups)
+    if _are_small(file.metadata.row_group(group) for group in groups):
+        return file.read_row_groups(groups, columns, use_threads=use_threads)  # faster, and most files are small
     batches, size = list[pa.RecordBatch](), 0
     for group in groups:
         stated = file.metadata.row_group(group).total_byte_size
@@ -372,9 +375,9 @@ def read_row_groups(
     return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
 
 
-def _is_small(fragment: ds.ParquetFileFragment) -> bool:
-    """Whether a file cannot exceed MAX_DECODED; no value is larger than the bytes of its row group."""
-    return bool(sum(group.num_rows * group.total_byte_size for group in fragment.row_groups) <= MAX_DECODED)
+def _are_small(groups: Iterable[Any]) -> bool:
+    """Whether row groups cannot exceed MAX_DECODED together; no value is larger than the bytes of its row group."""
+    return sum(group.num_rows * group.total_byte_size for group in groups) <= MAX_DECODED
 
 
 def _shard_of(path: str) -> str:

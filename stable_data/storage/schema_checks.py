@@ -38,8 +38,11 @@ def check_schema(schema: pa.Schema, table: str, where: str) -> None:
 
 def add_schema_metadata(table: pa.Table, schema: pa.Schema) -> pa.Table:
     """Returns a table with the columns, order and types of a schema; missing columns and struct fields are null."""
+    present = {name: table[name] for name in table.column_names}
     columns = [
-        table[column.name].cast(column.type) if column.name in table.column_names else pa.nulls(len(table), column.type)
+        (found if found.type == column.type else found.cast(column.type))
+        if (found := present.get(column.name)) is not None
+        else pa.nulls(len(table), column.type)
         for column in schema
     ]
     return pa.Table.from_arrays(columns, schema=schema)
