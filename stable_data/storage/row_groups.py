@@ -95,6 +95,7 @@ class TableFiles:
             raise ConfigError(f"runs are [{self.uri}], expected at least one run and no duplicates", "runs_invalid")
         paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
         self._schema = leaf_schema(SCHEMAS[table], leaves)
+        self._last_missing: tuple[pa.Schema | None, list[str]] = (None, [])
         query = self._query()  # once, before the threads: concurrent parsing in Python 3.11 may fail
         with ThreadPoolExecutor(_REQUESTS) as pool:
             listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query), paths))
@@ -151,11 +152,16 @@ class TableFiles:
         folder, schema = self._folders[run], SCHEMAS[self._table]
         try:
             with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
-                check_schema(file.schema_arrow, self._table, f"{folder.uri}: {path}")
+                found = file.schema_arrow
+                check_schema(found, self._table, f"{folder.uri}: {path}")
                 possible = range(file.num_row_groups) if query is None else _possible(query, path, schema, folder)
                 groups = [_row_group(run, path, file, index, query, schema) for index in possible]
-                expected = [*self._schema, *(schema.field(name) for name in (query.columns if query else ()))]
-                missing = missing_columns(file.schema_arrow, expected)
+                # The files of a run nearly always have one schema, so the last result is often the next one.
+                known, missing = self._last_missing
+                if known is None or not known.equals(found):
+                    expected = [*self._schema, *(schema.field(name) for name in (query.columns if query else ()))]
+                    missing = missing_columns(found, expected)
+                    self._last_missing = found, missing
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(folder.uri, path, error) from error
         return [group for group in groups if group.num_rows], missing

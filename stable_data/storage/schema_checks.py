@@ -28,10 +28,10 @@ def check_schema(schema: pa.Schema, table: str, where: str) -> None:
             else "run the job again into a new folder, or read it with the version of stable-data that wrote it"
         )
         raise ConfigError(f"{where}: written as table version {found}, expected {TABLE_VERSION}; {remedy}", "table_version")
-    missing = [name for name in REQUIRED[table] if name not in schema.names]
-    if missing:
+    if missing := set(REQUIRED[table]).difference(schema.names):
         raise ConfigError(
-            f"{where}: column {', '.join(missing)} is missing, expected in every table {table}; run the job again into a new folder",
+            f"{where}: column {', '.join(sorted(missing))} is missing, expected in every table {table}; "
+            "run the job again into a new folder",
             "column_missing",
         )
 
