@@ -377,7 +377,7 @@ def read_row_groups(
 
 def _are_small(groups: Iterable[Any]) -> bool:
     """Whether row groups cannot exceed MAX_DECODED together; no value is larger than the bytes of its row group."""
-    return sum(group.num_rows * group.total_byte_size for group in groups) <= MAX_DECODED
+    return bool(sum(group.num_rows * group.total_byte_size for group in groups) <= MAX_DECODED)
 
 
 def _shard_of(path: str) -> str:
