@@ -172,7 +172,7 @@ class SemanticReasoner:
 
         Each question has a seed: if the engine is reproducible, the same question and seed give the same proposal.
         """
-        return collect_answers(self.converse(list(zip(questions, seeds, strict=True))))
+        return collect_answers(self.converse(list(zip(questions, seeds, strict=True))), len(questions))
 
     def converse(
         self, questions: Sequence[tuple[ReasonerQuestion, int]]

@@ -55,7 +55,7 @@ class SceneJob(ShardJob, Generic[S]):
         if isinstance(self.source, TableSource):  # a run states its convention; nothing is measured
             self.settings = settings.settled(self.source)
         else:
-            self.settings = resolve_convention(settings.settled, self.source, self.source.name, settings, workers)
+            self.settings = resolve_convention(settings, self.source, self.source.name, workers)
         self.dataset = self.source.name
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """The setting ``position_convention`` of a job, and how ``auto`` is resolved."""
 
-from collections.abc import Callable
-from typing import Literal, Protocol, TypeAlias, TypeVar
+from typing import Any, Literal, Protocol, Self, TypeAlias, TypeVar
 
 from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_isolated
 from stable_data.errors import ConfigError
@@ -25,30 +24,35 @@ class ConventionSettings(Protocol):
         """The time limit of an item, seconds."""
         ...
 
+    def settled(self, source: Any, /) -> Self:
+        """The settings with ``auto`` replaced by the convention that a source of scenes shows."""
+        ...
+
 
 S = TypeVar("S", bound=ConventionSettings)
-D = TypeVar("D")
 
 
-def resolve_convention(resolve: Callable[[D], S], source: D, name: str, settings: S, workers: WorkerPool) -> S:
+def resolve_convention(settings: S, source: object, name: str, workers: WorkerPool) -> S:
     """Replaces ``auto`` in a job's settings.
 
     The check reads meshes, and a broken mesh can crash or block its reader. If the job has worker processes, the check therefore
     runs in a process of its own.
 
     Args:
-        resolve: Returns the settings without ``auto``.
-        source: The scenes, passed to ``resolve``.
-        name: The name of the source in messages.
         settings: The settings as given.
+        source: The scenes that ``settings.settled`` reads.
+        name: The name of the source in messages.
         workers: The workers of the job.
+
+    Returns:
+        The settings without ``auto``.
 
     Raises:
         ConfigError: The check crashed or took too long (``convention_unknown``).
     """
     if settings.position_convention != "auto" or workers.are_this_process:
-        return resolve(source)
-    resolved = run_isolated(resolve, source, seconds=_MEASURED_ITEMS * settings.seconds_per_item)
+        return settings.settled(source)
+    resolved = run_isolated(settings.settled, source, seconds=_MEASURED_ITEMS * settings.seconds_per_item)
     if isinstance(resolved, ProcessFailure):
         raise ConfigError(
             f"{name}: the check of what positions mean {str(resolved).replace('_', ' ')} over a layout or mesh; set "

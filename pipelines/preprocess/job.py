@@ -51,7 +51,7 @@ class PreprocessJob(ShardJob):
     def __init__(self, data: str, settings: PreprocessSettings, workers: WorkerPool) -> None:
         self.source = MesaTaskDataset(_absolute(data))
         self.dataset = self.source.root.name
-        self.settings = resolve_convention(settings.settled, self.source, str(self.source.root), settings, workers)
+        self.settings = resolve_convention(settings, self.source, str(self.source.root), workers)
         self._absolute_settings = replace(
             self.settings, task_cache=str(_absolute(settings.task_cache)), features=_absolute_features(settings.features)
         )

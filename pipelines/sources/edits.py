@@ -82,7 +82,9 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
         try:
             edit = _edit_of(line, count)
             if edit.edit_id in edits or edit.edit_id in scene_ids:
-                raise SceneError(f"edit_id {edit.edit_id} is used twice, expected a unique id", "edit_invalid")
+                raise SceneError(
+                    f"edit_id {edit.edit_id} is the id of another edit or of a scene, expected a unique id", "edit_invalid"
+                )
             if edit.scene_id not in scene_ids:
                 raise SceneError(
                     f"scene {edit.scene_id} is not among the scenes; are these the edits of this folder?", "scene_unknown"

@@ -19,7 +19,7 @@ from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.trainer import CorrectorTrainer, train
 from models.physics_corrector.training.validation import Card, ValidationScenes, scalar_figures, validation_card
 from models.training.distributed import ProcessContext
-from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes
+from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
 from stable_data.code_version import code_version
 from stable_data.storage.run_folder import RunFolder
 
@@ -144,7 +144,7 @@ class CorrectorTrainingJob(TrainingJob):
         folder.write_bytes("manifest.json", json_bytes(closed))
         steps, used = f"{step} of {self.settings.steps}", f"{manifest['num_train']} scenes"
         rest = "card.json" if is_done else "run again to continue"
-        return self.result_line(folder, steps, used, manifest["targets"], self.WEIGHTS, rest)
+        return result_line(folder, steps, used, manifest["targets"], self.WEIGHTS, rest)
 
 
 def _card_of(

@@ -46,7 +46,7 @@ def training_plan(job: ReasonerTrainingJob, workers: int) -> dict[str, Any]:
     Raises:
         ConfigError: The run could not start.
     """
-    job.check_workers(workers)
+    job.check_start(workers)
     world, source = max(1, workers), job.source()
     examples = {split: source.num_examples(split) for split in ("train", "validation")}
     total = examples["train"].total()

@@ -26,7 +26,7 @@ from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.token_dataset import TokenDataset
 from models.semantic_reasoner.training.trainer import CheckpointIdentity, ReasonerTrainer, StepMetrics, train
 from models.training.distributed import ProcessContext
-from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes
+from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
@@ -88,7 +88,7 @@ class ReasonerTrainingJob(TrainingJob):
         }
         return job, details, None
 
-    def check_workers(self, workers: int) -> None:
+    def check_start(self, workers: int) -> None:
         """Refuses an unreadable base, missing data, and a number of processes that cannot share a step.
 
         Raises:
@@ -183,7 +183,7 @@ class ReasonerTrainingJob(TrainingJob):
         nats = ", ".join(f"{k.partition('/')[2]} {v:.3f}" for k, v in notes["figures"].items() if k.startswith("validation/"))
         steps, used = f"{notes['steps']} of {self.settings.steps}", f"{counts['used']} examples"
         rest = "" if notes["is_done"] else "run again to continue"
-        return self.result_line(folder, steps, used, counts, nats and f"nats a token {nats}", self.WEIGHTS, rest)
+        return result_line(folder, steps, used, counts, nats and f"nats a token {nats}", self.WEIGHTS, rest)
 
 
 def _counts(data: TokenDataset) -> dict[str, int]:

@@ -67,7 +67,7 @@ class TrainingJob(ABC):
     def finish(self, folder: RunFolder, manifest: dict[str, Any]) -> str:
         """Closes the manifest and returns one line on what was done."""
 
-    def check_workers(self, workers: int) -> None:  # noqa: B027 - not every training has such limits
+    def check_start(self, workers: int) -> None:  # noqa: B027 - not every training has such limits
         """Makes quick checks before the data is read.
 
         Raises:
@@ -87,7 +87,7 @@ class TrainingJob(ABC):
         Raises:
             ConfigError: The run cannot start or continue; the checkpoint stays.
         """
-        self.check_workers(workers)
+        self.check_start(workers)
         folder = RunFolder(str(self.folder))
         with folder.locked():
             job, details, data = self.prepare()
@@ -105,21 +105,6 @@ class TrainingJob(ABC):
                 job.work(ProcessContext(training_device()), data)
             return job.finish(folder, manifest)
 
-    def result_line(self, folder: RunFolder, steps: str, used: str, counts: Mapping[str, int], *notes: str) -> str:
-        """The line that a training ends with.
-
-        Args:
-            folder: The training's folder.
-            steps: The number of finished steps and of all steps.
-            used: The number and name of the training items.
-            counts: Counts of the data; a key ``left_out_REASON`` counts items that were not used.
-            notes: Further parts of the line; empty ones are skipped.
-        """
-        left_out = {k.removeprefix("left_out_"): v for k, v in counts.items() if k.startswith("left_out_") and v}
-        reasons = ", ".join(f"{reason} {count}" for reason, count in left_out.items())
-        without = f", {sum(left_out.values())} left out ({reasons})" if left_out else ""
-        return "; ".join(part for part in (f"{folder.uri}: {steps} steps on {used}{without}", *notes) if part)
-
     @property
     def folder(self) -> Path:
         """The training's folder, absolute.
@@ -135,6 +120,22 @@ class TrainingJob(ABC):
     def data_uri(self) -> str:
         """The run, as an absolute path or a URI."""
         return self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
+
+
+def result_line(folder: RunFolder, steps: str, used: str, counts: Mapping[str, int], *notes: str) -> str:
+    """The line that a training ends with.
+
+    Args:
+        folder: The training's folder.
+        steps: The number of finished steps and of all steps.
+        used: The number and name of the training items.
+        counts: Counts of the data; a key ``left_out_REASON`` counts items that were not used.
+        notes: Further parts of the line; empty ones are skipped.
+    """
+    left_out = {k.removeprefix("left_out_"): v for k, v in counts.items() if k.startswith("left_out_") and v}
+    reasons = ", ".join(f"{reason} {count}" for reason, count in left_out.items())
+    without = f", {sum(left_out.values())} left out ({reasons})" if left_out else ""
+    return "; ".join(part for part in (f"{folder.uri}: {steps} steps on {used}{without}", *notes) if part)
 
 
 class MonitoredTraining(Protocol):

@@ -18,7 +18,7 @@ from stable_data.errors import ConfigError, cannot_read
 from stable_data.scene import IntArray
 from stable_data.storage.filter_expression import FilterExpression, parse_filter
 from stable_data.storage.run_folder import RunFolder, Uri, read_row_groups
-from stable_data.storage.schema_checks import add_schema_metadata, check_schema, missing_columns, warn_of_missing_columns
+from stable_data.storage.schema_checks import check_schema, conform_to_schema, missing_columns, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS, Row
 
 SPLITS = ("train", "validation", "test", "unseen")
@@ -95,10 +95,11 @@ class TableFiles:
             raise ConfigError(f"runs are [{self.uri}], expected at least one run and no duplicates", "runs_invalid")
         paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
         self._schema = leaf_schema(SCHEMAS[table], leaves)
-        self._last_missing: tuple[pa.Schema | None, list[str]] = (None, [])
         query = self._query()  # once, before the threads: concurrent parsing in Python 3.11 may fail
+        expected = [*self._schema, *(SCHEMAS[table].field(name) for name in (query.columns if query else ()))]
+        check = _SchemaCheck(table, expected)
         with ThreadPoolExecutor(_REQUESTS) as pool:
-            listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query), paths))
+            listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query, check), paths))
         self.groups = [group for groups, _ in listed for group in groups]
         warn_of_missing_columns(
             self.uri, table, (name for _, names in listed for name in names), query.columns if query else ()
@@ -137,7 +138,7 @@ class TableFiles:
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(folder.uri, path, error) from error
         return pa.concat_tables(
-            add_schema_metadata(part if g.chosen is None else part.take(g.chosen), self._schema)
+            conform_to_schema(part if g.chosen is None else part.take(g.chosen), self._schema)
             for part, g in zip(parts, groups, strict=True)
         )
 
@@ -147,21 +148,16 @@ class TableFiles:
             folder.dataset(self._table)  # raises the error that describes the missing table
         return paths
 
-    def _list_groups(self, run: int, path: str, query: FilterExpression | None) -> tuple[list[RowGroup], list[str]]:
+    def _list_groups(
+        self, run: int, path: str, query: FilterExpression | None, check: "_SchemaCheck"
+    ) -> tuple[list[RowGroup], list[str]]:
         """Lists the row groups of a file that have selected rows, and the requested columns that it lacks."""
         folder, schema = self._folders[run], SCHEMAS[self._table]
         try:
             with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
-                found = file.schema_arrow
-                check_schema(found, self._table, f"{folder.uri}: {path}")
+                missing = check.missing(file, f"{folder.uri}: {path}")
                 possible = range(file.num_row_groups) if query is None else _possible(query, path, schema, folder)
                 groups = [_row_group(run, path, file, index, query, schema) for index in possible]
-                # The files of a run nearly always have one schema, so the last result is often the next one.
-                known, missing = self._last_missing
-                if known is None or not known.equals(found):
-                    expected = [*self._schema, *(schema.field(name) for name in (query.columns if query else ()))]
-                    missing = missing_columns(found, expected)
-                    self._last_missing = found, missing
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(folder.uri, path, error) from error
         return [group for group in groups if group.num_rows], missing
@@ -172,6 +168,32 @@ class TableFiles:
         if self.where:
             parse_filter(self.where, SCHEMAS[self._table])  # alone first, so that an error quotes the user's text only
         return parse_filter(" and ".join(parts), SCHEMAS[self._table]) if parts else None
+
+
+class _SchemaCheck:
+    """Checks the files of a table against its schema; a schema that the file before has is not checked again.
+
+    The files of a run nearly always have one schema, and its conversion to Arrow takes as long as opening a small file.
+    """
+
+    def __init__(self, table: str, expected: Sequence[pa.Field]) -> None:
+        self._table, self._expected = table, expected
+        self._last: tuple[pq.ParquetSchema, dict[bytes, bytes], list[str]] | None = None
+
+    def missing(self, file: pq.ParquetFile, where: str) -> list[str]:
+        """Returns the expected columns that a file lacks.
+
+        Raises:
+            ConfigError: As for :func:`stable_data.storage.schema_checks.check_schema`.
+        """
+        last, metadata = self._last, file.metadata.metadata
+        if last is not None and last[0].equals(file.schema) and last[1] == metadata:
+            return last[2]
+        schema = file.schema_arrow
+        check_schema(schema, self._table, where)
+        missing = missing_columns(schema, self._expected)
+        self._last = file.schema, metadata, missing  # one assignment: the threads that share this object see all of it
+        return missing
 
 
 def _possible(query: FilterExpression, path: str, schema: pa.Schema, folder: RunFolder) -> list[int]:
@@ -186,7 +208,7 @@ def _row_group(
     footer = file.metadata.row_group(index)
     if query is None:
         return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)
-    columns = add_schema_metadata(
+    columns = conform_to_schema(
         read_row_groups(file, path, [index], list(query.columns)), pa.schema([schema.field(name) for name in query.columns])
     )
     numbers = pa.array(np.arange(footer.num_rows))

@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 
 from stable_data.atomic_files import temporary_path
 from stable_data.errors import ConfigError, cannot_read, cannot_write
-from stable_data.storage.schema_checks import add_schema_metadata, check_schema, missing_columns, warn_of_missing_columns
+from stable_data.storage.schema_checks import check_schema, conform_to_schema, missing_columns, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.table_rows import arrow_table
 
@@ -251,7 +251,7 @@ class RunFolder:
         with ThreadPoolExecutor(_AHEAD) as pool:
             for part in self._parts(table, files):
                 with self._naming_what_is_broken(part):
-                    if all(pool.map(lambda file: _are_small(file.row_groups), part.get_fragments())):
+                    if all(pool.map(_is_small, part.get_fragments())):
                         rows.append(part.to_table(wanted, filter=where))  # one scan of many files costs less for each file
                     else:
                         rows += pool.map(lambda path: self._read(table, path, wanted, where), part.files)
@@ -306,7 +306,7 @@ class RunFolder:
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(self.uri, path, error) from error
         known = pa.schema([schema.field(name) for name in needed], schema.metadata)
-        return _chosen(add_schema_metadata(rows, known), wanted, where)
+        return _chosen(conform_to_schema(rows, known), wanted, where)
 
     def _parts(self, table: str, files: Sequence[str] | None = None) -> Iterator[ds.Dataset]:
         """Yields a table of the run, or some of its files, as datasets of a few files.
@@ -354,14 +354,16 @@ def read_row_groups(
     Raises:
         ConfigError: The row groups need more than MAX_DECODED (``shard_too_big``).
     """
-    groups = list(groups)
-    if _are_small(file.metadata.row_group(group) for group in groups):
-        return file.read_row_groups(groups, columns, use_threads=use_threads)  # faster, and most files are small
     batches, size = list[pa.RecordBatch](), 0
     for group in groups:
-        stated = file.metadata.row_group(group).total_byte_size
-        step = max(1, MAX_DECODED // max(1, stated))  # no value is larger than the bytes of its row group
-        for batch in () if stated > MAX_DECODED else file.iter_batches(step, [group], columns, use_threads=use_threads):
+        footer = file.metadata.row_group(group)
+        stated = footer.total_byte_size
+        found: Iterable[pa.RecordBatch] = ()
+        if footer.num_rows * stated <= MAX_DECODED:  # no value is larger than the bytes of its row group
+            found = file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
+        elif stated <= MAX_DECODED:
+            found = file.iter_batches(max(1, MAX_DECODED // stated), [group], columns, use_threads=use_threads)
+        for batch in found:
             size += batch.nbytes
             if size > MAX_DECODED:
                 break
@@ -372,12 +374,13 @@ def read_row_groups(
                 "the file may be malicious; if you trust it, write its rows to several files",
                 "shard_too_big",
             )
+    # Batches, not tables: a concatenation of tables without columns loses the number of their rows.
     return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
 
 
-def _are_small(groups: Iterable[Any]) -> bool:
-    """Whether row groups cannot exceed MAX_DECODED together; no value is larger than the bytes of its row group."""
-    return bool(sum(group.num_rows * group.total_byte_size for group in groups) <= MAX_DECODED)
+def _is_small(fragment: ds.ParquetFileFragment) -> bool:
+    """Whether a file cannot exceed MAX_DECODED; no value is larger than the bytes of its row group."""
+    return bool(sum(group.num_rows * group.total_byte_size for group in fragment.row_groups) <= MAX_DECODED)
 
 
 def _shard_of(path: str) -> str:

@@ -36,7 +36,7 @@ def check_schema(schema: pa.Schema, table: str, where: str) -> None:
         )
 
 
-def add_schema_metadata(table: pa.Table, schema: pa.Schema) -> pa.Table:
+def conform_to_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
     """Returns a table with the columns, order and types of a schema; missing columns and struct fields are null."""
     present = {name: table[name] for name in table.column_names}
     columns = [

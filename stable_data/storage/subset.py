@@ -62,7 +62,7 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
         "inputs": {"run": run.uri},
         "settings": {"where": where},
     }
-    previous = _read_manifest(target, manifest)
+    previous = _previous_manifest(target, manifest)
     if previous and previous["code_version"] != manifest["code_version"]:
         return dict(previous["counts"])
     if not previous:
@@ -113,7 +113,7 @@ def _write(run: RunFolder, table: str, where: pc.Expression, target: RunFolder) 
         write()
 
 
-def _read_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[str, Any]:
+def _previous_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[str, Any]:
     """Returns the manifest of an earlier selection in the target; empty if the target is empty.
 
     Raises:

@@ -211,7 +211,8 @@ class CorrectorTrainer:
         gradients = []
         for parameter, is_summed in zip(parameters, has_gradient.tolist(), strict=True):
             if is_summed:
-                parameter.grad = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
+                if parameter.grad is None:
+                    parameter.grad = torch.zeros_like(parameter)
                 gradients.append(parameter.grad)
         flat = torch.cat([*(g.flatten() for g in gradients), figures])
         torch.distributed.all_reduce(flat)

@@ -43,8 +43,19 @@ def run_conversation(talk: Conversation[A, Q], answer: Callable[[list[tuple[int,
         return
 
 
-def collect_answers(talk: Conversation[A, Q]) -> list[A]:
-    """Runs a conversation without further questions, and returns the answers in the order of the questions."""
+def collect_answers(talk: Conversation[A, Q], count: int) -> list[A]:
+    """Runs a conversation without further questions.
+
+    Args:
+        talk: The conversation, not started.
+        count: Number of its questions.
+
+    Returns:
+        One answer for each question, in their order.
+
+    Raises:
+        KeyError: A question has no answer.
+    """
     done: dict[int, A] = {}
 
     def store(found: list[tuple[int, A]]) -> Sequence[Q]:
@@ -52,4 +63,4 @@ def collect_answers(talk: Conversation[A, Q]) -> list[A]:
         return ()
 
     run_conversation(talk, store)
-    return [done[k] for k in range(len(done))]
+    return [done[k] for k in range(count)]

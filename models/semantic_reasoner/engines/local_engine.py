@@ -128,7 +128,7 @@ class LocalEngine:
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
         """Returns one completion for each request, in their order."""
-        return collect_answers(self.converse(requests))
+        return collect_answers(self.converse(requests), len(requests))
 
     def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
         """Yields completions when they are done; the requests that follow take their slots, so the batch stays full."""
