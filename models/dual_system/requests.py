@@ -19,11 +19,11 @@ class ProposalRequest:
     """Requests the objects of a stage from the reasoner; the answer is a :class:`Proposal`.
 
     Attributes:
-        ask: The question to the reasoner.
+        question: The question to the reasoner.
         seed: Seed of its random choices.
     """
 
-    ask: ReasonerQuestion
+    question: ReasonerQuestion
     seed: int
 
 

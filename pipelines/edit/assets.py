@@ -68,27 +68,26 @@ class AssetFinder:
         Raises:
             SceneError: The library has no similar asset (``asset_unmatched``).
         """
-        scene, wanting = edited.scene, set(edited.need_asset)
+        scene, new = edited.scene, set(edited.need_asset)
         resized = [o for o in scene.objects if o.instance in edited.changed and o.scale is None and o.asset_id is not None]
-        if not (wanting or resized):
+        if not (new or resized):
             return AssignedEdit(scene, frozenset(o.instance for o in scene.objects))
-        asked = [o for o in scene.objects if o.instance in wanting]
-        queries = [AssetQuery(o.description, o.size, o.category, edit_id) for o in asked]
+        without_asset = [o for o in scene.objects if o.instance in new]
+        queries = [AssetQuery(o.description, o.size, o.category, edit_id) for o in without_asset]
         answers = self._retriever.retrieve(queries, seed) if queries else []
         matches: dict[str, AssetMatch] = {}
-        for o, answer in zip(asked, answers, strict=True):
+        for o, answer in zip(without_asset, answers, strict=True):
             if not isinstance(answer, AssetMatch):
                 raise SceneError(f"{edit_id}: no asset for {o.instance}: {answer.reason}", "asset_unmatched")
             matches[o.instance] = answer
         matches |= {o.instance: match for o in resized if (match := self._fitted(o)) is not None}
-        wanting = set(matches)
-        members = SupportTree.of(scene.objects).with_descendants(wanting)
+        members = SupportTree.of(scene.objects).with_descendants(set(matches))
         done = {o.instance: o for o in substitute_assets([o for o in scene.objects if o.instance in members], matches)}
         objects = tuple(_named_so(done.get(o.instance, o), o) for o in scene.objects)
         kept = frozenset(
             o.instance
             for o, now in zip(scene.objects, objects, strict=True)
-            if o.instance not in wanting and now.position == o.position
+            if o.instance not in matches and now.position == o.position
         )
         notes = tuple(
             Notice(edit_id, "assets", "not_stretched", f"{edit_id}: {name} {match.note}")

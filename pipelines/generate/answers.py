@@ -79,14 +79,14 @@ class LocalRequestHandler:
     def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
         """Proposes the objects of stages; later requests join the engine's running batch."""
         began = perf_counter()
-        conversation = self.reasoner.converse([(q.ask, q.seed) for q in questions])
+        conversation = self.reasoner.converse([(q.question, q.seed) for q in questions])
         found = next(conversation, None)
         while found is not None:
             self.seconds["propose"] += perf_counter() - began
             more = yield found
             began = perf_counter()
             try:
-                found = conversation.send([(q.ask, q.seed) for q in more])
+                found = conversation.send([(q.question, q.seed) for q in more])
             except StopIteration:
                 found = None
         self.seconds["propose"] += perf_counter() - began

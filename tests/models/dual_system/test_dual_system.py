@@ -58,7 +58,7 @@ class Answers:
         self.asked += questions
         if callable(self.stages):
             return [self.stages(q) for q in questions]
-        return [Proposal(LayoutReply(tuple(self.stages[q.ask.wanted])), tries=1) for q in questions]
+        return [Proposal(LayoutReply(tuple(self.stages[q.question.wanted])), tries=1) for q in questions]
 
     def retrieve(self, questions: Sequence[RetrievalRequest]) -> list[AssignedLayout]:
         self.asked += questions
@@ -135,7 +135,7 @@ def test_each_stage_is_told_what_the_corrector_made_of_those_before() -> None:
     assert made.scene.task is not None
     assert made.scene.task.task_objects == ("cube_0",)
     assert all(turn.corrections[-1].card_after.clean for turn in made.turns)  # type: ignore[union-attr]
-    second, third = (r.ask.layout for r in answers.of(ProposalRequest)[1:])  # type: ignore[union-attr]
+    second, third = (r.question.layout for r in answers.of(ProposalRequest)[1:])  # type: ignore[union-attr]
     corrected = made.turns[1].corrections[-1].certified
     assert corrected is not None
     assert len(second) == 1
@@ -167,9 +167,9 @@ def test_a_closing_correction_moves_what_is_there_only_as_far_as_it_may(limit: f
     """The last stage has no answer, so what is there is corrected once more, for the engine to be asked of it."""
 
     def stages(request: ProposalRequest) -> Proposal:
-        if request.ask.wanted is Stage.SECONDARY:
+        if request.question.wanted is Stage.SECONDARY:
             return Proposal(None, failure="no reply can be used", code="reply_unusable")
-        return Proposal(LayoutReply(tuple(CROWDED[request.ask.wanted])), tries=1)
+        return Proposal(LayoutReply(tuple(CROWDED[request.question.wanted])), tries=1)
 
     answers = Answers(stages)
     made = driven(answers, LoopSettings(earlier_move=limit))
@@ -219,9 +219,9 @@ def test_a_task_object_without_an_asset_is_a_failure_that_says_so() -> None:
 
 def test_a_stage_that_has_no_answer_costs_no_more_than_itself() -> None:
     def stages(request: ProposalRequest) -> Proposal:
-        if request.ask.wanted is Stage.IMPORTANT:
+        if request.question.wanted is Stage.IMPORTANT:
             return Proposal(None, failure="the endpoint is down", code="endpoint_down")
-        name = "cube_0" if request.ask.wanted is Stage.TASK else "ball_0"
+        name = "cube_0" if request.question.wanted is Stage.TASK else "ball_0"
         return Proposal(LayoutReply((said(name, 20 if name == "cube_0" else 70, 40),)))
 
     made = driven(Answers(stages))
@@ -329,7 +329,7 @@ def test_an_earlier_try_counts_where_the_last_one_fails(last: Proposal) -> None:
     replies = iter([Proposal(LayoutReply(IN_THE_BOWL), tries=1), last])
 
     def stages(question: ProposalRequest) -> Proposal:
-        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(LayoutReply(()), tries=1)
+        return next(replies) if question.question.wanted is Stage.TASK else Proposal(LayoutReply(()), tries=1)
 
     task = LayoutTask("scene", "Take the plate out of the bowl.", TABLE)
     loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate", "elephant"]))
@@ -349,7 +349,7 @@ def test_of_tries_that_lack_something_the_one_counts_that_lacks_least() -> None:
     replies = iter([Proposal(LayoutReply(corner), tries=1), Proposal(LayoutReply(IN_THE_BOWL), tries=1)])
 
     def stages(question: ProposalRequest) -> Proposal:
-        return next(replies) if question.ask.wanted is Stage.TASK else Proposal(LayoutReply(()), tries=1)
+        return next(replies) if question.question.wanted is Stage.TASK else Proposal(LayoutReply(()), tries=1)
 
     task = LayoutTask("scene", "Take the plate out of the bowl that is in the front left corner.", TABLE)
     loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate"]))

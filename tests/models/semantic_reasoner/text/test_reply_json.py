@@ -124,7 +124,7 @@ def test_a_hostile_reply_is_refused_at_once(text: str) -> None:
     start = time.process_time()
     with pytest.raises(SceneError):
         parse_reply(text)
-    assert time.process_time() - start < 0.2
+    assert time.process_time() - start < 2  # a garbage collection may take half a second; quadratic time takes minutes
 
 
 def test_many_objects_of_one_name_are_renumbered_at_once() -> None:
