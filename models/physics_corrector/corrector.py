@@ -107,9 +107,11 @@ class PhysicsCorrector:
         options = replace(self.options, fixed=self.options.fixed | wanted.fixed)
         scene, raw, shapes = start.scene, request.raw, start.shapes
         card_raw = audit_scene(raw, shapes).card() if raw is not None and self.judges_raw else None
+        if start.audit.card().clean and not wanted.may_tilt:
+            raw = None  # a clean scene stays as it is, whatever the flow proposes
         if not (wanted.may_tilt or wanted.asks_engine):
             result, _ = certify_moved(scene, raw, shapes, options)
-            return build_correction(start, result, shapes_by_instance(scene, shapes), raw=raw, card_raw=card_raw)
+            return build_correction(start, result, shapes_by_instance(scene, shapes), raw=request.raw, card_raw=card_raw)
         if not isinstance(assets, AssetStore):
             found = type(assets).__name__
             raise ConfigError(f"{scene.scene_id}: assets is {found}, expected an AssetStore to simulate with", "assets_missing")

@@ -166,6 +166,15 @@ def test_raw_and_certified_stand_side_by_side(weights: Path) -> None:
         PhysicsCorrector().correct(scenes[:1], known(scenes, shapes), CorrectionOptions(asks_engine=True))
 
 
+def test_a_clean_scene_stays_as_it_is_although_the_flow_moves_it(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    done = PhysicsCorrector(load_flow(str(weights))).correct(scenes, known(scenes, shapes))[1]
+    assert done.raw is not None
+    assert movement(scenes[1], done.raw)[0] > 5  # millimetres: the flow does propose another place
+    assert done.certified is not None
+    assert np.array_equal(done.certified.poses(), scenes[1].poses())
+
+
 def test_movement_of_objects_that_are_still_there() -> None:
     scene = two_scenes()[0][0]
     a, b, _ = scene.objects
