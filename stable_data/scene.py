@@ -64,7 +64,7 @@ class Relation:
     """One edge of the scene graph: ``subject kind target``.
 
     Attributes:
-        subject: Instance; for ``are equally spaced along`` the instances, joined by ``, ``.
+        subject: Instance; for ``are equally spaced along`` the instances, joined by a comma and a space.
         kind: The relation.
         target: Instance, or ``table``; for the last three kinds a cell, direction or axis.
     """
