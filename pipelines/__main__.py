@@ -407,6 +407,27 @@ def train_reasoner(
     typer.echo(job.run(count, address))
 
 
+@app.command("train-reader", epilog=_KEYS.format("train-reader"))
+@with_clear_errors
+def train_reader(
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and logs.")],
+    frames: Annotated[str, typer.Option(help="Folder of frames; empty takes those of models/instruction_reader/frames.")] = "",
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_reader is read.")] = None,
+    set_: Settings = None,
+    minutes: Minutes = 0.0,
+) -> None:
+    """Train the instruction reader on sentences made from frames. Run again to continue after a stop.
+
+    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
+    """
+    from models.instruction_reader.training import ReaderTrainingSettings
+    from pipelines.settings import resolve_settings
+    from pipelines.train.reader import ReaderTrainingJob
+
+    settings = resolve_settings(ReaderTrainingSettings, "train_reader", config, set_ or [])
+    typer.echo(ReaderTrainingJob(frames, out, settings, minutes).run())
+
+
 @app.command("settings")
 @with_clear_errors
 def show_settings(

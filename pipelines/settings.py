@@ -68,6 +68,7 @@ JOBS: Mapping[str, SettingsLocation] = {
         "models.semantic_reasoner.training.settings:training_preset",
         "embedded",
     ),
+    "train-reader": SettingsLocation("models.instruction_reader.training:ReaderTrainingSettings"),
 }
 """The jobs with settings, by verb."""
 

@@ -1,0 +1,287 @@
+"""From the scores of the network to a reading: which mentions are one object, how many there are, which relations hold."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from models.instruction_reader.lexicon import Lexicon
+from models.instruction_reader.network import CELLS, CHANGES, GOAL, GROUPS, START
+from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
+from stable_data.instructions.wording.words import is_plural
+
+_PRONOUNS = frozenset(
+    {
+        "a", "all", "an", "another", "any", "anything", "both", "bottom", "bunch", "each", "either", "everything",
+        "few", "first", "five", "former", "four", "half", "he", "her", "him", "it", "its", "itself", "last", "latter",
+        "left", "lot", "lower", "middle", "more", "most", "neither", "none", "of", "one", "ones", "only", "other",
+        "others", "pair", "remaining", "rest", "right", "same", "second", "she", "some", "something", "stuff", "that",
+        "the", "their", "them", "these", "they", "thing", "things", "third", "this", "those", "three", "top", "two",
+        "upper", "what", "whatever", "which", "whole",
+    }
+)  # fmt: skip
+"""Words of mentions without a noun."""
+
+_SAME = 0.5
+_PART = 0.5
+_HOLDS = 0.5
+_CARRIES = ("in", "on")
+
+Scores = npt.NDArray[np.float32]
+
+
+@dataclass(slots=True)
+class _Entity:
+    """Mentions of one object, or of several under one name."""
+
+    mentions: list[int]
+    words: str
+    categories: tuple[str, ...]
+    has_noun: bool
+    count: int
+    said: dict[str, int]
+
+    @property
+    def size(self) -> int:
+        """Number of its objects; two for a plural without a number."""
+        return self.count or 2
+
+
+def spans_of(tags: Sequence[int]) -> list[tuple[int, int]]:
+    """Returns the first and last word of each mention from the tags outside, begin, inside (0, 1, 2)."""
+    spans: list[tuple[int, int]] = []
+    for k, tag in enumerate(tags):
+        if tag == 1 or (tag == 2 and not (spans and spans[-1][1] == k - 1)):
+            spans.append((k, k))
+        elif tag == 2:
+            spans[-1] = spans[-1][0], k
+    return spans
+
+
+def decode(
+    words: Sequence[str],
+    spans: Sequence[tuple[int, int]],
+    said: Mapping[str, Scores],
+    start: Scores,
+    goal: Scores,
+    lexicon: Lexicon,
+) -> InstructionReading:
+    """Returns the reading of a sentence.
+
+    Args:
+        words: Its words.
+        spans: Its mentions.
+        said: Probabilities of what is said of each mention, (M, classes) by name.
+        start: Probabilities of pairs at the start, (M, M, classes).
+        goal: Probabilities of pairs after the task, (M, M, classes).
+        lexicon: The known nouns.
+    """
+    phrases = [words[a : b + 1] for a, b in spans]
+    nouns = [_noun(phrase, lexicon) for phrase in phrases]
+    clusters = _clusters(start, nouns)
+    entities = [_entity(cluster, phrases, nouns, said) for cluster in clusters]
+    parts = _parts(clusters, start, entities)
+    made = _objects(entities, parts)
+    found = _relations(clusters, start, START[1:7], parts)
+    aims = _relations(clusters, goal, GOAL[1:], parts)
+    relations = [*_expanded(found, made.numbers), *_groups(entities, made.numbers)]
+    return InstructionReading(tuple(made.objects), tuple(_consistent(relations)), tuple(_expanded(aims, made.numbers)))
+
+
+def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...]]:
+    """Whether a phrase has a noun, and its categories."""
+    if all(w in _PRONOUNS or not w.isalpha() for w in phrase):
+        return False, ()
+    return True, lexicon.categories(phrase)
+
+
+def _clusters(start: Scores, nouns: Sequence[tuple[bool, tuple[str, ...]]]) -> list[list[int]]:
+    """Mentions of the same object, by average linkage; unlike nouns are kept apart."""
+    size = len(nouns)
+    same = (start[:, :, START.index("same")] + start[:, :, START.index("same")].T) / 2
+    clusters = [[k] for k in range(size)]
+
+    def fits(one: list[int], other: list[int]) -> bool:
+        for i in one:
+            for j in other:
+                (named, a), (also, b) = nouns[i], nouns[j]
+                if named and also and a and b and not set(a) & set(b):
+                    return False
+                if named and also and bool(a) != bool(b) and same[i, j] < 0.9:
+                    return False
+        return True
+
+    while len(clusters) > 1:
+        best, pair = _SAME, None
+        for i in range(len(clusters)):
+            for j in range(i):
+                score = float(np.mean([same[a, b] for a in clusters[i] for b in clusters[j]]))
+                if score > best and fits(clusters[i], clusters[j]):
+                    best, pair = score, (j, i)
+        if pair is None:
+            break
+        clusters[pair[0]] += clusters.pop(pair[1])
+    return [sorted(c) for c in clusters]
+
+
+def _entity(
+    cluster: list[int],
+    phrases: Sequence[Sequence[str]],
+    nouns: Sequence[tuple[bool, tuple[str, ...]]],
+    said: Mapping[str, Scores],
+) -> _Entity:
+    named = [k for k in cluster if nouns[k][0]]
+    known = [k for k in named if nouns[k][1]]
+    head = max(known, key=lambda k: len(phrases[k])) if known else (named or cluster)[0]
+    categories = nouns[head][1]
+    for k in known:  # "the desk lamp ... the lamp"
+        if both := tuple(c for c in categories if c in nouns[k][1]):
+            categories = both
+    scores = {name: values[cluster].mean(0) for name, values in said.items()}
+    first = (named or cluster)[0]
+    count = int(said["count"][first].argmax())
+    picked = {name: int(values.argmax()) for name, values in scores.items()}
+    return _Entity(cluster, " ".join(phrases[head]), categories, bool(named), count, picked)
+
+
+def _parts(clusters: Sequence[list[int]], start: Scores, entities: Sequence[_Entity]) -> dict[int, int]:
+    """The plural that each entity is a part of, by the number of the part."""
+    found: dict[int, int] = {}
+    for i, one in enumerate(clusters):
+        scores = [
+            (float(start[np.ix_(one, other)][:, :, START.index("part")].max()), j) for j, other in enumerate(clusters) if i != j
+        ]
+        score, j = max(scores, default=(0.0, -1))
+        if score > _PART and found.get(j) != i:
+            found[i] = j
+    return {i: j for i, j in found.items() if j not in found or found[j] != i}
+
+
+@dataclass(slots=True)
+class _ObjectList:
+    """The objects of the entities; ``numbers`` are those of each entity."""
+
+    entities: Sequence[_Entity]
+    objects: list[MentionedObject]
+    numbers: list[list[int]]
+
+    def add(self, k: int, count: int, named: int | None = None) -> None:
+        """Adds objects to entity k, with the noun of ``named`` if that is another entity."""
+        one, noun = self.entities[k], self.entities[k if named is None else named]
+        found = MentionedObject(
+            noun.words,
+            noun.categories,
+            CELLS[one.said["region"]],
+            CELLS[one.said["goal_region"]],
+            bool(one.said["is_filled"]),
+            bool(one.said["is_taken"]),
+            CHANGES[one.said["change"]],
+        )
+        self.numbers[k] += range(len(self.objects), len(self.objects) + count)
+        self.objects += [found] * count
+
+
+def _objects(entities: Sequence[_Entity], parts: Mapping[int, int]) -> _ObjectList:
+    """The objects of the entities; a part has some of the objects of its plural."""
+    made = _ObjectList(entities, [], [[] for _ in entities])
+    for k, one in enumerate(entities):
+        members = [i for i, whole in parts.items() if whole == k]
+        if k in parts or not (members or one.has_noun):
+            continue
+        if not members:
+            made.add(k, 1 if _is_one(one) else one.size)
+        elif one.has_noun:
+            _split(made, k, members)
+        else:  # "all three" of objects with nouns of their own
+            for i in members:
+                made.add(i, entities[i].size if entities[i].has_noun else 0)
+            made.numbers[k] = [n for i in members for n in made.numbers[i]]
+    for i, whole in parts.items():  # a part of a part
+        if not made.numbers[i]:
+            made.numbers[i] = made.numbers[whole][: entities[i].size]
+    return made
+
+
+def _split(made: _ObjectList, k: int, members: Sequence[int]) -> None:
+    """Divides the objects of a plural among its parts; a part without a number, such as ``the rest``, gets what is left."""
+    entities = made.entities
+    rest = [i for i in members if entities[i].count == 0]
+    for i in members:
+        if i not in rest:
+            made.add(i, entities[i].size, i if entities[i].categories else k)
+    given = [n for i in members for n in made.numbers[i]]
+    left = entities[k].size - len(given)
+    if rest:
+        made.add(rest[0], max(1, left), k)
+        made.numbers[k] = [*given, *made.numbers[rest[0]]]
+    else:
+        made.add(k, max(0, left))
+        made.numbers[k] = [*given, *made.numbers[k]]
+
+
+def _is_one(entity: _Entity) -> bool:
+    """Whether a plural noun means one object, such as scissors."""
+    return entity.count == 0 and bool(entity.categories) and all(is_plural(c.replace("_", " ")) for c in entity.categories)
+
+
+def _relations(
+    clusters: Sequence[list[int]], scores: Scores, kinds: Sequence[str], parts: Mapping[int, int]
+) -> list[tuple[float, int, str, int]]:
+    """The likeliest relation of each pair of entities, if it is likely enough."""
+    found = []
+    for i, one in enumerate(clusters):
+        for j, other in enumerate(clusters):
+            if i == j or parts.get(i) == j or parts.get(j) == i:
+                continue
+            block = scores[np.ix_(one, other)][:, :, 1 : 1 + len(kinds)].reshape(-1, len(kinds)).max(0)
+            kind = int(block.argmax())
+            if block[kind] > _HOLDS:
+                found.append((float(block[kind]), i, kinds[kind], j))
+    return sorted(found, reverse=True)
+
+
+def _expanded(found: Sequence[tuple[float, int, str, int]], copies: Sequence[list[int]]) -> list[MentionedRelation]:
+    """The relations of single objects."""
+    relations = []
+    for score, i, kind, j in found:
+        if kind in _CARRIES and len(copies[j]) > 1 and len(copies[j]) == len(copies[i]):
+            pairs = list(zip(copies[i], copies[j], strict=True))  # each on its own
+        elif kind in _CARRIES:
+            pairs = [(a, b) for a in copies[i] for b in copies[j][:1]]
+        else:
+            pairs = [(a, b) for a in copies[i] for b in copies[j]]
+        relations += [MentionedRelation(a, kind, b, score) for a, b in pairs if a != b]
+    return relations
+
+
+def _groups(entities: Sequence[_Entity], copies: Sequence[list[int]]) -> list[MentionedRelation]:
+    """The relations within stacks and nests."""
+    kinds = {"stack": "on", "nest": "in"}
+    return [
+        MentionedRelation(a, kinds[group], b)
+        for one, numbers in zip(entities, copies, strict=True)
+        if (group := GROUPS[one.said["group"]])
+        for a, b in pairwise(numbers)
+    ]
+
+
+def _consistent(relations: Sequence[MentionedRelation]) -> list[MentionedRelation]:
+    """The relations that can hold together, the likeliest first: one carrier for each object, and no circle."""
+    kept: list[MentionedRelation] = []
+    carrier: dict[int, int] = {}
+    for r in sorted(relations, key=lambda r: -r.score):
+        if any({r.subject, r.target} == {k.subject, k.target} and k.kind != "near" for k in kept):
+            continue
+        if r.kind in _CARRIES:
+            above, step = r.target, 0
+            while above in carrier and step < len(relations):
+                above, step = carrier[above], step + 1
+                if above == r.subject:
+                    break
+            if r.subject in carrier or above == r.subject:
+                continue
+            carrier[r.subject] = r.target
+        kept.append(r)
+    return kept

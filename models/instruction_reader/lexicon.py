@@ -1,0 +1,76 @@
+"""The known categories that a noun phrase may mean."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from rapidfuzz.distance import OSA
+from rapidfuzz.process import extractOne
+
+from models.instruction_reader.nouns import NounPools
+from models.instruction_reader.sentences import split_words
+from stable_data.instructions.wording.words import is_plural, plural
+
+_LEAST = 5  # letters of a noun that is compared with a typing error
+_LONG = 9  # letters from which two errors are accepted
+
+
+@dataclass(frozen=True)
+class Lexicon:
+    """The nouns of the known categories.
+
+    Attributes:
+        nouns: The nouns of each category.
+    """
+
+    nouns: Mapping[str, Sequence[str]]
+
+    @classmethod
+    def of(cls, pools: NounPools, categories: Iterable[str]) -> "Lexicon":
+        """Returns the nouns of these categories."""
+        return cls({c: pools.nouns.get(c, (c.replace("_", " "),)) for c in categories})
+
+    @cached_property
+    def _by_noun(self) -> dict[str, tuple[str, ...]]:
+        found: dict[str, list[str]] = {}
+        for category, nouns in self.nouns.items():
+            for noun in nouns:
+                for form in (noun, *(() if is_plural(noun) else (plural(noun),))):
+                    spelt = _spelt(split_words(form))
+                    found.setdefault(spelt, []).append(category)
+                    found.setdefault(spelt.replace(" ", ""), []).append(category)
+        return {noun: tuple(dict.fromkeys(categories)) for noun, categories in found.items()}
+
+    @cached_property
+    def _nouns(self) -> list[str]:
+        return list(self._by_noun)
+
+    def categories(self, words: Sequence[str]) -> tuple[str, ...]:
+        """Returns the categories that a noun phrase may mean; none if it is unknown.
+
+        The longest end of the phrase that is a noun decides, with a typing error if it has one: ``red coffee mug`` is a mug. In
+        ``mug of tea`` the words before ``of`` decide.
+
+        Args:
+            words: The phrase in lower case.
+        """
+        for k in range(len(words)):
+            if (near := self._nearest(_spelt(words[k:]))) is not None:
+                return self._by_noun[near]
+        if "of" in words[1:]:
+            return self.categories(words[: words.index("of", 1)])
+        return ()
+
+    def _nearest(self, spelt: str) -> str | None:
+        if spelt in self._by_noun:
+            return spelt
+        if len(spelt) < _LEAST:
+            return None
+        most = 2 if len(spelt) >= _LONG else 1
+        found = extractOne(spelt, self._nouns, scorer=OSA.distance, score_cutoff=most)
+        return None if found is None or found[0][0] != spelt[0] else str(found[0])
+
+
+def _spelt(words: Sequence[str]) -> str:
+    """Words without hyphens and possessives."""
+    return " ".join(w for w in words if w.isalnum() and w != "s")

@@ -1,0 +1,99 @@
+"""Mends typing errors: an unknown word becomes the frequent known word that differs from it least."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from rapidfuzz.distance import OSA
+from rapidfuzz.process import extract
+
+from models.instruction_reader.frames import Frame
+from models.instruction_reader.nouns import NounPools
+from models.instruction_reader.phrases import ADJECTIVES, PHRASES
+from models.instruction_reader.sentences import split_words
+from stable_data.instructions.wording.words import plural
+
+_SHORT_SLIPS = {"teh": "the", "hte": "the", "adn": "and", "nad": "and", "fo": "of", "si": "is", "ti": "it", "ont": "on"}
+"""Slips in words that are too short to be compared."""
+
+_ENDINGS = (
+    ("s", ""),
+    ("es", ""),
+    ("ies", "y"),
+    ("ing", ""),
+    ("ing", "e"),
+    ("ed", ""),
+    ("ed", "e"),
+    ("er", ""),
+    ("re", ""),
+    ("ve", ""),
+)
+"""Endings of known stems, and what the stem has instead."""
+
+_LEAST = 4  # letters of a word that is compared
+_LONG = 8  # letters from which two errors are mended
+_CANDIDATES = 12
+
+
+@dataclass(frozen=True)
+class Spelling:
+    """The known words.
+
+    Attributes:
+        frequent: Words that an unknown word may become, with their counts.
+        known: Further words that stay as they are.
+    """
+
+    frequent: Mapping[str, int]
+    known: frozenset[str] = field(default_factory=frozenset)
+
+    @classmethod
+    def of(cls, frames: Iterable[Frame], nouns: NounPools, known: Iterable[str] = ()) -> "Spelling":
+        """Returns the words of frames, phrases and nouns.
+
+        Args:
+            frames: The frames.
+            nouns: The nouns.
+            known: Further words that stay as they are, such as the whole words of a tokenizer.
+        """
+        counts: Counter[str] = Counter()
+        for frame in frames:
+            counts.update(split_words(frame.text))
+        for phrases in PHRASES.values():
+            counts.update(word for phrase in phrases for word in split_words(phrase))
+        for names in nouns.nouns.values():
+            counts.update(10 * [word for name in names for one in (name, plural(name)) for word in split_words(one)])
+        for name in (*ADJECTIVES, *nouns.unknown, *nouns.elsewhere):
+            counts.update(split_words(name))
+        return cls({word: n for word, n in counts.items() if word.isalpha()}, frozenset(known))
+
+    @cached_property
+    def _words(self) -> list[str]:
+        return [word for word in self.frequent if len(word) >= _LEAST - 1]
+
+    def mend(self, words: Sequence[str]) -> list[str]:
+        """Returns the words with typing errors mended; their number stays."""
+        return [self._mended(word) for word in words]
+
+    def _is_known(self, word: str) -> bool:
+        """Whether a word or its stem is known; so is ``theyre``, which lacks an apostrophe."""
+        stems = (word, *(word.removesuffix(end) + more for end, more in _ENDINGS if word.endswith(end)))
+        return any(stem in self.frequent or stem in self.known for stem in stems if len(stem) >= _LEAST - 1)
+
+    def _mended(self, word: str) -> str:
+        if word in _SHORT_SLIPS:
+            return _SHORT_SLIPS[word]
+        if len(word) < _LEAST or not word.isalpha() or self._is_known(word):
+            return word
+        most = 2 if len(word) >= _LONG else 1
+        found = extract(word, self._words, scorer=OSA.distance, score_cutoff=most, limit=_CANDIDATES)
+        near = [(distance, candidate) for candidate, distance, _ in found if _begins_alike(word, candidate)]
+        if not near:
+            return word
+        return min(near, key=lambda one: (one[0], -self.frequent[one[1]], one[1]))[1]
+
+
+def _begins_alike(word: str, candidate: str) -> bool:
+    """Whether the first letters agree, perhaps in another order."""
+    return word[0] == candidate[0] or (word[0] == candidate[1] and word[1] == candidate[0])

@@ -1,0 +1,125 @@
+"""From scores to a reading; the scores are those of a network that is certain."""
+
+import numpy as np
+import pytest
+
+from models.instruction_reader.decoding import Scores, decode, spans_of
+from models.instruction_reader.lexicon import Lexicon
+from models.instruction_reader.network import CELLS, GOAL, GROUPS, SAID, START
+from models.instruction_reader.nouns import read_nouns
+from models.instruction_reader.reading import InstructionReading
+
+LEXICON = Lexicon.of(read_nouns(), read_nouns().nouns)
+
+
+def read(
+    *phrases: str,
+    start: str = "",
+    goal: str = "",
+    counts: dict[int, int] | None = None,
+    said: dict[int, tuple[str, int]] | None = None,
+) -> InstructionReading:
+    """Decodes mentions with facts such as ``0 in 1, 2 same 0``."""
+    words = [word for phrase in phrases for word in (*phrase.split(), ",")]
+    spans, first = [], 0
+    for phrase in phrases:
+        spans.append((first, first + len(phrase.split()) - 1))
+        first += len(phrase.split()) + 1
+    size = len(phrases)
+    scores = {name: np.zeros((size, classes), np.float32) for name, classes in SAID.items()}
+    for name, values in scores.items():
+        values[:, 1 if name == "count" else 0] = 1
+    for k, count in (counts or {}).items():
+        scores["count"][k] = np.eye(SAID["count"])[count]
+    for k, (name, value) in (said or {}).items():
+        scores[name][k] = np.eye(SAID[name])[value]
+    return decode(words, spans, scores, _pairs(size, start, START), _pairs(size, goal, GOAL), LEXICON)
+
+
+def _pairs(size: int, facts: str, classes: tuple[str, ...]) -> Scores:
+    found = np.zeros((size, size, len(classes)), np.float32)
+    found[:, :, 0] = 1
+    for fact in filter(None, facts.split(", ")):
+        a, kind, b = fact.split()
+        for one, other in ((a, b), (b, a)) if kind == "same" else ((a, b),):
+            found[int(one), int(other)] = 0.9 * np.eye(len(classes))[classes.index(kind)]
+    return found
+
+
+def facts_of(reading: InstructionReading) -> set[tuple[int, str, int]]:
+    return {(r.subject, r.kind, r.target) for r in reading.start}
+
+
+def test_mentions_follow_from_tags() -> None:
+    assert spans_of([0, 1, 2, 2, 0, 1, 1, 2]) == [(1, 3), (5, 5), (6, 7)]
+    assert spans_of([2, 0, 0, 2, 2]) == [(0, 0), (3, 4)]
+    assert spans_of([]) == []
+
+
+def test_a_pronoun_is_the_object_that_it_means() -> None:
+    found = read("red mug", "tray", "it", start="0 on 1, 2 same 0", goal="2 near 1")
+    assert [o.words for o in found.objects] == ["red mug", "tray"]
+    assert facts_of(found) == {(0, "on", 1)}
+    assert [(r.subject, r.kind, r.target) for r in found.goal] == [(0, "near", 1)]
+
+
+def test_counts_give_objects_and_their_relations() -> None:
+    found = read("pencils", "cup", start="0 in 1", counts={0: 3})
+    assert len(found.objects) == 4
+    assert facts_of(found) == {(0, "in", 3), (1, "in", 3), (2, "in", 3)}
+    assert len(read("mugs", counts={0: 0}).objects) == 2  # a plural without a number
+    assert len(read("scissors", counts={0: 0}).objects) == 1
+
+
+def test_one_and_the_other_are_parts_of_a_plural() -> None:
+    found = read("mugs", "one", "tray", "the other", "book", counts={0: 2}, start="1 part 0, 3 part 0, 1 on 2, 3 on 4")
+    assert [o.words for o in found.objects].count("mugs") == 2
+    (one, tray), (other, book) = sorted((r.subject, r.target) for r in found.start)
+    assert one != other
+    assert {found.objects[tray].words, found.objects[book].words} == {"tray", "book"}
+
+
+def test_the_rest_is_what_is_left() -> None:
+    found = read("books", "one", "the rest", "tray", counts={0: 4, 2: 0}, start="1 part 0, 2 part 0, 2 on 3")
+    assert len(found.objects) == 5
+    assert len(found.start) == 3
+
+
+def test_all_three_of_different_objects_are_no_objects_of_their_own() -> None:
+    found = read("mug", "bowl", "both", "tray", counts={2: 2}, start="0 part 2, 1 part 2, 2 on 3")
+    assert sorted(o.words for o in found.objects) == ["bowl", "mug", "tray"]
+    assert len(found.start) == 2
+
+
+@pytest.mark.parametrize(("group", "kind"), [("stack", "on"), ("nest", "in")])
+def test_a_group_is_a_chain(group: str, kind: str) -> None:
+    found = read("plates", counts={0: 3}, said={0: ("group", GROUPS.index(group))})
+    assert facts_of(found) == {(0, kind, 1), (1, kind, 2)}
+
+
+def test_an_object_has_one_carrier_and_no_circle() -> None:
+    assert len(read("mug", "tray", "book", start="0 on 1, 0 on 2").start) == 1
+    assert len(read("mug", "tray", start="0 on 1, 1 on 0").start) == 1
+    assert len(read("box", "tray", "book", start="0 on 1, 1 on 2, 2 in 0").start) == 2
+
+
+def test_each_on_its_own() -> None:
+    found = read("cups", "saucers", counts={0: 2, 1: 2}, start="0 on 1")
+    assert facts_of(found) == {(0, "on", 2), (1, "on", 3)}
+
+
+def test_unlike_nouns_are_not_one_object() -> None:
+    found = read("mug", "keyboard", start="0 same 1")
+    assert len(found.objects) == 2
+    assert len(read("desk lamp", "lamp", start="0 same 1").objects) == 1
+
+
+def test_regions_and_unknown_objects() -> None:
+    found = read("violin", "mug", said={1: ("region", CELLS.index("back_left"))})
+    assert [o.words for o in found.unknown] == ["violin"]
+    assert found.objects[1].region == "back_left"
+
+
+def test_no_mention_is_no_object() -> None:
+    assert read() == InstructionReading(())
+    assert read("it") == InstructionReading(())

@@ -1,0 +1,67 @@
+"""Nouns of categories, and words with typing errors."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.instruction_reader.frames import read_frames
+from models.instruction_reader.lexicon import Lexicon
+from models.instruction_reader.nouns import read_nouns
+from models.instruction_reader.sentences import split_words
+from models.instruction_reader.spelling import Spelling
+
+NOUNS = read_nouns()
+LEXICON = Lexicon.of(NOUNS, NOUNS.nouns)
+SPELLING = Spelling.of(read_frames(), NOUNS, {"beautiful", "paperclip"})
+
+
+def test_a_category_is_found_by_each_of_its_nouns() -> None:
+    for category, nouns in NOUNS.nouns.items():
+        for noun in nouns:
+            assert category in LEXICON.categories(split_words(noun))
+
+
+@pytest.mark.parametrize(
+    ("phrase", "category"),
+    [
+        ("my red coffee mug", "mug"),
+        ("two wine glasses", "wine_glass"),
+        ("tisue box", "tissue_box"),
+        ("puzzle cub", "puzzle_cube"),
+        ("mug of hot tea", "mug"),
+        ("tv remote", "remote_control"),
+        ("scissors", "scissors"),
+    ],
+)
+def test_the_end_of_a_phrase_decides(phrase: str, category: str) -> None:
+    assert category in LEXICON.categories(phrase.split())
+
+
+@pytest.mark.parametrize("phrase", ["stethoscope", "pan flute", "", "x", "of"])
+def test_what_is_unknown_has_no_category(phrase: str) -> None:
+    assert LEXICON.categories(phrase.split()) == ()
+
+
+def test_a_lexicon_holds_the_categories_that_it_is_given() -> None:
+    small = Lexicon.of(NOUNS, ["mug", "cat_tree"])
+    assert small.categories(["cat", "tree"]) == ("cat_tree",)
+    assert small.categories(["bowl"]) == ()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [("scisors", "scissors"), ("teh", "the"), ("behnd", "behind"), ("candels", "candles"), ("moniter", "monitor")],
+)
+def test_typing_errors_are_mended(wrong: str, right: str) -> None:
+    assert SPELLING.mend([wrong]) == [right]
+
+
+@pytest.mark.parametrize("word", ["beautiful", "paperclips", "theyre", "mug", "mugs", "42", "qzxwvj", "cub", "stacked", "!"])
+def test_other_words_stay(word: str) -> None:
+    assert SPELLING.mend([word]) == [word]
+
+
+@given(st.lists(st.text(max_size=12), max_size=8))
+def test_any_words_can_be_mended_and_looked_up(words: list[str]) -> None:
+    assert len(SPELLING.mend(words)) == len(words)
+    assert isinstance(LEXICON.categories(words), tuple)
