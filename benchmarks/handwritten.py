@@ -1,8 +1,8 @@
-"""The Semantic Reasoner on instructions as people write them: forty, written by hand.
+"""The Semantic Reasoner on instructions as people write them.
 
-``python -m benchmarks.handwritten [--engine embedded] [--cases N] [--one-shot] [--json FILE]``. The instructions and their
-requirements are those of tests/models/semantic_reasoner/handwritten.jsonl. No layout is corrected, and objects are judged by
-their boxes.
+``python -m benchmarks.handwritten [--file FILE.jsonl] [--engine embedded] [--cases N] [--one-shot] [--json OUT.json]``. Without
+``--file`` the instructions and their requirements are the forty of tests/models/semantic_reasoner/handwritten.jsonl. No layout is
+corrected, and objects are judged by their boxes.
 
 - right: every object of the instruction is present, and all its relations hold;
 - failed: no answer could be used, and this was reported;
@@ -27,7 +27,7 @@ from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.staged_layout import ONE_SHOT, PROGRESSIVE, LayoutTask, StagedLayout, staged_layouts
 from stable_data.metrics.alignment import Alignment, align
-from tests.models.semantic_reasoner.handwritten import Handwritten, read_handwritten
+from tests.models.semantic_reasoner.handwritten import FILE, Handwritten, read_handwritten
 
 FALL_BACK, UNKNOWN = "word_read_as", ("word_unknown", "word_read_as", "language_unknown")
 MISSING = (*UNKNOWN, "required_missing")  # codes that report a missing object
@@ -117,6 +117,7 @@ def summary_of(verdicts: Sequence[Verdict]) -> dict[str, Any]:
 
 
 def main(
+    file: Annotated[Path, typer.Option(help="Instructions with their requirements, one JSON object in a line.")] = FILE,
     engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
     base_url: Annotated[str, typer.Option(help="URL of the endpoint of openai:MODEL.")] = "",
     key_variable: Annotated[str, typer.Option(help="Environment variable with its key.")] = "",
@@ -124,7 +125,7 @@ def main(
     one_shot: Annotated[bool, typer.Option("--one-shot", help="Request whole layouts at once.")] = False,
     tries: Annotated[int, typer.Option(help="Largest number of tries of a question.")] = 4,
     seed: Annotated[int, typer.Option(help="Seed of the sampling.")] = 0,
-    cases: Annotated[int, typer.Option(help="Number of instructions, the first ones.")] = 40,
+    cases: Annotated[int, typer.Option(help="Number of instructions, the first ones; 0 takes all.")] = 0,
     json_file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
     """Prints one line for each case, and a summary."""
@@ -132,7 +133,7 @@ def main(
     if base_url:
         chosen = replace(chosen, http=HttpSettings(base_url, "default", key_variable))
     reasoner, known = load_reasoner(chosen, ReasonerSettings(tries=tries, statistics=statistics))
-    asked = read_handwritten()[:cases]
+    asked = read_handwritten(file)[: cases or None]
     tasks = [LayoutTask(case.reference.scene_id, case.instruction, case.table) for case in asked]
     began = time.perf_counter()
     seeds = range(seed * 1_000_003, seed * 1_000_003 + len(tasks))
@@ -148,7 +149,15 @@ def main(
             {"instruction": v.case.instruction, "right": v.is_right, "nonsense": v.is_nonsense, "line": str(v)}
             for v in verdicts
         ]
-        document = {"engine": engine, "one_shot": one_shot, "tries": tries, "seed": seed, "summary": summary, "cases": lines}
+        document = {
+            "file": file.name,
+            "engine": engine,
+            "one_shot": one_shot,
+            "tries": tries,
+            "seed": seed,
+            "summary": summary,
+            "cases": lines,
+        }
         json_file.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", "utf-8")
 
 

@@ -29,10 +29,10 @@ class Handwritten:
     unknown: tuple[str, ...]
 
 
-def read_handwritten() -> tuple[Handwritten, ...]:
-    """All of them, in the file's order."""
-    lines = FILE.read_text("utf-8").splitlines()
-    return tuple(_of(f"handwritten_{number:02}", json.loads(line)) for number, line in enumerate(lines))
+def read_handwritten(file: Path = FILE) -> tuple[Handwritten, ...]:
+    """All of a file, in its order; further keys of a line are not read."""
+    lines = file.read_text("utf-8").splitlines()
+    return tuple(_of(f"{file.stem}_{number:02}", json.loads(line)) for number, line in enumerate(lines) if line.strip())
 
 
 def _of(name: str, row: dict[str, Any]) -> Handwritten:
