@@ -1,8 +1,14 @@
-"""The quality of the reasoner's edits: ``python -m benchmarks.edits RUN [--engine embedded] [--split test] [--edits N] [--json FILE]``.
+"""The quality of edits, in two modes.
 
-RUN is a preprocess run. If it has no table ``edits``, edits are drafted as by ``stable-data draft-edits``, which is possible only
-for scenes of the embedded world. The reasoner gets each edit's instruction and layout; its answer is compared with the drafted
-edit:
+``python -m benchmarks.edits --file FILE.jsonl --scenes FOLDER [--engine embedded] [--json FILE]`` applies edits in free words to
+the scenes of a folder in the MesaTask-10K format, as the edit job does, and judges the edited scenes by what a person expects. A
+line has ``edit_id``, ``scene_id``, ``kind``, ``instruction`` and ``expected``, see :mod:`benchmarks.edit_verdict`. An edit that has
+to ask back (``expected.ambiguous``) is right if it fails with the code ``ambiguous`` and its message names all candidates.
+
+``python -m benchmarks.edits RUN [--engine embedded] [--split test] [--edits N] [--json FILE]`` compares the reasoner's answers with
+drafted edits. RUN is a preprocess run. If it has no table ``edits``, edits are drafted as by ``stable-data draft-edits``, which is
+possible only for scenes of the embedded world. The reasoner gets each edit's instruction and layout; its answer is compared with
+the drafted edit:
 
 - answered: an answer passed the checks;
 - right: the same instances are removed, the same ones change, and new objects have the same categories;
@@ -13,20 +19,26 @@ import json
 import time
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import typer
 
+from benchmarks.edit_verdict import ExpectedEdit, faults_of_edit, read_expected_edits
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings, load_reasoner
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from models.semantic_reasoner.training.examples import TrainingExample, edit_example_of
+from pipelines.edit.job import edit
+from pipelines.edit.settings import EditSettings
+from pipelines.execution.ray_executor import WorkerPool
 from stable_data.embedded_world.edit_table import write_edits
 from stable_data.storage.row_groups import TableFiles, rows_from_table
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import object_from_row, scene_from_row
 
 
 def held_out_edits(run: str, split: str, most: int) -> list[Row]:
@@ -59,14 +71,74 @@ def verdict(example: TrainingExample, reply: LayoutReply | None) -> dict[str, bo
     return {"answered": True, "right": found == (gone, changed, new), "kept": found[0] | found[1] <= gone | changed}
 
 
+# --- edits in free words ------------------------------------------------------------------------------------------------------
+
+
+def judge_edits(expected: Sequence[ExpectedEdit], out: RunFolder) -> list[dict[str, Any]]:
+    """Returns one row for each expected edit of a finished edit job: its faults, and whether it is right."""
+    scenes = {row["scene_id"]: scene_from_row(row) for row in out.table("scenes").to_pylist()}
+    before = {row["edit_id"]: row["objects_in"] for row in out.table("edits").to_pylist()}
+    failed = {row["id"]: (row["code"], row["message"]) for row in out.table("failures").to_pylist()}
+    rows = []
+    for one in expected:
+        after = scenes.get(one.edit_id)
+        code, message = failed.get(one.edit_id, ("no_row", "has neither a scene nor a failure"))
+        if one.ambiguous:
+            asks = after is None and code == "ambiguous" and all(name in message for name in one.ambiguous)
+            faults = [] if asks else [f"does not ask which of {', '.join(one.ambiguous)} is meant"]
+        elif after is None:
+            faults = [f"{code}: {message}"]
+        else:
+            was = replace(after, objects=tuple(map(object_from_row, before[one.edit_id])), relations=())
+            faults = faults_of_edit(was, after, one.expected)
+        rows.append(
+            {"edit_id": one.edit_id, "kind": one.kind, "instruction": one.instruction, "faults": faults, "right": not faults}
+        )
+    return rows
+
+
+def run_free_edits(file: Path, scenes: str, engine: str, json_file: Path | None) -> None:
+    """Applies and judges the edits of a file, and prints what is wrong with each and a summary."""
+    expected = read_expected_edits(file)
+    began = time.perf_counter()
+    with TemporaryDirectory() as folder:
+        requests = Path(folder) / "edits.jsonl"
+        lines = [{"edit_id": one.edit_id, "scene_id": one.scene_id, "instruction": one.instruction} for one in expected]
+        requests.write_text("".join(json.dumps(line) + "\n" for line in lines), "utf-8")
+        out = str(Path(folder) / "out")
+        edit(scenes, requests, out, EditSettings(engine=EngineSettings(engine)), WorkerPool(), report=False)
+        rows = judge_edits(expected, RunFolder(out))
+    seconds = time.perf_counter() - began
+    for row in rows:
+        print("right" if row["right"] else "WRONG", row["kind"], row["instruction"], *row["faults"], sep=" | ")
+    kinds = sorted({row["kind"] for row in rows})
+    summary: dict[str, Any] = {"right": sum(row["right"] for row in rows), "edits": len(rows), "seconds": round(seconds, 1)}
+    for key, is_counted in (("right_by_kind", True), ("edits_by_kind", False)):
+        summary[key] = {kind: sum(row["right"] or not is_counted for row in rows if row["kind"] == kind) for kind in kinds}
+    print(f"{summary['right']} of {summary['edits']} edits right")
+    if json_file is not None:
+        document = {"file": file.name, "engine": engine, "summary": summary, "edits": rows}
+        json_file.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", "utf-8")
+
+
+# --- drafted edits ------------------------------------------------------------------------------------------------------------
+
+
 def main(
-    run: Annotated[str, typer.Argument(help="Folder of a preprocess run.")],
+    run: Annotated[str, typer.Argument(help="Folder of a preprocess run, for drafted edits.")] = "",
+    file: Annotated[Path | None, typer.Option(help="Edits in free words, one JSON object in a line.")] = None,
+    scenes: Annotated[str, typer.Option(help="Folder of their scenes, in the MesaTask-10K format.")] = "",
     engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
     split: Annotated[str, typer.Option(help="Which split.")] = "test",
     edits: Annotated[int, typer.Option(help="Largest number of edits.")] = 500,
     json_file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
-    """Prints a line for each kind of edit."""
+    """Prints a line for each edit in free words, or for each kind of drafted edit."""
+    if (file is None) == (not run) or (file is not None and not scenes):
+        raise typer.BadParameter("give a run, or --file and --scenes")
+    if file is not None:
+        run_free_edits(file, scenes, engine, json_file)
+        return
     rows = held_out_edits(run, split, edits)
     if not rows:
         print(f"{run}: no edits of the split {split}, expected some; only scenes of the embedded world can be drafted")

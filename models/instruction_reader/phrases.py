@@ -12,9 +12,9 @@ RELATIONS = ("in", "on", "left", "right", "front", "behind", "under", "near")
 
 REGIONS: Mapping[str, str] = MappingProxyType(
     {
-        "back left": "back_left", "back": "back_center", "back right": "back_right",
-        "left": "center_left", "centre": "center", "right": "center_right",
-        "front left": "front_left", "front": "front_center", "front right": "front_right",
+        "back left": "back_left", "back": "back_middle", "back right": "back_right",
+        "left": "middle_left", "centre": "middle_middle", "right": "middle_right",
+        "front left": "front_left", "front": "front_middle", "front right": "front_right",
     }
 )  # fmt: skip
 """Regions of the table in frames, and the cells of the scene graph."""

@@ -298,7 +298,7 @@ def is_held(on_in: Set[Relation], relation: Relation) -> bool:
 
 
 def cell_of(position: tuple[float, ...], size_xy: tuple[float, float]) -> str:
-    """Returns the ninth of the table that a point is in, such as ``back_left``; distance_outside the edge, the nearest one."""
+    """Returns the ninth of the table that a point is in, such as ``back_left``; beyond the edge, the nearest one."""
     column, row = (min(2, max(0, int(3 * p / s))) for p, s in zip(position, size_xy, strict=False))
     return f"{_ROWS[row]}_{_COLUMNS[column]}"
 
