@@ -48,22 +48,24 @@ class Lexicon:
     def categories(self, words: Sequence[str]) -> tuple[str, ...]:
         """Returns the categories that a noun phrase may mean; none if it is unknown.
 
-        The longest end of the phrase that is a noun decides, with a typing error if it has one: ``red coffee mug`` is a mug. In
-        ``mug of tea`` the words before ``of`` decide.
+        The longest end of the phrase that is a noun decides: ``red coffee mug`` is a mug. If no end is a noun, the longest one with
+        a typing error decides, and in ``mug of tea`` the words before ``of``.
 
         Args:
             words: The phrase in lower case.
         """
-        for k in range(len(words)):
-            if (near := self._nearest(_spelt(words[k:]))) is not None:
+        ends = [_spelt(words[k:]) for k in range(len(words))]
+        for end in ends:
+            if end in self._by_noun:
+                return self._by_noun[end]
+        for end in ends:
+            if (near := self._nearest(end)) is not None:
                 return self._by_noun[near]
         if "of" in words[1:]:
             return self.categories(words[: words.index("of", 1)])
         return ()
 
     def _nearest(self, spelt: str) -> str | None:
-        if spelt in self._by_noun:
-            return spelt
         if len(spelt) < _LEAST:
             return None
         most = 2 if len(spelt) >= _LONG else 1

@@ -32,7 +32,7 @@ _ENDINGS = (
 """Endings of known stems, and what the stem has instead."""
 
 _LEAST = 4  # letters of a word that is compared
-_LONG = 8  # letters from which two errors are mended
+_LONG = 8  # letters from which any two errors are mended; in shorter words two vowels may be wrong
 _CANDIDATES = 12
 
 
@@ -86,12 +86,20 @@ class Spelling:
             return _SHORT_SLIPS[word]
         if len(word) < _LEAST or not word.isalpha() or self._is_known(word):
             return word
-        most = 2 if len(word) >= _LONG else 1
-        found = extract(word, self._words, scorer=OSA.distance, score_cutoff=most, limit=_CANDIDATES)
-        near = [(distance, candidate) for candidate, distance, _ in found if _begins_alike(word, candidate)]
+        found = extract(word, self._words, scorer=OSA.distance, score_cutoff=2, limit=_CANDIDATES)
+        near = [
+            (distance, candidate)
+            for candidate, distance, _ in found
+            if _begins_alike(word, candidate)
+            and (distance < 2 or len(word) >= _LONG or _consonants(word) == _consonants(candidate))
+        ]
         if not near:
             return word
         return min(near, key=lambda one: (one[0], -self.frequent[one[1]], one[1]))[1]
+
+
+def _consonants(word: str) -> str:
+    return "".join(letter for letter in word if letter not in "aeiou")
 
 
 def _begins_alike(word: str, candidate: str) -> bool:
