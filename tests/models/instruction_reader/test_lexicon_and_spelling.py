@@ -50,13 +50,22 @@ def test_a_lexicon_holds_the_categories_that_it_is_given() -> None:
 
 @pytest.mark.parametrize(
     ("wrong", "right"),
-    [("scisors", "scissors"), ("teh", "the"), ("behnd", "behind"), ("candels", "candles"), ("moniter", "monitor"), ("notbok", "notebook")],
+    [
+        ("scisors", "scissors"),
+        ("teh", "the"),
+        ("behnd", "behind"),
+        ("candels", "candles"),
+        ("moniter", "monitor"),
+        ("notbok", "notebook"),
+    ],
 )
 def test_typing_errors_are_mended(wrong: str, right: str) -> None:
     assert SPELLING.mend([wrong]) == [right]
 
 
-@pytest.mark.parametrize("word", ["beautiful", "paperclips", "theyre", "mug", "mugs", "42", "qzxwvj", "cub", "stacked", "peonies", "!"])
+@pytest.mark.parametrize(
+    "word", ["beautiful", "paperclips", "theyre", "mug", "mugs", "42", "qzxwvj", "cub", "stacked", "peonies", "!"]
+)
 def test_other_words_stay(word: str) -> None:
     assert SPELLING.mend([word]) == [word]
 
