@@ -51,6 +51,7 @@ def main() -> None:
             "edits": ([run], ["--edits", "4"]),
             "reasoner_speed": ([run], ["--scenes", "4", "--rounds", "1"]),
             "handwritten": ([], ["--cases", "4"]),
+            "understanding": ([], []),
             "generation": ([], ["--scenes", "4", "--serial-scenes", "2", "--scripted", "4"]),
             "alternation": ([run], ["--where", "", "--scenes", "3", "--workers", "0"]),
             "generalisation": ([data], ["--scenes", "3", "--cases", "3", "--workers", "0"]),
