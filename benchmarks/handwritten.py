@@ -132,12 +132,12 @@ def main(
     chosen = EngineSettings(engine)
     if base_url:
         chosen = replace(chosen, http=HttpSettings(base_url, "default", key_variable))
-    reasoner, known = load_reasoner(chosen, ReasonerSettings(tries=tries, statistics=statistics))
+    reasoner, interpret = load_reasoner(chosen, ReasonerSettings(tries=tries, statistics=statistics))
     asked = read_handwritten(file)[: cases or None]
     tasks = [LayoutTask(case.reference.scene_id, case.instruction, case.table) for case in asked]
     began = time.perf_counter()
     seeds = range(seed * 1_000_003, seed * 1_000_003 + len(tasks))
-    layouts = staged_layouts(reasoner, tasks, seeds, ONE_SHOT if one_shot else PROGRESSIVE, known)
+    layouts = staged_layouts(reasoner, tasks, seeds, ONE_SHOT if one_shot else PROGRESSIVE, interpret)
     seconds = time.perf_counter() - began
     verdicts = [verdict_of(case, layout) for case, layout in zip(asked, layouts, strict=True)]
     for verdict in verdicts:

@@ -172,7 +172,7 @@ def main(
 ) -> None:
     """Prints a table with one column for each split."""
     chosen = EngineSettings(engine)
-    reasoner, statistics = load_reasoner(
+    reasoner, interpret = load_reasoner(
         replace(chosen, sampling=replace(chosen.sampling, temperature=temperature)), ReasonerSettings(tries=tries)
     )
     found: dict[str, dict[str, Any]] = {}
@@ -183,7 +183,7 @@ def main(
             began = time.perf_counter()
             seeds = range(seed * 1_000_003, seed * 1_000_003 + len(truth))
             layouts = staged_layouts(
-                reasoner, [task_of_scene(s) for s in truth], seeds, ONE_SHOT if one_shot else PROGRESSIVE, statistics
+                reasoner, [task_of_scene(s) for s in truth], seeds, ONE_SHOT if one_shot else PROGRESSIVE, interpret
             )
             found[name] = figures(layouts, truth, time.perf_counter() - began)
             if assigner is not None:

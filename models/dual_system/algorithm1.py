@@ -21,8 +21,7 @@ from models.dual_system.requests import (
     Turn,
 )
 from models.physics_corrector.certify.correction import Correction
-from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.stated_relations import relations_not_held
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.replies.to_scene import attach_task_info, objects_of_reply
 from models.semantic_reasoner.staged_layout import PROGRESSIVE, LayoutTask
@@ -34,7 +33,7 @@ from stable_data.metrics.movement import movement
 from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.random_seeds import named_seed
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, Stage
-from stable_data.scene_graph.relations import relations_of, scene_graph
+from stable_data.scene_graph.relations import cell_of, relations_of, scene_graph
 
 Corrects: TypeAlias = Literal["each", "end", "never"]
 """When scenes are corrected: after each stage (the paper), once after all stages, or never (its ablations)."""
@@ -83,7 +82,7 @@ _PAPER = LoopSettings()
 
 
 def dual_system(
-    task: LayoutTask, seed: int, settings: LoopSettings = _PAPER, statistics: CategoryStatistics | None = None
+    task: LayoutTask, seed: int, settings: LoopSettings = _PAPER, interpret: InstructionInterpreter | None = None
 ) -> Loop:
     """Runs Algorithm 1 (the paper's appendix) for one scene.
 
@@ -91,7 +90,7 @@ def dual_system(
         task: The instruction and the table.
         seed: Seed of all random choices of the scene.
         settings: How the two systems alternate.
-        statistics: Category statistics for parsing the instruction, or None: the task info then has no relations.
+        interpret: Interprets the instruction, or None: the task info then has no relations.
 
     Yields:
         The next request.
@@ -99,7 +98,7 @@ def dual_system(
     Returns:
         The scene, and all attempts.
     """
-    state, system = GenerationState(task), _StageLoop(seed, settings, statistics)
+    state, system = GenerationState(task), _StageLoop(seed, settings, interpret)
     for number, wanted in enumerate(settings.schedule):
         if settings.is_full(state.scene):
             state.warn("table_full", f"stage {wanted} is left out: the objects cover the allowed share of the table")
@@ -126,7 +125,7 @@ class _StageLoop:
 
     seed: int
     settings: LoopSettings
-    statistics: CategoryStatistics | None
+    interpret: InstructionInterpreter | None
 
     def stage(
         self, state: GenerationState, wanted: Wanted, *, is_last: bool
@@ -173,7 +172,7 @@ class _StageLoop:
             return Turn(wanted, proposal, rejected=proposal.failure, code=proposal.code), None
 
         # Retrieve an asset for each object. A missing background object is acceptable, a missing task object is not.
-        proposed = objects_of_reply(proposal.reply, question, self.statistics)
+        proposed = objects_of_reply(proposal.reply, question, self.interpret)
         assigned = yield RetrievalRequest(replace(before, objects=proposed))
         assert isinstance(assigned, AssignedLayout)
         turn, found = Turn(wanted, proposal, assigned), assigned.scene.objects
@@ -185,7 +184,7 @@ class _StageLoop:
             return replace(turn, rejected="the proposal has no objects, expected at least one", code="layout_empty"), None
         scene = replace(before, objects=(*before.objects, *found))
         if not before.objects:
-            scene = attach_task_info(scene, task.instruction, proposed, self.statistics)
+            scene = attach_task_info(scene, task.instruction, proposed, self.interpret)
         supports = state.supports | _proposed_supports(replace(before, objects=(*before.objects, *proposed)), names)
         candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing)
 
@@ -230,14 +229,12 @@ class _StageLoop:
         return first, second
 
     def _num_missing(self, task: LayoutTask, done: Correction) -> int:
-        """Counts the relations of the instruction that do not hold: on, in or beside an object, or in a corner of the table."""
+        """Counts the relations of the instruction that do not hold: on, in or beside an object, or in a cell of the table."""
         stated = () if done.start.task is None else done.start.task.relations
         missing = set() if done.kept is None else {r for r in done.kept.asked_missing if r in stated}
-        if self.statistics is not None and done.certified is not None:
-            task_objects = [o for o in done.certified.objects if o.stage is Stage.TASK]
-            # Only corners: for on and in, the result of the correction is exact.
-            broken = relations_not_held(task_objects, task.table, task.instruction, self.statistics, frozenset())
-            missing |= {r for r in broken if r.kind is RelationKind.IS_AT}
+        if done.certified is not None:
+            cells = {o.instance: cell_of(o.position, task.table.size_xy) for o in done.certified.objects}
+            missing |= {r for r in stated if r.kind is RelationKind.IS_AT and cells.get(r.subject) != r.target}
         return len(missing)
 
 

@@ -24,6 +24,9 @@ _PRONOUNS = frozenset(
 )  # fmt: skip
 """Words of mentions without a noun."""
 
+_LAST = frozenset({"back", "bottom", "last", "lower", "lowest", "outer", "rear", "rearmost", "right", "rightmost"})
+"""Words of the last object of a stack, nest, row or file."""
+
 _SAME = 0.5
 _PART = 0.5
 _HOLDS = 0.5
@@ -36,7 +39,7 @@ Scores = npt.NDArray[np.float32]
 class _Entity:
     """Mentions of one object, or of several under one name."""
 
-    mentions: list[int]
+    mentions: tuple[tuple[int, int], ...]
     words: str
     categories: tuple[str, ...]
     has_noun: bool
@@ -67,6 +70,7 @@ def decode(
     start: Scores,
     goal: Scores,
     lexicon: Lexicon,
+    places: Sequence[tuple[int, int]] = (),
 ) -> InstructionReading:
     """Returns the reading of a sentence.
 
@@ -77,17 +81,20 @@ def decode(
         start: Probabilities of pairs at the start, (M, M, classes).
         goal: Probabilities of pairs after the task, (M, M, classes).
         lexicon: The known nouns.
+        places: Range of characters of each word in the text; without them the reading does not say where its objects are.
     """
     phrases = [words[a : b + 1] for a, b in spans]
     nouns = [_noun(phrase, lexicon) for phrase in phrases]
-    clusters = _clusters(start, nouns)
-    entities = [_entity(cluster, phrases, nouns, said) for cluster in clusters]
+    clusters = _clusters(start, nouns, [phrase[-1] for phrase in phrases])
+    ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
+    entities = [_entity(cluster, phrases, nouns, said, ranges) for cluster in clusters]
     parts = _parts(clusters, start, entities)
     made = _objects(entities, parts)
     found = _relations(clusters, start, START[1:7], parts)
     aims = _relations(clusters, goal, GOAL[1:], parts)
     relations = [*_expanded(found, made.numbers), *_groups(entities, made.numbers)]
-    return InstructionReading(tuple(made.objects), tuple(_consistent(relations)), tuple(_expanded(aims, made.numbers)))
+    kept, contradictions = _consistent(relations)
+    return InstructionReading(tuple(made.objects), kept, tuple(_expanded(aims, made.numbers)), contradictions)
 
 
 def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...]]:
@@ -97,8 +104,8 @@ def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...
     return True, lexicon.categories(phrase)
 
 
-def _clusters(start: Scores, nouns: Sequence[tuple[bool, tuple[str, ...]]]) -> list[list[int]]:
-    """Mentions of the same object, by average linkage; unlike nouns are kept apart."""
+def _clusters(start: Scores, nouns: Sequence[tuple[bool, tuple[str, ...]]], heads: Sequence[str]) -> list[list[int]]:
+    """Mentions of the same object, by average linkage; unlike nouns are kept apart, but not "the pen pot ... the pot"."""
     size = len(nouns)
     same = (start[:, :, START.index("same")] + start[:, :, START.index("same")].T) / 2
     clusters = [[k] for k in range(size)]
@@ -107,6 +114,8 @@ def _clusters(start: Scores, nouns: Sequence[tuple[bool, tuple[str, ...]]]) -> l
         for i in one:
             for j in other:
                 (named, a), (also, b) = nouns[i], nouns[j]
+                if heads[i] == heads[j]:
+                    continue
                 if named and also and a and b and not set(a) & set(b):
                     return False
                 if named and also and bool(a) != bool(b) and same[i, j] < 0.9:
@@ -131,6 +140,7 @@ def _entity(
     phrases: Sequence[Sequence[str]],
     nouns: Sequence[tuple[bool, tuple[str, ...]]],
     said: Mapping[str, Scores],
+    ranges: Sequence[tuple[int, int]],
 ) -> _Entity:
     named = [k for k in cluster if nouns[k][0]]
     known = [k for k in named if nouns[k][1]]
@@ -143,7 +153,8 @@ def _entity(
     first = (named or cluster)[0]
     count = int(said["count"][first].argmax())
     picked = {name: int(values.argmax()) for name, values in scores.items()}
-    return _Entity(cluster, " ".join(phrases[head]), categories, bool(named), count, picked)
+    mentions = tuple(ranges[k] for k in named if ranges[k] != (0, 0))
+    return _Entity(mentions, " ".join(phrases[head]), categories, bool(named), count, picked)
 
 
 def _parts(clusters: Sequence[list[int]], start: Scores, entities: Sequence[_Entity]) -> dict[int, int]:
@@ -178,6 +189,7 @@ class _ObjectList:
             bool(one.said["is_filled"]),
             bool(one.said["is_taken"]),
             CHANGES[one.said["change"]],
+            noun.mentions,
         )
         self.numbers[k] += range(len(self.objects), len(self.objects) + count)
         self.objects += [found] * count
@@ -215,10 +227,12 @@ def _split(made: _ObjectList, k: int, members: Sequence[int]) -> None:
     left = entities[k].size - len(given)
     if rest:
         made.add(rest[0], max(1, left), k)
-        made.numbers[k] = [*given, *made.numbers[rest[0]]]
+        given += made.numbers[rest[0]]
     else:
         made.add(k, max(0, left))
-        made.numbers[k] = [*given, *made.numbers[k]]
+        given += made.numbers[k]
+    last = [n for i in members if _LAST & set(entities[i].words.split()) for n in made.numbers[i]]
+    made.numbers[k] = [*(n for n in given if n not in last), *last]
 
 
 def _is_one(entity: _Entity) -> bool:
@@ -257,8 +271,8 @@ def _expanded(found: Sequence[tuple[float, int, str, int]], copies: Sequence[lis
 
 
 def _groups(entities: Sequence[_Entity], copies: Sequence[list[int]]) -> list[MentionedRelation]:
-    """The relations within stacks and nests."""
-    kinds = {"stack": "on", "nest": "in"}
+    """The relations within stacks, nests, rows and files, whose objects are in the order from top, inside, left or front."""
+    kinds = {"stack": "on", "nest": "in", "row": "left", "file": "front"}
     return [
         MentionedRelation(a, kinds[group], b)
         for one, numbers in zip(entities, copies, strict=True)
@@ -267,12 +281,16 @@ def _groups(entities: Sequence[_Entity], copies: Sequence[list[int]]) -> list[Me
     ]
 
 
-def _consistent(relations: Sequence[MentionedRelation]) -> list[MentionedRelation]:
-    """The relations that can hold together, the likeliest first: one carrier for each object, and no circle."""
+def _consistent(
+    relations: Sequence[MentionedRelation],
+) -> tuple[tuple[MentionedRelation, ...], tuple[MentionedRelation, ...]]:
+    """The relations that can hold together, the likeliest first, and the others: one carrier for each object, and no circle."""
     kept: list[MentionedRelation] = []
+    others: list[MentionedRelation] = []
     carrier: dict[int, int] = {}
     for r in sorted(relations, key=lambda r: -r.score):
         if any({r.subject, r.target} == {k.subject, k.target} and k.kind != "near" for k in kept):
+            others.append(r)
             continue
         if r.kind in _CARRIES:
             above, step = r.target, 0
@@ -281,7 +299,8 @@ def _consistent(relations: Sequence[MentionedRelation]) -> list[MentionedRelatio
                 if above == r.subject:
                     break
             if r.subject in carrier or above == r.subject:
+                others.append(r)
                 continue
             carrier[r.subject] = r.target
         kept.append(r)
-    return kept
+    return tuple(kept), tuple(o for o in others if o.kind != "near")

@@ -13,7 +13,8 @@ The facts are separated by semicolons. Those of the goal start with ``>``:
 
 - ``a in b`` and the other keys of :data:`RELATIONS`; ``a r b`` for the relation of ``<r>``; ``a between b c``;
 - ``a at back left``: a region of the table; ``take a``: picked up, with no place stated;
-- ``stack a``, ``nest a``: the objects of plural a are stacked, or in each other; ``fill a``: a holds objects without a name;
+- ``stack a``, ``nest a``, ``row a``, ``file a``: the objects of plural a are on each other, in each other, side by side, one behind
+  the other; ``fill a``: a holds objects without a name;
 - ``remove a``, ``add a``, ``away a``, ``a replace b``, ``a style s``, ``swap a b``: changes of a scene, in files ``edit*.txt``:
   a goes, comes, goes elsewhere, comes in place of b, gets the look of the words s, changes places with b;
 - ``d of a``: d is some of the plural a; ``a x3``: the count of a; ``a = container``: a pool of nouns, or nouns.
@@ -38,7 +39,7 @@ SLOT = re.compile(
 ANY_RELATION = "r"
 """The name of ``<r>`` in texts and facts."""
 
-_UNARY = frozenset({"take", "stack", "nest", "fill"})
+_UNARY = frozenset({"take", "stack", "nest", "row", "file", "fill"})
 _CHANGES = frozenset({"remove", "add", "away"})
 
 

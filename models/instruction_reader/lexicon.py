@@ -65,6 +65,10 @@ class Lexicon:
             return self.categories(words[: words.index("of", 1)])
         return ()
 
+    def noun_size(self, words: Sequence[str]) -> int:
+        """Returns the number of words at the end of a phrase that are its noun; all of them if the noun is unknown."""
+        return next((len(words) - k for k in range(len(words)) if _spelt(words[k:]) in self._by_noun), len(words))
+
     def _nearest(self, spelt: str) -> str | None:
         if len(spelt) < _LEAST:
             return None

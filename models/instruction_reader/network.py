@@ -1,7 +1,7 @@
 """The network: a sentence encoder with heads for mentions, for what is said of each, and for relations between two."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from tokenizers import Tokenizer
@@ -18,7 +18,7 @@ GOAL = ("none", "in", "on", "left", "front", "near", "between", "replace", "styl
 """Classes of an ordered pair of mentions after the task."""
 
 CELLS = ("", *REGIONS.values())
-GROUPS = ("", "stack", "nest")
+GROUPS = ("", "stack", "nest", "row", "file")
 CHANGES = ("", "remove", "add", "away")
 
 SAID: Mapping[str, int] = {
@@ -68,7 +68,8 @@ class WordTokens:
     def __init__(self, tokenizer: Tokenizer, most: int = 256) -> None:
         self._tokenizer, self._most = tokenizer, most
         self._known: dict[str, list[int]] = {}
-        self._first, self._last, self._unknown = (int(tokenizer.token_to_id(t) or 0) for t in ("[CLS]", "[SEP]", "[UNK]"))
+        special = ("[CLS]", "[SEP]", "[UNK]", "[MASK]")
+        self._first, self._last, self._unknown, self._mask = (int(tokenizer.token_to_id(t) or 0) for t in special)
 
     @property
     def whole_words(self) -> list[str]:
@@ -102,6 +103,10 @@ class WordTokens:
             ids[b, : len(tokens)] = torch.tensor(tokens)
             word[b, : len(owners)] = torch.tensor([k if k >= 0 else num_words for k in owners])
         return WordBatch(ids, word, num_words)
+
+    def hide(self, batch: WordBatch, hidden: Tensor) -> WordBatch:
+        """Returns the batch with the mask token in place of hidden tokens of words, (B, T) bool."""
+        return replace(batch, ids=batch.ids.masked_fill(hidden & (batch.word < batch.num_words), self._mask))
 
 
 @dataclass(frozen=True, slots=True)

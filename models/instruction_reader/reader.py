@@ -1,7 +1,10 @@
 """The instruction reader: text to what it says."""
 
+import hashlib
 from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +15,18 @@ from models.instruction_reader.frames import read_frames
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.reading import InstructionReading
-from models.instruction_reader.sentences import EDIT_MARK, split_words
+from models.instruction_reader.sentences import EDIT_MARK, WORD
 from models.instruction_reader.spelling import Spelling
 from models.instruction_reader.weights import DEFAULT_WEIGHTS, ReaderModel, load_reader
+from stable_data.content_id import content_id
 
 _MOST_WORDS = 200
 _MOST_MENTIONS = 40
+
+
+def reader_fingerprint() -> str:
+    """Returns a hash of the shipped weights and nouns, on which every reading depends."""
+    return content_id(hashlib.sha256(DEFAULT_WEIGHTS.read_bytes()).hexdigest(), asdict(read_nouns()))
 
 
 class InstructionReader:
@@ -27,10 +36,13 @@ class InstructionReader:
         model: The network.
         lexicon: The nouns of the known categories.
         spelling: The known words.
+
+    Attributes:
+        lexicon: The nouns of the known categories.
     """
 
     def __init__(self, model: ReaderModel, lexicon: Lexicon, spelling: Spelling) -> None:
-        self._model, self._lexicon, self._spelling = model, lexicon, spelling
+        self._model, self.lexicon, self._spelling = model, lexicon, spelling
         self._read = lru_cache(maxsize=4096)(self._reading)
 
     @classmethod
@@ -43,6 +55,10 @@ class InstructionReader:
         nouns, model = read_nouns(), load_reader(path)
         return cls(model, Lexicon.of(nouns, categories), Spelling.of(read_frames(), nouns, model.tokens.whole_words))
 
+    def knows(self, word: str) -> bool:
+        """Returns whether a word in lower case, or its stem, is one of the words of the training or of the nouns."""
+        return self._spelling.is_frequent(word)
+
     def read(self, text: str, is_edit: bool = False) -> InstructionReading:
         """Returns what a text says; words after the first 200 are not read.
 
@@ -53,14 +69,15 @@ class InstructionReader:
         return self._read(text, is_edit)
 
     def _reading(self, text: str, is_edit: bool) -> InstructionReading:
-        mark = list(EDIT_MARK) if is_edit else []
-        words = [*mark, *self._spelling.mend(split_words(text)[:_MOST_WORDS])]
-        if len(words) == len(mark):
+        mark = EDIT_MARK if is_edit else ()
+        found = list(islice(WORD.finditer(text), _MOST_WORDS))
+        if not found:
             return InstructionReading(())
-        return self._of_words(words)
+        words = [*mark, *self._spelling.mend([m[0].lower() for m in found])]
+        return self._of_words(words, [(0, 0)] * len(mark) + [m.span() for m in found])
 
     @torch.no_grad()
-    def _of_words(self, words: Sequence[str]) -> InstructionReading:
+    def _of_words(self, words: Sequence[str], places: Sequence[tuple[int, int]]) -> InstructionReading:
         network = self._model.network
         rows = network.words(self._model.tokens.batch([words]))
         spans = spans_of(network.tags(rows)[0].argmax(-1).tolist())[:_MOST_MENTIONS]
@@ -69,4 +86,4 @@ class InstructionReader:
         scores = network.mention_scores(rows, torch.tensor([spans]), torch.ones(1, len(spans), dtype=torch.bool))
         said = {name: value[0].softmax(-1).numpy() for name, value in scores.said.items()}
         start, goal = (np.asarray(value[0].softmax(-1)) for value in (scores.start, scores.goal))
-        return decode(words, spans, said, start, goal, self._lexicon)
+        return decode(words, spans, said, start, goal, self.lexicon, places)

@@ -15,6 +15,7 @@ class MentionedObject:
         is_filled: Whether it holds objects without a name at the start.
         is_taken: Whether it is to be picked up or used, with no place stated.
         change: In an edit ``remove``, ``add`` or ``away``, or empty.
+        mentions: Ranges of characters of the text that mention it by a noun, in the order of the text.
     """
 
     words: str
@@ -24,6 +25,7 @@ class MentionedObject:
     is_filled: bool = False
     is_taken: bool = False
     change: str = ""
+    mentions: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +53,13 @@ class InstructionReading:
         objects: The objects of the start.
         start: Relations at the start.
         goal: Relations after the task.
+        contradictions: Relations that are stated of the start too, but cannot hold together with ``start``.
     """
 
     objects: tuple[MentionedObject, ...]
     start: tuple[MentionedRelation, ...] = ()
     goal: tuple[MentionedRelation, ...] = ()
+    contradictions: tuple[MentionedRelation, ...] = ()
 
     @property
     def unknown(self) -> tuple[MentionedObject, ...]:

@@ -14,7 +14,9 @@ _KINDS = {
 """The relations of a reading that the scene graph has; ``near`` and ``between`` are not among them."""
 
 
-def reference_of_reading(reading: InstructionReading, name: str) -> AlignmentReference | None:
+def reference_of_reading(
+    reading: InstructionReading, name: str, with_contradictions: bool = False
+) -> AlignmentReference | None:
     """Returns the requirements that follow from a reading; None if it has no known object.
 
     Objects of no known category and new objects of an edit are not required, nor are their relations. An object that holds
@@ -23,6 +25,7 @@ def reference_of_reading(reading: InstructionReading, name: str) -> AlignmentRef
     Args:
         reading: The reading.
         name: Id of the requirements, such as that of the task.
+        with_contradictions: Whether relations count that cannot hold together with the others.
     """
     known = {k: o for k, o in enumerate(reading.objects) if o.categories and o.change != "add"}
     if not known:
@@ -30,7 +33,7 @@ def reference_of_reading(reading: InstructionReading, name: str) -> AlignmentRef
     required = [RequiredObject(str(k), o.categories) for k, o in known.items()]
     entailed = [
         Relation(str(r.subject), _KINDS[r.kind], str(r.target))
-        for r in reading.start
+        for r in (*reading.start, *(reading.contradictions if with_contradictions else ()))
         if r.kind in _KINDS and {r.subject, r.target} <= known.keys()
     ]
     held = {r.target for r in entailed if r.kind in (RelationKind.IN, RelationKind.ON)}

@@ -60,7 +60,7 @@ class ObjectLabels:
         count: Number of objects; 0 for a plural without a number.
         region: Cell of the table at the start, or empty.
         goal_region: Cell of the table after the task, or empty.
-        group: ``stack`` or ``nest`` if several are so at the start, or empty.
+        group: ``stack``, ``nest``, ``row`` or ``file`` if several are so at the start, or empty.
         goal_group: The same after the task.
         is_filled: Whether it holds objects without a name at the start.
         is_taken: Whether it is to be picked up or used, with no place stated.
@@ -98,7 +98,7 @@ class LabelledSentence:
 
 def split_words(text: str) -> list[str]:
     """Splits a text into words, numbers and punctuation marks, in lower case."""
-    return WORD.findall(text.lower())
+    return [word.lower() for word in WORD.findall(text)]
 
 
 @dataclass(slots=True)
@@ -405,7 +405,7 @@ def _labels(
         match kind:
             case "at":
                 labels[subject]["goal_region" if is_goal else "region"] = REGIONS[str(targets[0])]
-            case "stack" | "nest":
+            case "stack" | "nest" | "row" | "file":
                 labels[subject]["goal_group" if is_goal else "group"] = kind
             case "fill":
                 labels[subject]["is_filled"] = not is_goal

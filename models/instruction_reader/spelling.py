@@ -76,10 +76,13 @@ class Spelling:
         """Returns the words with typing errors mended; their number stays."""
         return [self._mended(word) for word in words]
 
+    def is_frequent(self, word: str) -> bool:
+        """Returns whether a word or its stem is a word of frames, phrases and nouns."""
+        return any(stem in self.frequent for stem in _stems(word))
+
     def _is_known(self, word: str) -> bool:
         """Whether a word or its stem is known; so is ``theyre``, which lacks an apostrophe."""
-        stems = (word, *(word.removesuffix(end) + more for end, more in _ENDINGS if word.endswith(end)))
-        return any(stem in self.frequent or stem in self.known for stem in stems if len(stem) >= _LEAST - 1)
+        return any(stem in self.frequent or stem in self.known for stem in _stems(word) if len(stem) >= _LEAST - 1)
 
     def _mended(self, word: str) -> str:
         if word in _SHORT_SLIPS:
@@ -96,6 +99,11 @@ class Spelling:
         if not near:
             return word
         return min(near, key=lambda one: (one[0], -self.frequent[one[1]], one[1]))[1]
+
+
+def _stems(word: str) -> tuple[str, ...]:
+    """A word, and what it may be an inflection of."""
+    return (word, *(word.removesuffix(end) + more for end, more in _ENDINGS if word.endswith(end)))
 
 
 def _consonants(word: str) -> str:

@@ -7,6 +7,7 @@ from math import cos, pi
 from pathlib import Path
 from random import Random
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import cross_entropy
@@ -61,6 +62,18 @@ class ReaderTrainingSettings(Settings):
     said_weight: NonNegative = 0.3
     """Weight of the losses of counts, regions, groups, uses and changes."""
 
+    masked_sentences: Share = 0.0
+    """Share of the sentences in which tokens are hidden, so that no frame is recognised by single words."""
+
+    masked_tokens: Share = 0.15
+    """Share of the tokens that are hidden in these."""
+
+    dropout: Share = 0.0
+    """Dropout of the encoder."""
+
+    initial: str = ""
+    """Weights of a reader from which the training continues; empty: those of the sentence encoder, with new heads."""
+
     seed: Count = 0
     """Seed of the first weights and of every draw."""
 
@@ -109,12 +122,12 @@ def targets_of(batch: Sequence[LabelledSentence], num_words: int) -> Targets:
         num_words: Words of the longest one.
     """
     most = max(1, *(len(s.mentions) for s in batch))
-    tags = torch.full((len(batch), num_words), _IGNORED)
-    spans = torch.zeros(len(batch), most, 2, dtype=torch.long)
-    exists = torch.zeros(len(batch), most, dtype=torch.bool)
+    tags = np.full((len(batch), num_words), _IGNORED)
+    spans = np.zeros((len(batch), most, 2), np.int64)
+    exists = np.zeros((len(batch), most), bool)
     exists[:, 0] = True  # attention over no mention is not a number
-    said = {name: torch.full((len(batch), most), _IGNORED) for name in SAID}
-    start, goal = (torch.full((len(batch), most, most), _IGNORED) for _ in range(2))
+    said = {name: np.full((len(batch), most), _IGNORED) for name in SAID}
+    start, goal = (np.full((len(batch), most, most), _IGNORED) for _ in range(2))
     for b, sentence in enumerate(batch):
         tags[b, : len(sentence.words)] = 0
         objects = [k for _, _, k in sentence.mentions]
@@ -122,14 +135,16 @@ def targets_of(batch: Sequence[LabelledSentence], num_words: int) -> Targets:
         aims = {(a, c): GOAL.index(kind) for a, kind, c in sentence.goal}
         for i, (first, last, k) in enumerate(sentence.mentions):
             tags[b, first], tags[b, first + 1 : last + 1] = 1, 2
-            spans[b, i, 0], spans[b, i, 1], exists[b, i] = first, last, True
+            spans[b, i], exists[b, i] = (first, last), True
             for name, value in _classes(sentence.objects[k]).items():
                 said[name][b, i] = value
             for j, other in enumerate(objects):
                 if i != j:
                     start[b, i, j] = START.index("same") if k == other else facts.get((k, other), 0)
                     goal[b, i, j] = aims.get((k, other), 0)
-    return Targets(tags, spans, exists, said, start, goal)
+    classes = {name: torch.from_numpy(values) for name, values in said.items()}
+    tensors = [torch.from_numpy(values) for values in (tags, spans, exists, start, goal)]
+    return Targets(tensors[0], tensors[1], tensors[2], classes, tensors[3], tensors[4])
 
 
 def _classes(one: ObjectLabels) -> dict[str, int]:
@@ -187,6 +202,9 @@ class ReaderTrainer:
         trained, held = split_frames(frames)
         self._maker, self._held = SentenceMaker(trained, nouns), SentenceMaker(held or trained, nouns)
         network.encoder.embeddings.requires_grad_(False)
+        for module in network.encoder.modules():
+            if isinstance(module, torch.nn.Dropout):
+                module.p = settings.dropout
         encoder = [p for p in network.encoder.parameters() if p.requires_grad]
         known = {id(p) for p in network.encoder.parameters()}
         heads = [p for p in network.parameters() if id(p) not in known]
@@ -203,8 +221,8 @@ class ReaderTrainer:
             group["lr"] = rate * share
         torch.manual_seed(named_seed(self._settings.seed, "dropout", self.step))  # a resumed step drops the same values
         number, index = divmod(self.step, _GROUP)
-        losses = self.losses(self._batches(number)[index])
         s = self._settings
+        losses = self.losses(self._batches(number)[index], s.masked_sentences)
         weights = {"tags": s.tag_weight, "start": 1.0, "goal": s.goal_weight, "said": s.said_weight}
         loss = torch.stack([weights[name] * part for name, part in losses.items()]).sum()
         self._optimizer.zero_grad()
@@ -214,10 +232,19 @@ class ReaderTrainer:
         self.step += 1
         return {name: float(part.detach()) for name, part in losses.items()}
 
-    def losses(self, batch: Sequence[LabelledSentence]) -> dict[str, Tensor]:
-        """Returns the losses of sentences: per word for mentions, per mention for pairs."""
+    def losses(self, batch: Sequence[LabelledSentence], masked: float = 0.0) -> dict[str, Tensor]:
+        """Returns the losses of sentences: per word for mentions, per mention for pairs.
+
+        Args:
+            batch: The sentences.
+            masked: Share of the sentences in which tokens are hidden.
+        """
         device = self.place.device
-        inputs = self._tokens.batch([s.words for s in batch]).to(device)
+        inputs = self._tokens.batch([s.words for s in batch])
+        if masked:
+            chance = self._settings.masked_tokens * (torch.rand(len(batch), 1) < masked)
+            inputs = self._tokens.hide(inputs, torch.rand(inputs.ids.shape) < chance)
+        inputs = inputs.to(device)
         labels = targets_of(batch, inputs.num_words)
         with torch.autocast(device.type, torch.bfloat16):
             words = self.network.words(inputs)

@@ -98,8 +98,12 @@ def save_reader(path: Path, model: ReaderModel, notes: Mapping[str, str]) -> Non
     write_file_atomically(path, save(tensors, dict(sorted(header.items()))))
 
 
-def load_reader(path: Path = DEFAULT_WEIGHTS) -> ReaderModel:
+def load_reader(path: Path = DEFAULT_WEIGHTS, trains: bool = False) -> ReaderModel:
     """Reads a reader.
+
+    Args:
+        path: The file.
+        trains: Whether its weights shall be trained further.
 
     Raises:
         ConfigError: The file is not a reader (``weights_invalid``), or it belongs to another sentence encoder
@@ -131,7 +135,7 @@ def load_reader(path: Path = DEFAULT_WEIGHTS) -> ReaderModel:
         value = value.float() * tensors[name + _SCALE] if name + _SCALE in tensors else value.float()
         state[name] = state[name] + value if name.startswith("encoder.") else value
     model.network.load_state_dict(state)
-    model.network.eval().requires_grad_(False)
+    model.network.train(trains).requires_grad_(trains)
     return ReaderModel(model.network, model.tokens, model.encoder, notes)
 
 

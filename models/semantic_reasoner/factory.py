@@ -4,10 +4,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from models.instruction_reader.reader import reader_fingerprint
 from models.semantic_reasoner.engines.protocol import Engine
 from models.semantic_reasoner.engines.registry import EngineSettings, load_engine
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.word_grounding import WordGrounding
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.prompt_styles import prompt_style_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
@@ -56,26 +57,29 @@ class ReasonerSettings(Settings):
 
 def load_reasoner(
     engine: EngineSettings, settings: ReasonerSettings | None = None, loaded: Engine | None = None
-) -> tuple[SemanticReasoner, CategoryStatistics | None]:
-    """Returns a reasoner, and its statistics of categories if there are any.
+) -> tuple[SemanticReasoner, InstructionInterpreter | None]:
+    """Returns a reasoner, and its interpreter of instructions if the statistics of categories are known.
 
     ``loaded`` is the engine if it is loaded already, such as in another process.
 
     Raises:
-        ConfigError: The engine or the statistics cannot be loaded.
+        ConfigError: The engine, the statistics or the instruction reader cannot be loaded.
     """
     settings = settings or ReasonerSettings()
     statistics = _statistics(engine, settings)
-    check = form_check if statistics is None else ReplyCheck(statistics, settings.checks)
-    grounding = None
-    if engine.kind == "embedded" and statistics is not None:
+    interpret, check = None, form_check
+    if statistics is not None:
         from models.text_encoder import load_default
 
-        grounding = WordGrounding(statistics, load_default())
-    asks = check.asks if isinstance(check, ReplyCheck) else None
-    dialect = prompt_style_of(settings.dialect, _text(settings.wording), asks)
+        interpret = InstructionInterpreter(statistics, load_default())
+        check = ReplyCheck(statistics, interpret, settings.checks)
+    is_closed = engine.kind == "embedded"  # it knows only the words of its training
+    dialect = prompt_style_of(settings.dialect, _text(settings.wording), interpret, is_closed)
     tries = settings.tries_with(engine)
-    return SemanticReasoner(loaded or load_engine(engine), check, tries, engine.reads_reasons, grounding, dialect), statistics
+    reasoner = SemanticReasoner(
+        loaded or load_engine(engine), check, tries, engine.reads_reasons, interpret if is_closed else None, dialect
+    )
+    return reasoner, interpret
 
 
 def _absolute(path: str) -> str:
@@ -107,9 +111,11 @@ def proposal_config(engine: EngineSettings, settings: ReasonerSettings | None = 
     }
     if settings.dialect != "stages":
         found |= {"dialect": settings.dialect, "wording": content_id(_text(settings.wording))}
+    statistics = _statistics(engine, settings)
     if settings.statistics:  # else they are in the engine's own folder, whose files are hashed with the model
-        statistics = _statistics(engine, settings)
         found["statistics"] = content_id(None if statistics is None else asdict(statistics))
+    if statistics is not None:
+        found["reader"] = reader_fingerprint()
     return found
 
 

@@ -1,16 +1,18 @@
 """Styles of prompts: this project's own, stage by stage, or the one that MesaTask's released model was trained with."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
-from models.semantic_reasoner.language.required_objects import ObjectRequirement
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.prompt import RETRY, Message, ReasonerQuestion, check_instruction, messages
 from models.semantic_reasoner.text.reply_json import LayoutReply, parse_reply, sanitise_words
 from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask.task_info import write_task_info
-from stable_data.scene import TaskInfo
+from stable_data.metrics.matching import RequiredObject
+from stable_data.scene import Stage, TaskInfo
 
 
 class PromptStyle(Protocol):
@@ -33,22 +35,30 @@ class StagedPromptStyle:
     """This project's own style; see :mod:`models.semantic_reasoner.text.prompt`.
 
     Args:
-        asks: Returns the objects that an answer must contain; None requires nothing.
+        interpret: Interprets instructions, so that an answer must contain the required objects; None requires nothing.
+        rewords: Whether the engine knows only some words, so that a prompt has the interpreter's wording and a known table.
     """
 
-    def __init__(self, asks: Callable[[ReasonerQuestion], tuple[ObjectRequirement, ...]] | None = None) -> None:
-        self._asks = asks
+    def __init__(self, interpret: InstructionInterpreter | None = None, rewords: bool = False) -> None:
+        self._interpret, self._rewords = interpret, rewords
 
     def messages(self, question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
         """Returns the chat that asks for a stage, a whole layout or an edit."""
+        if self._interpret is not None and self._rewords:
+            check_instruction(question.instruction)
+            wording = self._interpret(question.instruction, question.edits).wording
+            table_type, _ = self._interpret.table_type(question.table.table_type)
+            question = replace(question, instruction=wording, table=replace(question.table, table_type=table_type))
         return messages(question, refused)
 
     def form(self, question: ReasonerQuestion) -> ReplyGrammar:
         """Returns a grammar bound to the table, to the required objects and, in an edit, to the names of the layout."""
         names = tuple(o.instance for o in question.layout) if question.edits else ()
-        return ReplyGrammar.of_table(
-            question.table, edits=question.edits, names=names, asks=self._asks(question) if self._asks else ()
-        )
+        asks: tuple[RequiredObject, ...] = ()
+        if self._interpret is not None and question.wanted in (Stage.TASK, "whole"):
+            reference = self._interpret(question.instruction).reference
+            asks = () if reference is None else reference.required
+        return ReplyGrammar.of_table(question.table, edits=question.edits, names=names, asks=asks)
 
     def parse(self, text: str) -> LayoutReply:
         """Returns the objects of a JSON reply."""
@@ -129,20 +139,21 @@ def _prompt_fields(task: TaskInfo) -> tuple[str, str, tuple[str, ...], tuple[str
 
 
 def prompt_style_of(
-    name: str, wording: str = "", asks: Callable[[ReasonerQuestion], tuple[ObjectRequirement, ...]] | None = None
+    name: str, wording: str = "", interpret: InstructionInterpreter | None = None, rewords: bool = False
 ) -> PromptStyle:
     """Returns a prompt style by name.
 
     Args:
         name: ``stages`` or ``mesatask``.
         wording: Text of MesaTask's question; empty uses the default text.
-        asks: Returns the objects that an answer must contain; used by ``stages`` only.
+        interpret: Interprets instructions; used by ``stages`` only.
+        rewords: See :class:`StagedPromptStyle`.
 
     Raises:
         ConfigError: The name is unknown.
     """
     if name == "stages":
-        return StagedPromptStyle(asks)
+        return StagedPromptStyle(interpret, rewords)
     if name == "mesatask":
         return MesaTaskPromptStyle(wording)
     raise ConfigError(f"dialect is {name!r}, expected stages or mesatask", "config_invalid")

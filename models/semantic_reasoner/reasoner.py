@@ -6,7 +6,7 @@ from typing import Protocol
 
 from models.semantic_reasoner.engines.incremental_batches import Conversation, collect_answers
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
-from models.semantic_reasoner.language.word_grounding import WordGrounding
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
 from models.semantic_reasoner.replies.checks import ReplyFault
 from models.semantic_reasoner.replies.relation_repair import repair_relations
@@ -14,7 +14,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, renumber_instances
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.random_seeds import named_seed
-from stable_data.scene import MAX_INSTRUCTION, Stage
+from stable_data.scene import Stage
 
 _LEFT_OUT = "left_out"
 _SMALL_SHARE = 1 / 8  # of the objects of a reply: so few are removed without another try
@@ -147,7 +147,7 @@ class SemanticReasoner:
         tries: How often a question is asked at most; or a pair: this number, and the number for the first stage.
         tells_reasons: Whether a retry shows the refused answers and the reasons, which large models can use; else a retry asks
             the same question with another seed.
-        grounding: Replaces the words of an instruction by words that the engine knows; None if the engine knows all words.
+        interpret: Interprets instructions; its notices are those of the proposals. None gives no notices.
         dialect: The style of the prompts; by default this project's own.
     """
 
@@ -157,13 +157,13 @@ class SemanticReasoner:
         check: FaultFinder | None = None,
         tries: int | tuple[int, int] = 4,
         tells_reasons: bool = False,
-        grounding: WordGrounding | None = None,
+        interpret: InstructionInterpreter | None = None,
         dialect: PromptStyle | None = None,
     ) -> None:
         self._tries, self._task_tries = (tries, tries) if isinstance(tries, int) else tries
         if min(self._tries, self._task_tries) < 1:
             raise ConfigError(f"tries is {tries}, expected at least 1", "config_invalid")
-        self.engine, self._check, self._grounding = engine, check, grounding
+        self.engine, self._check, self._interpret = engine, check, interpret
         self._tells_reasons = tells_reasons
         self._dialect = dialect or StagedPromptStyle()
 
@@ -231,13 +231,10 @@ class SemanticReasoner:
                     done.append((k, proposal))
 
     def _pending(self, question: ReasonerQuestion, seed: int) -> _PendingQuestion:
-        if self._grounding is None:
+        if self._interpret is None:
             return _PendingQuestion(question, seed)
-        # Cut to bound the work; one character more than allowed, so that a longer instruction is still refused.
-        grounded = self._grounding.ground(question.instruction[: MAX_INSTRUCTION + 1])
-        table_type, notices = self._grounding.table_type(question.table.table_type)
-        known = replace(question, instruction=grounded.instruction, table=replace(question.table, table_type=table_type))
-        return _PendingQuestion(known, seed, (*grounded.notices, *notices))
+        _, notices = self._interpret.table_type(question.table.table_type)
+        return _PendingQuestion(question, seed, (*self._interpret(question.instruction, question.edits).notices, *notices))
 
     def _request(self, pending: _PendingQuestion) -> Request:
         question = pending.question

@@ -4,13 +4,16 @@ These layouts are the input of the corrector, and the reasoner is evaluated on t
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
-from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.replies.to_scene import objects_of_reply
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject
+from stable_data.errors import SceneError
+from stable_data.metrics.alignment import AlignmentReference, reference_of
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop, TaskInfo
 
 PROGRESSIVE: tuple[Wanted, ...] = tuple(Stage)
@@ -29,12 +32,15 @@ class LayoutTask:
         instruction: The task instruction I.
         table: The tabletop T.
         details: The task info, if the prompt holds all of it and the engine was trained on that.
+        reference: What a scene must have by labels that no reader made, such as the annotation of a scene; None without labels.
+            It is not part of any question, and the finished scene is compared with it.
     """
 
     scene_id: str
     instruction: str
     table: Tabletop
     details: TaskInfo | None = None
+    reference: AlignmentReference | None = None
 
 
 @dataclass(slots=True)
@@ -66,11 +72,11 @@ class StagedLayout:
         """Returns the question for a stage."""
         return ReasonerQuestion(self.task.instruction, self.task.table, wanted, self._layout, self.task.details)
 
-    def add(self, question: ReasonerQuestion, proposal: Proposal, statistics: CategoryStatistics | None) -> None:
+    def add(self, question: ReasonerQuestion, proposal: Proposal, interpret: InstructionInterpreter | None) -> None:
         """Adds the proposal of a stage."""
         self.proposals.append((question.wanted, proposal))
         if proposal.reply is not None:
-            self.objects += objects_of_reply(proposal.reply, question, statistics)
+            self.objects += objects_of_reply(proposal.reply, question, interpret)
             self._layout += proposal.reply.objects
 
 
@@ -79,11 +85,11 @@ def staged_layouts(
     tasks: Sequence[LayoutTask],
     seeds: Sequence[int],
     stages: Sequence[Wanted] = PROGRESSIVE,
-    statistics: CategoryStatistics | None = None,
+    interpret: InstructionInterpreter | None = None,
 ) -> list[StagedLayout]:
     """Returns a layout for each task, in their order; the requests of one stage are one batch.
 
-    Each task has a seed. Only :data:`ONE_SHOT` uses the statistics of categories, to interpret instructions.
+    Each task has a seed. Only :data:`ONE_SHOT` interprets the instructions.
     """
     layouts = [StagedLayout(task) for task in tasks]
     for wanted in stages:
@@ -91,11 +97,13 @@ def staged_layouts(
         questions = [layout.question(wanted) for layout, _ in alive]
         proposals = reasoner.propose(questions, [seed for _, seed in alive])
         for (layout, _), question, proposal in zip(alive, questions, proposals, strict=True):
-            layout.add(question, proposal, statistics)
+            layout.add(question, proposal, interpret)
     return layouts
 
 
 def task_of_scene(scene: Scene) -> LayoutTask:
-    """Returns the instruction and the table of a scene that has a task."""
+    """Returns the instruction and the table of a scene that has a task, with the labels of the task if its objects are known."""
     assert scene.task is not None
+    with suppress(SceneError):
+        return LayoutTask(scene.scene_id, scene.task.task, scene.table, reference=reference_of(scene))
     return LayoutTask(scene.scene_id, scene.task.task, scene.table)

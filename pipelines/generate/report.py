@@ -38,6 +38,8 @@ _MEASURES = (
     ("contained", "num_contained", 1.0, ""),
     ("required objects that are present (AwT)", "awt", 100.0, " %"),
     ("stated relations that hold (AwS)", "aws", 100.0, " %"),
+    ("required objects as the instruction was read", "awt_understood", 100.0, " %"),
+    ("stated relations as the instruction was read", "aws_understood", 100.0, " %"),
     ("distractor rate", "distractor_rate", 100.0, " %"),
     ("object collision (OC)", "oc", 100.0, " %"),
     ("floating", "float_rate", 100.0, " %"),

@@ -24,9 +24,7 @@ from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
-from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.required_objects import required_objects
-from models.semantic_reasoner.language.stated_relations import relations_not_held
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import assistant_message
 from pipelines.correct.scene_shard import dropped_notice, notices_of
@@ -52,7 +50,7 @@ from stable_data.errors import MeshError, Notice, SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
-from stable_data.metrics.alignment import align, reference_of
+from stable_data.metrics.alignment import Alignment, AlignmentReference, align
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
 from stable_data.metrics.collision import TOLERANCE
@@ -60,7 +58,7 @@ from stable_data.metrics.movement import add_movement
 from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.random_seeds import named_seed
-from stable_data.scene import Relation, RelationKind, Scene
+from stable_data.scene import Scene
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import SettleResult, settle
 from stable_data.storage import schemas
@@ -91,12 +89,12 @@ class GenerateWorkerState:
     Attributes:
         answers: Proposes, retrieves and corrects.
         shelf: The asset libraries.
-        statistics: The statistics of categories.
+        interpret: Interprets instructions, or None if the engine has no statistics of categories.
     """
 
     answers: LocalRequestHandler
     shelf: AssetLibraries
-    statistics: CategoryStatistics | None
+    interpret: InstructionInterpreter | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +178,7 @@ class GenerateWork(ShardStep[Task]):
         """Generates scenes concurrently; after an unexpected error one by one, so that it costs one scene only."""
 
         def made(some: Sequence[LayoutTask], watch: Callable[[QueueCounts], None] | None = None) -> list[GenerationResult]:
-            loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.statistics) for t in some]
+            loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.interpret) for t in some]
             return run_batched(loops, opened.answers, watch)
 
         def watch(queues: QueueCounts) -> None:
@@ -267,7 +265,7 @@ class GenerateWork(ShardStep[Task]):
         rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
         card = _with_movement(add_counts(audit.card(), scene), made.start, scene, posed, audit, opened.answers.certifier.store)
-        card, not_as_said = _with_alignment(card, seen, containers, opened.statistics)
+        card, not_as_said = _with_alignment(card, seen, containers, made.task, opened.interpret)
         if rest is not None:
             card = _with_rest(card, rest)
         group = duplicate_group(scene)
@@ -280,11 +278,7 @@ class GenerateWork(ShardStep[Task]):
         }
         row = {**scene_row(scene), **card_row(card), **audit.rows(), **origin}
         told = [Notice(name, n.step, n.code, n.message) for n in (*notices, *audit.notices)]
-        if not_as_said:
-            lost = ", ".join(map(str, not_as_said))
-            told.append(
-                Notice(name, "card", "not_as_said", f"{name}: the instruction states relations that do not hold: {lost}")
-            )
+        told += [Notice(name, "card", "not_as_said", f"{name}: {text}") for text in not_as_said]
         told += [dropped_notice(d, name) for d in made.dropped]
         if made.correction is not None:
             told += notices_of(made.correction, name)
@@ -339,10 +333,10 @@ def _certifier(settings: GenerateSettings, shelf: AssetLibraries) -> LocalCertif
 def _opened(work: GenerateWork) -> GenerateWorkerState:
     settings = work.settings
     shelf = AssetLibraries(work.assets)
-    reasoner, statistics = load_reasoner(settings.engine, settings.reasoner, work.pool)
+    reasoner, interpret = load_reasoner(settings.engine, settings.reasoner, work.pool)
     retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf)
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)
-    return GenerateWorkerState(answers, shelf, statistics)
+    return GenerateWorkerState(answers, shelf, interpret)
 
 
 # --- the card -----------------------------------------------------------------------------------------------------------------
@@ -363,26 +357,34 @@ def _with_movement(
 
 
 def _with_alignment(
-    card: MetricCard, seen: RelatedScene, containers: Mapping[str, bool | None], statistics: CategoryStatistics | None
-) -> tuple[MetricCard, tuple[Relation, ...]]:
-    """Adds AwT and AwS to a card; also returns the stated relations that do not hold."""
-    scene = seen.scene
-    if scene.task is None or statistics is None:
+    card: MetricCard,
+    seen: RelatedScene,
+    containers: Mapping[str, bool | None],
+    task: LayoutTask,
+    interpret: InstructionInterpreter | None,
+) -> tuple[MetricCard, tuple[str, ...]]:
+    """Adds AwT and AwS to a card, by the labels of the task and as it was read; also returns what is not as the task says."""
+
+    def compared(reference: AlignmentReference) -> Alignment:
+        return align(seen.scene, reference, contacts=seen.contacts, footprints=seen.footprints, containers=containers)
+
+    if task.reference is not None:
+        found = compared(task.reference)
+        is_annotated = task.reference.graph is not None
+        card = replace(
+            card, awt=found.awt, aws=found.aws, aws_graph=found.aws_graph, awt_annotated=found.awt if is_annotated else None
+        )
+    reference = None if interpret is None else interpret(task.instruction).stated
+    if reference is None:
         return card, ()
-    categories = [o.category for o in scene.objects]
-    asked = required_objects(scene.task.task, statistics)
-    card = replace(card, awt=sum(one.is_met_by(categories) for one in asked) / len(asked) if asked else None)
-    named = [o for o in scene.objects if o.instance in scene.task.task_objects]
-    on_in = {r for r in scene.relations if r.kind in (RelationKind.ON, RelationKind.IN)}
-    # Contradictory relations, and relations between objects that were not found, are in no task.
-    broken = relations_not_held(named, scene.table, scene.task.task, statistics, on_in)
-    if not (scene.task.relations and named):
-        return replace(card, aws=0.0 if broken else None), broken
-    reference = reference_of(scene)
-    known = align(scene, reference, contacts=seen.contacts, footprints=seen.footprints, containers=containers)
-    lost = tuple(dict.fromkeys((*(known.broken or ()), *broken)))
-    said = len({*reference.entailed, *broken})
-    return replace(card, aws=None if known.broken is None or not said else 1 - len(lost) / said), lost
+    read = compared(reference)
+    card = replace(card, awt_understood=read.awt, aws_understood=read.aws)
+    lost = tuple(f"the instruction mentions {one}, which is missing" for one in dict.fromkeys(map(str, read.missing)))
+    if read.broken:
+        names = {r.instance: str(r) for r in reference.required}
+        broken = (f"{names[r.subject]} {r.kind} {names.get(r.target, r.target)}" for r in read.broken)
+        lost += (f"the instruction states relations that do not hold: {', '.join(broken)}",)
+    return card, lost
 
 
 def _with_rest(card: MetricCard, rest: SettleResult) -> MetricCard:

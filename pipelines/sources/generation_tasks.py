@@ -1,7 +1,7 @@
 """The task sources of the generate job: a file, existing scenes, one instruction, or sampled tasks."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -42,8 +42,7 @@ class SampledTask:
         Raises:
             SceneError: No task could be sampled (``synth_failed``).
         """
-        table, instruction = sample_task(self.number, self.seed, self.tables)
-        return LayoutTask(self.scene_id, instruction, table)
+        return replace(task_of_scene(sample_task(self.number, self.seed, self.tables)), scene_id=self.scene_id)
 
 
 Task: TypeAlias = LayoutTask | SampledTask

@@ -14,7 +14,7 @@ from typing import Any
 from models.instruction_reader.frames import FOLDER, read_frames
 from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.training import ReaderTrainer, ReaderTrainingSettings, split_frames
-from models.instruction_reader.weights import ReaderModel, figures_note, new_reader, save_reader
+from models.instruction_reader.weights import ReaderModel, figures_note, load_reader, new_reader, save_reader
 from models.training.distributed import ProcessContext
 from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
 from stable_data.code_version import code_version
@@ -53,11 +53,13 @@ class ReaderTrainingJob(TrainingJob):
     def prepare(self) -> tuple["ReaderTrainingJob", dict[str, Any], tuple[ReaderModel, dict[str, str]]]:
         """Reads frames and nouns; see the base class."""
         frames = self._frames()
-        model = new_reader(self.settings.seed)
+        initial = self.settings.initial
+        model = load_reader(Path(initial).expanduser(), trains=True) if initial else new_reader(self.settings.seed)
         identity = {
             "frames": content_id([asdict(frame) for frame in frames]),
             "nouns": content_id(asdict(read_nouns())),
             "encoder": model.encoder,
+            "initial": content_id(model.notes.get("steps", ""), model.notes.get("frames", "")) if initial else "",
         }
         train, held = split_frames(frames)
         details = {**identity, "settings": asdict(self.settings), "num_frames": len(train), "num_held_out": len(held)}

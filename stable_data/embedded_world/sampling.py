@@ -15,15 +15,15 @@ from stable_data.embedded_world.scenes import FEWEST, MOST, draw_scene_number, d
 from stable_data.embedded_world.settling import instance_names
 from stable_data.errors import SceneError
 from stable_data.instructions import derive_task
-from stable_data.scene import Scene, Tabletop
+from stable_data.scene import Scene
 from stable_data.scene_graph.relations import scene_graph, supports
 
 _STREAM = 7  # makes the random stream differ from that of the scene with the same seed and number
 _ATTEMPTS = 30
 
 
-def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tuple[Tabletop, str]:
-    """Samples a table and an instruction.
+def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> Scene:
+    """Samples a task and its table.
 
     Args:
         number: Number of the task; kinds of table take turns as for scenes.
@@ -31,7 +31,8 @@ def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tup
         tables: Kinds of table to use in turn; all kinds if empty.
 
     Returns:
-        The table and the instruction, the same for the same arguments; no composition of a scene is used again.
+        The composition for which the task was made, with the task, the same for the same arguments; no composition of a scene is
+        used again. Its objects rest on each other's boxes alone: it is no scene to be used.
 
     Raises:
         ConfigError: A kind of table is unknown (``unknown_table``).
@@ -51,5 +52,5 @@ def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> tup
         containers = {name: obj.asset.hollow is not None for name, obj in zip(names, placed, strict=True)}
         carriers = supports(scene, {}, containers=containers)
         graph = scene_graph(scene, {name: (carrier,) for name, carrier in carriers.items() if carrier}, containers=containers)
-        return table, derive_task(scene, graph, rng).task
+        return replace(scene, task=derive_task(scene, graph, rng))
     raise SceneError(f"task {number} of seed {seed}: no composition has {FEWEST} objects; use another seed", "synth_failed")

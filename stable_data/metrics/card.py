@@ -70,12 +70,38 @@ class MetricCard:
     awt: float | None = field(
         default=None,
         metadata=_about(
-            "share of the objects required by the instruction that are in the scene; null where it requires no known object"
+            "share of the objects required by the instruction, by its labels, that are in the scene; null where it has no labels"
         ),
     )
     aws: float | None = field(
         default=None,
-        metadata=_about("share of the relations stated by the instruction that hold in the scene; null where it states none"),
+        metadata=_about(
+            "share of the relations stated by the instruction, by its labels, that hold in the scene; null where it has no labels or"
+            " states none"
+        ),
+    )
+    awt_annotated: float | None = field(
+        default=None,
+        metadata=_about("awt where the labels are the annotation of a scene that exists; null for other tasks"),
+    )
+    aws_graph: float | None = field(
+        default=None,
+        metadata=_about(
+            "share of the scene graph between the annotated task objects that holds; null where the labels are of no scene"
+        ),
+    )
+    awt_understood: float | None = field(
+        default=None,
+        metadata=_about(
+            "share of the objects required by the instruction, as it was read, that are in the scene; null where it mentions no known"
+            " object"
+        ),
+    )
+    aws_understood: float | None = field(
+        default=None,
+        metadata=_about(
+            "share of the relations stated by the instruction, as it was read, that hold in the scene; null where it states none"
+        ),
     )
     distractor_rate: float | None = field(
         default=None, metadata=_about("share of objects that are not task objects; null without a task")

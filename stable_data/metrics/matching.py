@@ -116,9 +116,26 @@ def candidates(required: Sequence[RequiredObject], objects: Sequence[SceneObject
     Returns:
         Required instance -> generated instance -> closeness, 1 or 2.
     """
+    return _close_ones(required, {o.instance: o.category for o in objects})
+
+
+def unmatched(required: Sequence[RequiredObject], categories: Sequence[str]) -> tuple[RequiredObject, ...]:
+    """Returns the required objects that remain without a match if as many as possible are matched.
+
+    Args:
+        required: The required objects.
+        categories: The category of each object that there is.
+    """
+    allowed = _close_ones(required, {str(k): category for k, category in enumerate(categories)})
+    found = match(allowed).matches if any(allowed.values()) else {}
+    return tuple(r for r in required if r.instance not in found)
+
+
+def _close_ones(required: Sequence[RequiredObject], categories: Mapping[str, str]) -> dict[str, dict[str, int]]:
+    """For each required object the generated ones that it may be matched to, by their categories."""
     found: dict[str, dict[str, int]] = {}
     for r in required:
-        close = {o.instance: max((closeness(o.category, c) for c in r.categories), default=1) for o in objects}
+        close = {name: max((closeness(one, c) for c in r.categories), default=1) for name, one in categories.items()}
         found[r.instance] = {name: how for name, how in close.items() if how}
     return found
 

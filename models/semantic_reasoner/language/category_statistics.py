@@ -1,4 +1,4 @@
-"""Statistics of categories and words from the split train: sizes, share of supporting objects, doubtful nouns.
+"""Statistics of categories and words from the split train: sizes, share of supporting objects, words of instructions.
 
 The training measures them once and stores them in the folder of the model as ``categories.json``.
 """
@@ -7,14 +7,13 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from models.semantic_reasoner.language.noun_lookup import NounLookup, words_of
-from models.semantic_reasoner.language.noun_phrases import NounPhrase, find_noun_phrases
+from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.text.reply_json import layout_names
 from stable_data.errors import ConfigError
 from stable_data.scene import SceneObject, Stage, Vec3
@@ -31,8 +30,6 @@ LEVELS = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 """Levels of the size quantiles."""
 
 _MAX_WORDS = 64  # description words that are stored for a category
-_MIN_SEEN = 10  # a context with fewer mentions is judged by its noun, and a noun with fewer mentions is trusted
-_MIN_RIGHT = 0.98  # share of the mentions of a trusted noun for which the layout has a matching object
 
 Quantiles: TypeAlias = tuple[Vec3, ...]
 
@@ -73,25 +70,12 @@ class CategoryStatistics:
     Attributes:
         categories: Statistics by category name, as layouts write it.
         words: Count of each word in the instructions.
-        doubts: For nouns that often mean no object of the layout (``up to the camera``): whether they are doubtful, by the word
-            before their phrase; ``*`` is for other words.
         tables: Number of scenes of each kind of table.
     """
 
     categories: Mapping[str, Category]
     words: Mapping[str, int]
-    doubts: Mapping[str, Mapping[str, bool]] = field(default_factory=dict)
     tables: Mapping[str, int] = field(default_factory=dict)
-
-    @cached_property
-    def nouns(self) -> NounLookup:
-        """The nouns of the categories."""
-        return NounLookup(self.categories)
-
-    def is_doubtful(self, phrase: NounPhrase) -> bool:
-        """Whether a phrase often means something that is not on the table."""
-        doubts = self.doubts.get(phrase.mention.noun, {})
-        return doubts.get(phrase.before, doubts.get("*", False))
 
     @classmethod
     def of_names(cls, categories: Iterable[str]) -> "CategoryStatistics":
@@ -142,8 +126,7 @@ class CategoryStatistics:
             raise ConfigError(f"{path}: expected statistics of version {VERSION}; create them again", "statistics_invalid")
         try:
             categories = {name: _category(entry) for name, entry in data["categories"].items()}
-            doubts = {n: dict(d) for n, d in data["doubts"].items()}
-            return cls(categories, dict(data["words"]), doubts, dict(data["tables"]))
+            return cls(categories, dict(data["words"]), dict(data["tables"]))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"{path}: {error!r}; create the statistics again", "statistics_invalid") from error
 
@@ -215,15 +198,12 @@ class _RowCounts:
         self._carrying: Counter[str] = Counter()
         self._described: dict[str, Counter[str]] = {}
         self._words: Counter[str] = Counter()
-        self._instructions: Counter[tuple[str, frozenset[str]]] = Counter()
         self._tables: Counter[str] = Counter()
 
     def add(self, row: Row) -> None:
         """Counts the instruction of a first stage, or the whole layout of a last stage."""
         if row["stage"] == Stage.TASK:
-            text = row["task"]["task"]
-            self._words.update(w.text for w in words_of(text))
-            self._instructions[text, frozenset(_as_written(o["category"]) for o in row["objects_out"])] += 1
+            self._words.update(filter(str.isalnum, split_words(row["task"]["task"])))
         elif row["stage"] == Stage.SECONDARY and row["scene_id"] not in self._scenes:
             self._scenes.add(row["scene_id"])  # other tasks of the scene have the same layout
             self._tables[row["table_type"]] += 1
@@ -235,11 +215,11 @@ class _RowCounts:
             category = _as_written(o["category"])
             self._sizes.setdefault(category, []).append(o["size"])
             self._carrying[category] += o["instance"] in carriers
-            self._described.setdefault(category, Counter()).update(w.text for w in words_of(o["description"]))
+            self._described.setdefault(category, Counter()).update(filter(str.isalnum, split_words(o["description"])))
 
     def statistics(self) -> CategoryStatistics:
         categories = {name: self._category(name) for name in sorted(self._sizes)}
-        return CategoryStatistics(categories, dict(self._words), self._doubts(NounLookup(categories)), dict(self._tables))
+        return CategoryStatistics(categories, dict(self._words), dict(self._tables))
 
     def _category(self, name: str) -> Category:
         sizes = np.array(self._sizes[name], np.float64)
@@ -249,19 +229,3 @@ class _RowCounts:
         )
         words = dict(self._described[name].most_common(_MAX_WORDS))
         return Category(len(sizes), extents, sides, round(self._carrying[name] / len(sizes), 4), words)
-
-    def _doubts(self, nouns: NounLookup) -> dict[str, dict[str, bool]]:
-        """For each noun and the word before it: whether layouts too often lack an object that the noun can mean."""
-        seen: dict[str, Counter[str]] = {}
-        right: dict[str, Counter[str]] = {}
-        for (text, present), count in self._instructions.items():
-            for phrase in find_noun_phrases(words_of(text), nouns):
-                noun = phrase.mention.noun
-                for context in (phrase.before, "*"):
-                    seen.setdefault(noun, Counter())[context] += count
-                    right.setdefault(noun, Counter())[context] += count * bool(present & set(nouns.categories_of(noun)))
-        doubts = {
-            noun: {c: right[noun][c] < _MIN_RIGHT * n for c, n in contexts.items() if n >= _MIN_SEEN}
-            for noun, contexts in sorted(seen.items())
-        }
-        return {noun: dict(sorted(of_noun.items())) for noun, of_noun in doubts.items() if any(of_noun.values())}

@@ -11,17 +11,16 @@ changes nothing is a soft fault too, since some instructions require no change (
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.required_objects import ObjectRequirement, required_objects
-from models.semantic_reasoner.language.stated_relations import relations_not_held
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter, compare_with_instruction
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from models.settings import NonNegative, PositiveCount, Settings, Share
+from stable_data.metrics.matching import RequiredObject
 from stable_data.scene import FloatArray, Relation, SceneObject, Stage, Tabletop
 from stable_data.scene_graph.relations import yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import ON_TABLE, carriers_of
@@ -83,19 +82,25 @@ class CheckSettings(Settings):
 
 
 class ReplyCheck:
-    """The checks with the statistics of the known categories and the settings."""
+    """The checks of replies.
 
-    def __init__(self, statistics: CategoryStatistics, settings: CheckSettings = CheckSettings()) -> None:
-        self._statistics, self._settings = statistics, settings
-        self._required = lru_cache(maxsize=512)(lambda instruction: required_objects(instruction, statistics))
+    Args:
+        statistics: Statistics of the known categories.
+        interpret: Interprets instructions; None: what an instruction requires is not judged.
+        settings: How strict the checks are.
+    """
+
+    def __init__(
+        self,
+        statistics: CategoryStatistics,
+        interpret: InstructionInterpreter | None = None,
+        settings: CheckSettings = CheckSettings(),
+    ) -> None:
+        self._statistics, self._interpret, self._settings = statistics, interpret, settings
 
     def __call__(self, reply: LayoutReply, question: ReasonerQuestion, /) -> list[ReplyFault]:
         """Returns the faults of a reply to a question."""
-        return check_reply(reply.objects, reply.removed, question, self._statistics, self.asks(question), self._settings)
-
-    def asks(self, question: ReasonerQuestion) -> tuple[ObjectRequirement, ...]:
-        """Returns the objects that the instruction requires; none if the question is not for task objects."""
-        return self._required(question.instruction) if _asks_for_task(question) else ()
+        return check_reply(reply.objects, reply.removed, question, self._statistics, self._interpret, self._settings)
 
 
 def form_check(reply: LayoutReply, question: ReasonerQuestion, /) -> list[ReplyFault]:
@@ -110,7 +115,7 @@ def check_reply(
     removed: Sequence[str],
     question: ReasonerQuestion,
     statistics: CategoryStatistics,
-    asked_for: Sequence[ObjectRequirement],
+    interpret: InstructionInterpreter | None = None,
     settings: CheckSettings = CheckSettings(),
 ) -> list[ReplyFault]:
     """Returns the faults of a reply.
@@ -120,7 +125,7 @@ def check_reply(
         removed: Instances that the reply removes; only edits do.
         question: The question, with the layout so far.
         statistics: Statistics of the known categories.
-        asked_for: The objects that the instruction requires; used if the question is for O^t or for the whole layout.
+        interpret: Interprets the instruction; None: what it requires is not judged.
         settings: How strict the checks are.
 
     Returns:
@@ -145,29 +150,13 @@ def check_reply(
     faults += _support_faults(new, layout, question, unmoved)
     faults += _duplicate_faults(new, layout, unmoved, settings)
     faults += _rename_faults(objects, removed, was)
-    if _asks_for_task(question):
-        faults += _requirement_faults(layout, asked_for)
-    if not (question.edits or any(f.is_hard for f in faults)):
-        faults += _relation_faults(layout, unchanged, question, statistics)
+    if interpret is not None and not question.edits:
+        faults += _instruction_faults(layout, unchanged, question, interpret, any(f.is_hard for f in faults))
     return sorted(faults, key=lambda f: not f.is_hard) or list(_no_change_fault(objects, removed, question))
 
 
 def _asks_for_task(question: ReasonerQuestion) -> bool:
     return question.wanted in (Stage.TASK, "whole")
-
-
-def _relation_faults(
-    layout: Sequence[SceneObject], unchanged: Sequence[LayoutObject], question: ReasonerQuestion, statistics: CategoryStatistics
-) -> Iterator[ReplyFault]:
-    """The violated relations of the start that the instruction states; in a later stage only those that held before it."""
-    broken = relations_not_held(layout, question.table, question.instruction, statistics)
-    if broken and question.wanted in (Stage.IMPORTANT, Stage.SECONDARY):
-        before = [o.to_scene_object() for o in unchanged]
-        was = set(relations_not_held(before, question.table, question.instruction, statistics))
-        broken = tuple(r for r in broken if r not in was)
-    for r in broken:
-        message = f"the instruction says {r}; place them so"
-        yield ReplyFault("relation_not_held", message, is_hard=False, relation=r)
 
 
 def _unchanged_objects(
@@ -423,14 +412,37 @@ def _no_change_fault(
 # --- the instruction ----------------------------------------------------------------------------------------------------------
 
 
-def _requirement_faults(layout: Sequence[SceneObject], required: Sequence[ObjectRequirement]) -> Iterator[ReplyFault]:
-    categories = [o.category for o in layout]
-    for asked in required:
-        if asked.is_met_by(categories):
-            continue
-        count = sum(c in asked.categories for c in categories)
-        wanted = " or ".join(c.replace("_", " ") for c in asked.categories[:5]) or "something in or on it"
-        yield ReplyFault(
-            "required_missing",
-            f'the instruction mentions "{asked.words}": give {asked.at_least} ({wanted}), {count} found',
-        )
+def _instruction_faults(
+    layout: Sequence[SceneObject],
+    unchanged: Sequence[LayoutObject],
+    question: ReasonerQuestion,
+    interpret: InstructionInterpreter,
+    has_hard_faults: bool,
+) -> Iterator[ReplyFault]:
+    """The required objects that a layout of task objects lacks, and the relations of the start that do not hold in it.
+
+    A relation is judged in a layout without hard faults; in a later stage only if it held before.
+    """
+    meant = interpret(question.instruction)
+    found, broken = compare_with_instruction(layout, question.table, meant)
+    if found is None:
+        return
+    if _asks_for_task(question):
+        for categories, missing in _by_categories(found.missing).items():
+            wanted = " or ".join(c.replace("_", " ") for c in categories[:5]) or "something in or on it"
+            has_hard_faults = True
+            yield ReplyFault("required_missing", f"the instruction requires {wanted}: give {len(missing)} more")
+    elif broken:
+        before = [o.to_scene_object() for o in unchanged]
+        was = set(compare_with_instruction(before, question.table, meant)[1])
+        broken = tuple(r for r in broken if r not in was)
+    for r in () if has_hard_faults else broken:
+        message = f"the instruction says {r}; place them so"
+        yield ReplyFault("relation_not_held", message, is_hard=False, relation=r)
+
+
+def _by_categories(required: Sequence[RequiredObject]) -> dict[tuple[str, ...], list[RequiredObject]]:
+    found: dict[tuple[str, ...], list[RequiredObject]] = {}
+    for one in required:
+        found.setdefault(one.categories, []).append(one)
+    return found

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from models.semantic_reasoner.language.required_objects import ObjectRequirement
 from models.semantic_reasoner.text.reply_json import parse_reply
 from stable_data.errors import SceneError
 from stable_data.json_text import is_unicode
+from stable_data.metrics.matching import RequiredObject, unmatched
 from stable_data.scene import Tabletop
 
 HIGHEST_CM = 200.0
@@ -59,7 +59,7 @@ class ReplyGrammar:
     names: tuple[str, ...] = ()
     at_least: int = 0
     at_most: int = MOST_OBJECTS
-    asks: tuple[ObjectRequirement, ...] = ()
+    asks: tuple[RequiredObject, ...] = ()
     binds: bool = True
 
     def __post_init__(self) -> None:
@@ -119,7 +119,7 @@ class ReplyGrammar:
         categories = [o.category for o in parse_reply(text).objects]
         if len(categories) >= self.at_most:
             return None
-        unmet = [asked for asked in self.asks if not asked.is_met_by(categories)]
+        unmet = unmatched(self.asks, categories)
         named = tuple(dict.fromkeys(c for asked in unmet for c in asked.categories))
         return named if unmet else None
 

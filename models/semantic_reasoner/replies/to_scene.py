@@ -3,8 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from models.semantic_reasoner.language.category_statistics import CategoryStatistics
-from models.semantic_reasoner.language.stated_relations import interpret_layout
+from models.semantic_reasoner.language.interpreter import (
+    InstructionInterpreter,
+    compare_with_instruction,
+    relations_of_task,
+)
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.metrics.alignment import members
@@ -14,14 +17,14 @@ from stable_data.scene_graph.support_from_boxes import carriers_of
 
 
 def objects_of_reply(
-    reply: LayoutReply, question: ReasonerQuestion, statistics: CategoryStatistics | None = None
+    reply: LayoutReply, question: ReasonerQuestion, interpret: InstructionInterpreter | None = None
 ) -> tuple[SceneObject, ...]:
     """Returns the objects of a reply in SI units, each with its stage and its support.
 
     Args:
         reply: The reply; without hard faults.
         question: The question.
-        statistics: Statistics of categories, for the interpretation of the instruction; only a whole layout uses them.
+        interpret: Interprets the instruction; only a whole layout needs it.
 
     Returns:
         The objects in the order of the reply, without assets. The stage is that of the question. A whole layout is staged by
@@ -36,12 +39,12 @@ def objects_of_reply(
     objects = tuple(replace(o, support=carriers[o.instance]) for o in new)
     if question.wanted != "whole":
         return objects
-    stages = _stages(objects, question, statistics)
+    stages = _stages(objects, question, interpret)
     return tuple(replace(o, stage=stages[o.instance]) for o in objects)
 
 
 def attach_task_info(
-    scene: Scene, instruction: str, proposed: Sequence[SceneObject], statistics: CategoryStatistics | None = None
+    scene: Scene, instruction: str, proposed: Sequence[SceneObject], interpret: InstructionInterpreter | None = None
 ) -> Scene:
     """Returns a scene with its task info: the instruction, the objects of O^t, and their stated relations at the start.
 
@@ -49,24 +52,26 @@ def attach_task_info(
         scene: The scene, staged.
         instruction: The task instruction.
         proposed: The objects as they were proposed; the relations are inferred from their boxes.
-        statistics: Statistics of categories, for the interpretation of the instruction; None gives no relations.
+        interpret: Interprets the instruction; None gives no relations.
     """
     task_objects = tuple(o.instance for o in scene.objects if o.stage is Stage.TASK)
     relations: tuple[Relation, ...] = ()
-    if statistics is not None:
-        task, _, _ = interpret_layout(proposed, scene.table, instruction, statistics)
-        relations = tuple(r for r in task.relations if set(members(r)) <= set(task_objects))
+    if interpret is not None:
+        found, _ = compare_with_instruction(proposed, scene.table, interpret(instruction))
+        if found is not None:
+            relations = tuple(r for r in relations_of_task(found) if set(members(r)) <= set(task_objects))
     return replace(scene, task=TaskInfo("", instruction, task_objects=task_objects, relations=relations))
 
 
 def _stages(
-    objects: tuple[SceneObject, ...], question: ReasonerQuestion, statistics: CategoryStatistics | None
+    objects: tuple[SceneObject, ...], question: ReasonerQuestion, interpret: InstructionInterpreter | None
 ) -> Mapping[str, Stage | None]:
     """The stages of a whole layout."""
-    if statistics is None:
-        statistics = CategoryStatistics.of_names(o.category for o in objects)
-    task, _, _ = interpret_layout(objects, question.table, question.instruction, statistics)
-    if not task.task_objects:
+    task_objects: tuple[str, ...] = ()
+    if interpret is not None:
+        found, _ = compare_with_instruction(objects, question.table, interpret(question.instruction))
+        task_objects = () if found is None else tuple(name for _, name in found.matches)
+    if not task_objects:
         return dict.fromkeys((o.instance for o in objects), Stage.TASK)
-    scene = Scene("layout", question.table, objects, task=task)
-    return {o.instance: o.stage for o in stage_scene(scene).objects}
+    task = TaskInfo("", question.instruction, task_objects=task_objects)
+    return {o.instance: o.stage for o in stage_scene(Scene("layout", question.table, objects, task=task)).objects}

@@ -20,6 +20,7 @@ from models.physics_corrector.certify.correction import Correction, CorrectionOp
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation, batch_conversation
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.reasoner import Proposal, RefusedReply
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import Wanted
@@ -287,8 +288,8 @@ def holding(name: str, instruction: str) -> GenerationResult:
     bowl = LayoutObject("bowl_0", "a bowl", (16.0, 16.0, 8.0), (50.0, 40.0, 4.0), 0)
     answers = Answers(staged([bowl, inside], [], []))
     task = LayoutTask("scene", instruction, TABLE)
-    statistics = CategoryStatistics.of_names(["ball", "bowl", "plate"])
-    (made,) = run_batched([dual_system(task, 7, LoopSettings(tries=3), statistics)], answers)
+    interpret = InstructionInterpreter(CategoryStatistics.of_names(["ball", "bowl", "plate"]))
+    (made,) = run_batched([dual_system(task, 7, LoopSettings(tries=3), interpret)], answers)
     assert made.scene is not None
     assert [str(r.kind) for r in made.scene.task.relations] == ["in"]  # type: ignore[union-attr]
     return made
@@ -332,7 +333,12 @@ def test_an_earlier_try_counts_where_the_last_one_fails(last: Proposal) -> None:
         return next(replies) if question.question.wanted is Stage.TASK else Proposal(LayoutReply(()), tries=1)
 
     task = LayoutTask("scene", "Take the plate out of the bowl.", TABLE)
-    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate", "elephant"]))
+    loop = dual_system(
+        task,
+        7,
+        LoopSettings(tries=2),
+        InstructionInterpreter(CategoryStatistics.of_names(["ball", "bowl", "plate", "elephant"])),
+    )
     (made,) = run_batched([loop], Answers(stages))
     assert made.failure is None
     assert made.scene is not None
@@ -352,7 +358,9 @@ def test_of_tries_that_lack_something_the_one_counts_that_lacks_least() -> None:
         return next(replies) if question.question.wanted is Stage.TASK else Proposal(LayoutReply(()), tries=1)
 
     task = LayoutTask("scene", "Take the plate out of the bowl that is in the front left corner.", TABLE)
-    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "bowl", "plate"]))
+    loop = dual_system(
+        task, 7, LoopSettings(tries=2), InstructionInterpreter(CategoryStatistics.of_names(["ball", "bowl", "plate"]))
+    )
     (made,) = run_batched([loop], Answers(stages))
     assert made.scene is not None
     assert [turn.code for turn in made.turns[:2]] == ["", "relation_lost"]
@@ -362,7 +370,7 @@ def test_of_tries_that_lack_something_the_one_counts_that_lacks_least() -> None:
 def test_what_is_pushed_out_of_its_corner_is_asked_for_again() -> None:
     pushing = staged([said("cube_0", 33, 20)], [said("ball_0", 28, 20)], [])
     task = LayoutTask("scene", "Lift the cube that is in the front left corner.", TABLE)
-    loop = dual_system(task, 7, LoopSettings(tries=2), CategoryStatistics.of_names(["ball", "cube"]))
+    loop = dual_system(task, 7, LoopSettings(tries=2), InstructionInterpreter(CategoryStatistics.of_names(["ball", "cube"])))
     (made,) = run_batched([loop], Answers(pushing))
     assert [(str(turn.wanted), turn.code) for turn in made.turns] == [
         ("task", ""),

@@ -176,7 +176,8 @@ def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
     assert len(rows_of(tmp_path / "out", "scenes")) == 4
     named = [row["id"] for row in rows_of(tmp_path / "out", "warnings") if row["code"] == "not_as_said"]
     assert set(named) == {"task_1", "task_2", "task_3"}
-    held = {row["scene_id"]: row["aws"] for row in rows_of(tmp_path / "out", "scenes")}
+    held = {row["scene_id"]: row["aws_understood"] for row in rows_of(tmp_path / "out", "scenes")}
+    assert {row["aws"] for row in rows_of(tmp_path / "out", "scenes")} == {None}  # tasks of a user have no labels
     # Nothing is in the corner, so no words of the last say which thing is meant: that is a claim that does not hold all the
     # same.
     assert [held[f"task_{k}"] for k in range(4)] == [1.0, 0.5, 0.5, 0.0]
@@ -184,7 +185,10 @@ def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
 
 @pytest.mark.parametrize(
     ("accept", "accepted"),
-    [("clean and aws >= 1", {"task_1"}), ("clean and (aws is None or aws >= 1)", {"task_0", "task_1"})],
+    [
+        ("clean and aws_understood >= 1", {"task_1"}),
+        ("clean and (aws_understood is None or aws_understood >= 1)", {"task_0", "task_1"}),
+    ],
 )
 def test_an_instruction_that_says_nothing_of_the_start_is_accepted_where_the_rule_takes_what_is_unknown(
     dataset: Path, settings: GenerateSettings, shelf: AssetLibraries, tmp_path: Path, accept: str, accepted: set[str]
@@ -203,11 +207,13 @@ def test_an_instruction_that_says_nothing_of_the_start_is_accepted_where_the_rul
     )
     generate(asked, str(tmp_path / "out"), own, ALONE, [str(dataset)])
     assert {row["scene_id"] for row in rows_of(tmp_path / "out", "scenes")} == accepted
-    known = {row["scene_id"]: row["aws"] for table in ("scenes", "rejected") for row in rows_of(tmp_path / "out", table)}
+    known = {
+        row["scene_id"]: row["aws_understood"] for table in ("scenes", "rejected") for row in rows_of(tmp_path / "out", table)
+    }
     assert known == {"task_0": None, "task_1": 1.0, "task_2": 0.5}
     reasons = {row["scene_id"]: row["reason"] for row in rows_of(tmp_path / "out", "rejected")}
-    assert "aws is 0.5" in reasons["task_2"]
-    assert "aws is unknown" in reasons.get("task_0", "aws is unknown")
+    assert "aws_understood is 0.5" in reasons["task_2"]
+    assert "aws_understood is unknown" in reasons.get("task_0", "aws_understood is unknown")
 
 
 def test_settled_poses_are_kept_beside(made: Path) -> None:
@@ -512,7 +518,9 @@ def test_drawn_tasks_are_drawn_where_they_are_needed(dataset: Path, settings: Ge
     assert rows
     for row in rows:
         number = int(row["scene_id"].removesuffix("_seed1").rpartition("_")[2])
-        assert row["task"]["task"] == sample_task(number, 1)[1]
+        sampled = sample_task(number, 1).task
+        assert sampled is not None
+        assert row["task"]["task"] == sampled.task
 
 
 def test_a_run_serves_as_a_library_and_its_convex_parts_are_kept(

@@ -1,9 +1,11 @@
 """A small world whose statistics are known by calculation, and layouts on its tables."""
 
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject
 from stable_data.scene import Rectangle, Stage, Tabletop, Vec3
@@ -93,6 +95,14 @@ def statistics() -> CategoryStatistics:
 
 
 STATISTICS = statistics()
+
+
+@cache
+def interpreter() -> InstructionInterpreter:
+    """Interprets instructions for these categories."""
+    return InstructionInterpreter(STATISTICS)
+
+
 TABLE = Tabletop("office_table", (1.2, 0.6))
 
 

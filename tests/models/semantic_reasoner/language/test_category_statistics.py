@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,19 +55,9 @@ def test_categories_are_spelt_as_instances_are() -> None:
     assert set(found.categories) == {"nesting_cups"}
 
 
-def test_a_word_that_speaks_of_something_else_is_doubted() -> None:
-    mug, camera = entry("mug", (0.1, 0.1, 0.1)), entry("camera", (0.1, 0.1, 0.1))
-    rows = scene("a", mug, camera)
-    rows += [row(Stage.TASK, f"b{k}", "Lift the mug up to the camera.", [mug]) for k in range(20)]
-    rows += [row(Stage.TASK, f"c{k}", "Take the camera.", [camera]) for k in range(20)]
-    doubts = CategoryStatistics.of_rows(rows).doubts
-    assert doubts == {"camera": {"*": True, "take": False, "to": True}}
-
-
 def test_saved_and_loaded_they_are_the_same(tmp_path: Path) -> None:
-    full = replace(STATISTICS, doubts={"camera": {"*": True, "take": False}})
-    full.save(tmp_path / "model")
-    assert CategoryStatistics.load(tmp_path / "model") == full
+    STATISTICS.save(tmp_path / "model")
+    assert CategoryStatistics.load(tmp_path / "model") == STATISTICS
 
 
 def test_a_run_gives_the_statistics_of_its_split_train(tmp_path: Path) -> None:

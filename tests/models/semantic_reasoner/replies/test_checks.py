@@ -6,14 +6,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from models.semantic_reasoner.language.required_objects import required_objects
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyFault, check_reply, form_check
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import Scene, SceneObject, Stage
 from stable_data.scene_graph.relations import GAP, supports
 from stable_data.scene_graph.support_from_boxes import carriers_of
-from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, STATISTICS, TABLE, ask, thing
+from tests.models.semantic_reasoner.language.known_categories import SIZES_CM, STATISTICS, TABLE, ask, interpreter, thing
 
 MUG, PLATE = thing("mug_0", 30, 30), thing("plate_0", 70, 30)
 
@@ -22,9 +21,7 @@ def faults(
     *objects: LayoutObject, of: ReasonerQuestion | None = None, removed: tuple[str, ...] = (), **settings: Any
 ) -> list[ReplyFault]:
     asked = of or ask()
-    return check_reply(
-        objects, removed, asked, STATISTICS, required_objects(asked.instruction, STATISTICS), CheckSettings(**settings)
-    )
+    return check_reply(objects, removed, asked, STATISTICS, interpreter(), CheckSettings(**settings))
 
 
 def hard(*objects: LayoutObject, **more: Any) -> set[str]:

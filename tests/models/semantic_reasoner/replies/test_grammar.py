@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from llguidance import LLMatcher, LLTokenizer
 
-from models.semantic_reasoner.language.required_objects import ObjectRequirement
 from models.semantic_reasoner.replies.grammar import MOST_NAMES, MOST_OBJECTS, ReplyGrammar, _number_pattern
 from models.semantic_reasoner.text.reply_json import LayoutObject, render_objects
 from models.semantic_reasoner.text.tokenizer import train_tokenizer
 from stable_data.errors import SceneError
+from stable_data.metrics.matching import RequiredObject
 
 FORM = ReplyGrammar(112.0, 59.3)
 MUG = LayoutObject("mug_0", "a red mug", (9.0, 8.0, 10.0), (20.0, 30.0, 5.0), -15)
@@ -130,7 +130,7 @@ def test_what_is_asked_for_is_lacking_until_it_is_there() -> None:
         112.0,
         59.3,
         at_most=4,
-        asks=(ObjectRequirement("two mugs", ("mug", "teacup"), 2), ObjectRequirement("the pen", ("pen",))),
+        asks=(*(RequiredObject(k, ("mug", "teacup")) for k in "ab"), RequiredObject("c", ("pen",))),
     )
     assert form.lacking(render_objects([])) == ("mug", "teacup", "pen")
     assert form.lacking(render_objects([MUG, replace(MUG, instance="teacup_0")])) == ("pen",)
@@ -138,7 +138,14 @@ def test_what_is_asked_for_is_lacking_until_it_is_there() -> None:
     assert form.lacking(render_objects([MUG, MUG, pen])) is None
     assert form.lacking(render_objects([pen] * 4)) is None  # there is no room for more
     assert replace(form, asks=()).lacking(render_objects([])) is None
-    anything = ReplyGrammar(112.0, 59.3, asks=(ObjectRequirement("what is on it", ()),))
+    anything = ReplyGrammar(
+        112.0,
+        59.3,
+        asks=(
+            RequiredObject("a", ("mug",)),
+            RequiredObject("b", ()),
+        ),
+    )
     assert anything.lacking(render_objects([MUG])) == ()
     assert anything.lacking(render_objects([MUG, pen])) is None
 

@@ -11,9 +11,9 @@ from models.semantic_reasoner.replies.checks import ReplyCheck, ReplyFault
 from models.semantic_reasoner.replies.relation_repair import repair_relations
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, assistant_message
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
-from tests.models.semantic_reasoner.language.known_categories import STATISTICS, ask, thing
+from tests.models.semantic_reasoner.language.known_categories import STATISTICS, ask, interpreter, thing
 
-CHECK = ReplyCheck(STATISTICS)
+CHECK = ReplyCheck(STATISTICS, interpreter())
 MUG, PLATE = thing("mug_0", 20, 10), thing("plate_0", 70, 30)
 CUP, APPLE, TRAY = thing("cup_0", 30, 45), thing("apple_0", 70, 50), thing("serving_tray_0", 70, 30)
 
@@ -59,8 +59,13 @@ def test_what_lies_on_a_thing_goes_along() -> None:
     assert off == [round(b - a, 1) for a, b in zip(plate.position_cm, mug.position_cm, strict=True)]
 
 
+def test_what_shall_be_emptied_gets_something() -> None:
+    found = righted([PLATE, MUG], ask("Take everything off the plate."))
+    assert found is not None
+    assert [f.message.split(" so ")[0] for f in found[1]] == ["mug_0 is moved"]
+
+
 def test_what_cannot_be_put_right_is_left_to_others() -> None:
-    assert righted([PLATE, MUG], ask("Take everything off the plate.")) is None  # what would be on it?
     assert righted([PLATE, MUG], ask("The mug is on the plate and the plate is on the mug. Clear up.")) is None
     aside = ask("Take the mug off the plate.")
     assert righted([replace(PLATE, position_cm=(300.0, 30.0, 1.0)), MUG], aside) is None  # it is not its only fault

@@ -6,7 +6,7 @@ from models.semantic_reasoner.replies.to_scene import attach_task_info, objects_
 from models.semantic_reasoner.text.prompt import Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.scene import Relation, RelationKind, Scene, Stage
-from tests.models.semantic_reasoner.language.known_categories import STATISTICS, ask, thing
+from tests.models.semantic_reasoner.language.known_categories import ask, interpreter, thing
 
 PLATE, MUG = thing("plate_0", 30, 30, turned=90), thing("mug_0", 30, 30, bottom=2.0)
 
@@ -34,7 +34,7 @@ def test_what_floats_has_no_support() -> None:
 def whole(instruction: str) -> dict[str, Stage | None]:
     far, near = thing("laptop_0", 100, 40), thing("pen_0", 30, 46)
     wanted: Wanted = "whole"
-    objects = objects_of_reply(LayoutReply((PLATE, far, MUG, near)), ask(instruction, wanted), STATISTICS)
+    objects = objects_of_reply(LayoutReply((PLATE, far, MUG, near)), ask(instruction, wanted), interpreter())
     return {o.instance: o.stage for o in objects}
 
 
@@ -75,6 +75,6 @@ def test_an_empty_reply_is_nothing() -> None:
 def test_a_task_says_in_which_corner_its_object_is() -> None:
     wanted = ask("Lift the mug that is in the back right corner.")
     mugs = objects_of_reply(LayoutReply((thing("mug_0", 15, 10), thing("mug_1", 110, 55))), wanted)
-    scene = attach_task_info(Scene("scene", wanted.table, mugs), wanted.instruction, mugs, STATISTICS)
+    scene = attach_task_info(Scene("scene", wanted.table, mugs), wanted.instruction, mugs, interpreter())
     assert scene.task is not None
     assert scene.task.relations == (Relation("mug_1", RelationKind.IS_AT, "back_right"),)

@@ -1,0 +1,225 @@
+"""Interprets instructions: what they require of a scene, their wording for the engine, and what is not understood.
+
+The instruction reader finds the objects and relations of an instruction. All that follows from them rests on this one reading:
+the objects that a reply must have, the relations of its start, the task info, and the warnings.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from models.instruction_reader.reader import InstructionReader
+from models.instruction_reader.reading import InstructionReading
+from models.instruction_reader.reference import reference_of_reading
+from models.instruction_reader.sentences import split_words
+from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.text.prompt import ANY_TABLE
+from stable_data.errors import Notice
+from stable_data.instructions.wording.vocabulary import nouns_of
+from stable_data.instructions.wording.words import is_plural, plural, singular_noun, type_words
+from stable_data.metrics.alignment import Alignment, AlignmentReference, align
+from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
+
+TextEncoder: TypeAlias = Callable[[Sequence[str]], npt.NDArray[np.float32]]
+"""Maps texts to rows of unit length, (N, D)."""
+
+STEP = "understand"
+"""The step in the notices of this module."""
+
+NEAR = 0.7
+"""Least cosine similarity for reading an unknown noun as a known one (all-MiniLM-L6-v2, ``a doughnut`` with ``a donut``)."""
+
+LANGUAGE = 0.5
+"""Share of unknown words above which a text counts as another language than English."""
+
+_MIN_FOREIGN = 3  # least number of unknown words in a text of another language
+_SHOWN = 60  # characters of an instruction in a message
+
+
+@dataclass(frozen=True, slots=True)
+class InterpretedInstruction:
+    """What an instruction means.
+
+    Attributes:
+        instruction: The instruction.
+        reading: Its objects and relations.
+        reference: What a scene must have so that the instruction makes sense in it; None if it mentions no known object.
+        stated: The same with the relations that contradict others, which no scene can fulfil.
+        wording: The instruction with nouns that the engine knows.
+        notices: ``word_read_as``, ``word_unknown``, ``language_unknown`` or ``contradiction``.
+    """
+
+    instruction: str
+    reading: InstructionReading
+    reference: AlignmentReference | None
+    stated: AlignmentReference | None
+    wording: str
+    notices: tuple[Notice, ...] = ()
+
+
+class InstructionInterpreter:
+    """Interprets instructions for the known categories.
+
+    Args:
+        statistics: The known categories, tables and words of the engine.
+        encode: Finds known nouns that are similar to an unknown one; None finds none.
+        reader: The reader; None loads the one of the package.
+    """
+
+    def __init__(
+        self, statistics: CategoryStatistics, encode: TextEncoder | None = None, reader: InstructionReader | None = None
+    ) -> None:
+        self._statistics, self._encode = statistics, encode
+        self._reader = reader or InstructionReader.load(statistics.categories)
+        self._interpret = lru_cache(maxsize=4096)(self._interpreted)
+
+    def __call__(self, instruction: str, is_edit: bool = False) -> InterpretedInstruction:
+        """Returns what an instruction means.
+
+        Args:
+            instruction: The instruction.
+            is_edit: Whether it says how to change a scene.
+        """
+        return self._interpret(instruction, is_edit)
+
+    def _interpreted(self, instruction: str, is_edit: bool) -> InterpretedInstruction:
+        if self._is_foreign(instruction):
+            message = f"most words of {_shown(instruction)} are unknown, expected English; write it in English"
+            notice = Notice("instruction", STEP, "language_unknown", f"instruction: {message}")
+            return InterpretedInstruction(instruction, InstructionReading(()), None, None, instruction, (notice,))
+        reading, notices = self._with_similar_nouns(self._reader.read(instruction, is_edit))
+        reference, stated = (reference_of_reading(reading, "instruction", both) for both in (False, True))
+        wording = self._reworded(instruction, reading)
+        notices += tuple(_contradictions(reading))
+        return InterpretedInstruction(instruction, reading, reference, stated, wording, notices)
+
+    def table_type(self, table_type: str) -> tuple[str, tuple[Notice, ...]]:
+        """Returns a kind of table if it is known, else the kind for any table, so that the engine sees only its size.
+
+        Args:
+            table_type: The kind of table.
+
+        Returns:
+            The kind, and the notice ``table_unknown`` if it is unknown.
+        """
+        known = self._statistics.tables
+        if not known or table_type in (*known, ANY_TABLE):
+            return table_type, ()
+        message = f"table: {_shown(table_type)} is an unknown kind of table, only its size is used; known kinds: "
+        return ANY_TABLE, (Notice("table", STEP, "table_unknown", message + ", ".join(sorted(known))),)
+
+    # --- unknown words ---
+
+    def _is_foreign(self, instruction: str) -> bool:
+        words = [w for w in split_words(instruction) if w.isalpha()]
+        unknown = [w for w in words if not self._reader.knows(w)]
+        if 0 < len(unknown) == len(words) and not all(map(str.isascii, unknown)):
+            return True  # a script without spaces between words gives few words
+        return len(unknown) >= _MIN_FOREIGN and len(unknown) > LANGUAGE * len(words)
+
+    def _with_similar_nouns(self, reading: InstructionReading) -> tuple[InstructionReading, tuple[Notice, ...]]:
+        """The reading in which unknown objects have the category of a similar noun if there is one, and notices."""
+        objects, notices = [], []
+        for o in reading.objects:
+            if not o.categories and (similar := self._similar(o.words)) is not None:
+                noun, o = similar[0], replace(o, categories=similar[1])
+                notices.append(("word_read_as", f"{_shown(o.words)} is unknown, read as {noun}"))
+            elif not o.categories:
+                message = f"{_shown(o.words)} is unknown and no known object is similar; name a known object"
+                notices.append(("word_unknown", message))
+            objects.append(o)
+        found = dict.fromkeys(Notice("instruction", STEP, code, f"instruction: {message}") for code, message in notices)
+        return replace(reading, objects=tuple(objects)), tuple(found)
+
+    @cached_property
+    def _names(self) -> dict[str, tuple[str, ...]]:
+        """The categories of each noun of the vocabulary."""
+        names: dict[str, list[str]] = {}
+        for category in self._statistics.categories:
+            for noun in dict.fromkeys((_own_noun(category), *nouns_of(category))):
+                names.setdefault(noun, []).append(category)
+        return {noun: tuple(categories) for noun, categories in sorted(names.items())}
+
+    @cached_property
+    def _rows(self) -> npt.NDArray[np.float32]:
+        assert self._encode is not None
+        return np.asarray(self._encode([f"a {name}" for name in self._names]))
+
+    def _similar(self, words: str) -> tuple[str, tuple[str, ...]] | None:
+        """The known noun that is most similar to an unknown one, and its categories; None if none is similar enough."""
+        if self._encode is None or not self._names:
+            return None
+        similarity = self._rows @ np.asarray(self._encode([f"a {singular_noun(words)}"]))[0]
+        best = int(similarity.argmax())
+        return list(self._names.items())[best] if similarity[best] >= NEAR else None
+
+    # --- the engine's words ---
+
+    def _reworded(self, instruction: str, reading: InstructionReading) -> str:
+        """The instruction with a noun of the engine in place of each noun that it does not know."""
+        changes = {place: o for o in reading.objects if o.categories for place in o.mentions}
+        for (start, end), o in sorted(changes.items(), reverse=True):
+            words = split_words(instruction[start:end])
+            size = self._reader.lexicon.noun_size(words)
+            if all(w in self._statistics.words for w in words[len(words) - size :]):
+                continue
+            noun = _own_noun(o.categories[0])
+            if words[-1].endswith("s") and not words[-1].endswith("ss") and not is_plural(noun):
+                noun = plural(noun)
+            instruction = f"{instruction[:start]}{' '.join([*words[: len(words) - size], noun])}{instruction[end:]}"
+        return instruction
+
+
+def compare_with_instruction(
+    layout: Sequence[SceneObject], table: Tabletop, meant: InterpretedInstruction
+) -> tuple[Alignment | None, tuple[Relation, ...]]:
+    """Compares a layout with what an instruction requires of the scene that it starts from, by boxes.
+
+    Args:
+        layout: The objects.
+        table: The table.
+        meant: The interpreted instruction.
+
+    Returns:
+        The alignment, None if the instruction mentions no known object, and the relations that do not hold, in the names of the
+        layout. A relation of a missing object is not among them.
+    """
+    if meant.reference is None:
+        return None, ()
+    found = align(Scene("layout", table, tuple(layout)), meant.reference)
+    return found, tuple(_renamed(found, found.broken or ()))
+
+
+def relations_of_task(found: Alignment) -> tuple[Relation, ...]:
+    """Returns the relations that an instruction states of the start, in the names of the layout; none of a missing object."""
+    return tuple(_renamed(found, found.reference.entailed))
+
+
+def _renamed(found: Alignment, relations: Sequence[Relation]) -> Iterator[Relation]:
+    names = dict(found.matches)
+    for r in relations:
+        target = r.target if r.kind is RelationKind.IS_AT else names.get(r.target)
+        if r.subject in names and target is not None:
+            yield Relation(names[r.subject], r.kind, target)
+
+
+def _contradictions(reading: InstructionReading) -> Iterator[Notice]:
+    for r in reading.contradictions:
+        one, other = (reading.objects[k].words for k in (r.subject, r.target))
+        kind = {"left": "left of", "front": "in front of"}.get(r.kind, r.kind)
+        message = f"that {_shown(one)} is {kind} {_shown(other)} contradicts other words, so it is not used; state one of them"
+        yield Notice("instruction", STEP, "contradiction", f"instruction: {message}")
+
+
+def _own_noun(category: str) -> str:
+    """A category in words, such as ``spice jar``."""
+    return " ".join(type_words(category))
+
+
+def _shown(text: str) -> str:
+    words = " ".join(text.split())
+    return repr(words if len(words) <= _SHOWN else f"{words[: _SHOWN - 3]}...")
