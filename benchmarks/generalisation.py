@@ -32,7 +32,10 @@ from stable_data.storage.table_rows import scene_from_row
 
 CASES = Path(__file__).with_name("contradictory.jsonl")
 
-OF_CLAIMS, OF_THINGS = frozenset({"relation_not_held", "not_as_said", "contradiction"}), frozenset({"asset_unmatched", "required_missing"})
+OF_CLAIMS, OF_THINGS = (
+    frozenset({"relation_not_held", "not_as_said", "contradiction"}),
+    frozenset({"asset_unmatched", "required_missing"}),
+)
 """Codes of notices which report that a claim, or an object, is not as requested."""
 
 UNUSABLE = "reply_unusable"

@@ -89,6 +89,7 @@ def decode(
     ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
     entities = [_entity(cluster, phrases, nouns, said, ranges) for cluster in clusters]
     parts = _parts(clusters, start, entities)
+    _name_ones(entities, clusters, parts)
     made = _objects(entities, parts)
     found = _relations(clusters, start, START[1:7], parts)
     aims = _relations(clusters, goal, GOAL[1:], parts)
@@ -157,6 +158,19 @@ def _entity(
     return _Entity(mentions, " ".join(phrases[head]), categories, bool(named), count, picked)
 
 
+def _name_ones(entities: Sequence[_Entity], clusters: Sequence[list[int]], parts: Mapping[int, int]) -> None:
+    """Gives ``the yellow one`` the noun of its plural, or else of the object that is mentioned before it."""
+    for k, one in enumerate(entities):
+        if not one.has_noun or one.categories or one.words.split()[-1] not in ("one", "ones"):
+            continue
+        before = [j for j, other in enumerate(entities) if other.categories and clusters[j][0] < clusters[k][0]]
+        named = parts.get(k, max(before, key=lambda j: clusters[j][0], default=k))
+        one.categories = entities[named].categories
+        one.words = (
+            f"{one.words.rpartition(' ')[0]} {entities[named].words.split()[-1]}".strip() if one.categories else one.words
+        )
+
+
 def _parts(clusters: Sequence[list[int]], start: Scores, entities: Sequence[_Entity]) -> dict[int, int]:
     """The plural that each entity is a part of, by the number of the part."""
     found: dict[int, int] = {}
@@ -190,6 +204,8 @@ class _ObjectList:
             bool(one.said["is_taken"]),
             CHANGES[one.said["change"]],
             noun.mentions,
+            k,
+            one.count == 0 and not _is_one(one),
         )
         self.numbers[k] += range(len(self.objects), len(self.objects) + count)
         self.objects += [found] * count

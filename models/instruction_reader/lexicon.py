@@ -9,7 +9,11 @@ from rapidfuzz.process import extractOne
 
 from models.instruction_reader.nouns import NounPools
 from models.instruction_reader.sentences import split_words
+from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.instructions.wording.words import is_plural, plural
+
+_CLASS_NOUNS = frozenset({"fruit", "toy", "cutlery", "cosmetics", "food", "tableware"})
+"""Classes of the vocabulary whose names are nouns of objects."""
 
 _LEAST = 5  # letters of a noun that is compared with a typing error
 _LONG = 9  # letters from which two errors are accepted
@@ -30,11 +34,15 @@ class Lexicon:
         """Returns the nouns of these categories."""
         return cls({c: pools.nouns.get(c, (c.replace("_", " "),)) for c in categories})
 
+    def _nouns_of(self, category: str) -> tuple[str, ...]:
+        """The nouns of a category, and those of its classes, such as ``fruit``."""
+        return (*self.nouns[category], *(sorted(classes_of(category) & _CLASS_NOUNS)))
+
     @cached_property
     def _by_noun(self) -> dict[str, tuple[str, ...]]:
         found: dict[str, list[str]] = {}
-        for category, nouns in self.nouns.items():
-            for noun in nouns:
+        for category in self.nouns:
+            for noun in self._nouns_of(category):
                 for form in (noun, *(() if is_plural(noun) else (plural(noun),))):
                     spelt = _spelt(split_words(form))
                     found.setdefault(spelt, []).append(category)

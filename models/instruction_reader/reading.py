@@ -16,6 +16,8 @@ class MentionedObject:
         is_taken: Whether it is to be picked up or used, with no place stated.
         change: In an edit ``remove``, ``add`` or ``away``, or empty.
         mentions: Ranges of characters of the text that mention it by a noun, in the order of the text.
+        name: Number of its name; objects of one plural have the same.
+        is_one_of_many: Whether it stands for a plural without a number, of which there may be more.
     """
 
     words: str
@@ -26,6 +28,8 @@ class MentionedObject:
     is_taken: bool = False
     change: str = ""
     mentions: tuple[tuple[int, int], ...] = ()
+    name: int = 0
+    is_one_of_many: bool = False
 
 
 @dataclass(frozen=True, slots=True)

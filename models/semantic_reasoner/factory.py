@@ -76,9 +76,13 @@ def load_reasoner(
     is_closed = engine.kind == "embedded"  # it knows only the words of its training
     dialect = prompt_style_of(settings.dialect, _text(settings.wording), interpret, is_closed)
     tries = settings.tries_with(engine)
-    reasoner = SemanticReasoner(
-        loaded or load_engine(engine), check, tries, engine.reads_reasons, interpret if is_closed else None, dialect
-    )
+    plan_edit = None
+    if is_closed and statistics is not None and interpret is not None:
+        from models.semantic_reasoner.edit_planning.planner import EditPlanner
+
+        plan_edit = EditPlanner(interpret, statistics)
+    own = interpret if is_closed else None
+    reasoner = SemanticReasoner(loaded or load_engine(engine), check, tries, engine.reads_reasons, own, dialect, plan_edit)
     return reasoner, interpret
 
 

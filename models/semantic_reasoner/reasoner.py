@@ -1,6 +1,6 @@
 """The Semantic Reasoner: asks an engine, checks its answers, and asks again after an answer with faults."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -10,7 +10,7 @@ from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
 from models.semantic_reasoner.replies.checks import ReplyFault
 from models.semantic_reasoner.replies.relation_repair import repair_relations
-from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.prompt import ReasonerQuestion, check_instruction
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, renumber_instances
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.random_seeds import named_seed
@@ -148,6 +148,7 @@ class SemanticReasoner:
         tells_reasons: Whether a retry shows the refused answers and the reasons, which large models can use; else a retry asks
             the same question with another seed.
         interpret: Interprets instructions; its notices are those of the proposals. None gives no notices.
+        plan_edit: Returns the reply to an edit without the engine; the engine is asked if it returns None. None asks always.
         dialect: The style of the prompts; by default this project's own.
     """
 
@@ -159,12 +160,13 @@ class SemanticReasoner:
         tells_reasons: bool = False,
         interpret: InstructionInterpreter | None = None,
         dialect: PromptStyle | None = None,
+        plan_edit: Callable[[ReasonerQuestion], LayoutReply | None] | None = None,
     ) -> None:
         self._tries, self._task_tries = (tries, tries) if isinstance(tries, int) else tries
         if min(self._tries, self._task_tries) < 1:
             raise ConfigError(f"tries is {tries}, expected at least 1", "config_invalid")
         self.engine, self._check, self._interpret = engine, check, interpret
-        self._tells_reasons = tells_reasons
+        self._tells_reasons, self._plan_edit = tells_reasons, plan_edit
         self._dialect = dialect or StagedPromptStyle()
 
     def propose(self, questions: Sequence[ReasonerQuestion], seeds: Sequence[int]) -> list[Proposal]:
@@ -191,8 +193,8 @@ class SemanticReasoner:
         def next_request(k: int) -> list[Request]:
             """The next request for a question; none if the question is done."""
             one = pending[k]
-            if one.tries == (self._task_tries if one.question.wanted is Stage.TASK else self._tries):
-                done.append((k, self._final_proposal(one)))
+            if (finished := self._without_engine(one)) is not None:
+                done.append((k, finished))
                 return []
             try:
                 request = self._request(one)
@@ -235,6 +237,19 @@ class SemanticReasoner:
             return _PendingQuestion(question, seed)
         _, notices = self._interpret.table_type(question.table.table_type)
         return _PendingQuestion(question, seed, (*self._interpret(question.instruction, question.edits).notices, *notices))
+
+    def _without_engine(self, pending: _PendingQuestion) -> Proposal | None:
+        """The proposal for a question that has no try left, or for an edit that can be planned; else None."""
+        if pending.tries == (self._task_tries if pending.question.wanted is Stage.TASK else self._tries):
+            return self._final_proposal(pending)
+        if self._plan_edit is None or not pending.question.edits or pending.tries:
+            return None
+        try:
+            check_instruction(pending.question.instruction)
+            reply = self._plan_edit(pending.question)
+        except SceneError as error:
+            return pending.proposal(failure=str(error), code=error.code)
+        return None if reply is None else pending.proposal(reply)
 
     def _request(self, pending: _PendingQuestion) -> Request:
         question = pending.question

@@ -3,7 +3,8 @@
 The rows of a shard depend on the shard alone.
 """
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import ClassVar
@@ -187,10 +188,16 @@ def _replied(edit: EditRequest, shown: EditPrompt, proposal: Proposal | None) ->
         if reply is not None:
             return EditReply(apply_edit(shown, reply), tuple(notices))
         assert proposal is not None
-        code, reason = proposal.code, proposal.failure
+        code, reason = proposal.code, _with_instances(proposal.failure, shown.names)
     except SceneError as error:
         code, reason = error.code, str(error)
     return EditReply(Notice(edit.edit_id, "reply", code or "no_reply", f"{edit.edit_id}: {reason}"), tuple(notices))
+
+
+def _with_instances(text: str, names: Mapping[str, str]) -> str:
+    """A text with the scene's instances in place of their names in the prompt."""
+    instances = {name: instance for instance, name in names.items()}
+    return re.sub(r"\w+", lambda m: instances.get(m[0], m[0]), text)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.reader import InstructionReader
 from models.instruction_reader.reading import InstructionReading
 from models.instruction_reader.reference import reference_of_reading
@@ -76,6 +77,11 @@ class InstructionInterpreter:
         self._statistics, self._encode = statistics, encode
         self._reader = reader or InstructionReader.load(statistics.categories)
         self._interpret = lru_cache(maxsize=4096)(self._interpreted)
+
+    @property
+    def lexicon(self) -> Lexicon:
+        """The nouns of the known categories."""
+        return self._reader.lexicon
 
     def __call__(self, instruction: str, is_edit: bool = False) -> InterpretedInstruction:
         """Returns what an instruction means.

@@ -1,0 +1,300 @@
+"""Plans an edit from the reading of its instruction: the reply of a reasoner that no edit was ever shown to.
+
+What goes, comes, moves, is replaced, restyled or exchanged follows from the reading; which objects are meant, from
+:mod:`models.semantic_reasoner.edit_planning.mention_resolution`. Places are free of other boxes where there is room; the correction
+finds the exact ones. An instruction that states no change gives no plan.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import replace
+
+import numpy as np
+import shapely
+
+from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
+from models.semantic_reasoner.edit_planning.mention_resolution import MentionResolver
+from models.semantic_reasoner.language.category_statistics import LEVELS, CategoryStatistics
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
+from models.semantic_reasoner.replies.places import Place, half_extent, places_beside, places_on_or_in, table_spots
+from models.semantic_reasoner.text.prompt import ReasonerQuestion
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from stable_data.instructions.wording.words import type_words
+from stable_data.scene import Relation, RelationKind, Vec3
+from stable_data.scene_graph.relations import cell_of, yawed_rectangle
+from stable_data.scene_graph.support_from_boxes import carriers_of
+from stable_data.scene_graph.support_tree import SupportTree
+
+_SIDES = (RelationKind.RIGHT_OF, RelationKind.LEFT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND)
+_TOUCHES = 0.002  # metres by which boxes may overlap in height without sharing a place
+_SMALLER, _LARGER = 0.8, 1.25  # factors of the sizes of objects that become smaller or larger
+_SIZE_WORDS = {
+    **dict.fromkeys(("smaller", "shorter", "tiny", "mini", "small", "little"), _SMALLER),
+    **dict.fromkeys(("bigger", "larger", "taller", "huge", "giant", "big", "large", "oversized"), _LARGER),
+}
+_NO_LOOK = frozenset(
+    {"a", "an", "the", "into", "in", "to", "of", "more", "much", "rather", "something", "instead", "one", "it"}
+)
+"""Words of a new look that describe nothing."""
+
+
+class EditPlanner:
+    """Plans edits.
+
+    Args:
+        interpret: Interprets instructions.
+        statistics: The usual sizes of categories.
+    """
+
+    def __init__(self, interpret: InstructionInterpreter, statistics: CategoryStatistics) -> None:
+        self._interpret, self._statistics = interpret, statistics
+
+    def __call__(self, question: ReasonerQuestion) -> LayoutReply | None:
+        """Returns the reply to an edit, or None if its instruction states no change that is understood.
+
+        Raises:
+            SceneError: An object that the edit needs is not in the layout (``object_missing``), or several fit (``ambiguous``).
+        """
+        meant = self._interpret(question.instruction, is_edit=True)
+        plan = _Plan(question, self._statistics)
+        objects, reading = meant.reading.objects, meant.reading
+        resolver = MentionResolver(
+            question.instruction, reading, list(plan.objects.values()), question.table, self._interpret.lexicon
+        )
+        goals = [r for r in reading.goal if not {r.subject, r.target} <= resolver.new or r.kind == "style"]
+        acted = {k for k, o in enumerate(objects) if o.change or o.goal_region}
+        needed = acted | {n for r in goals for n in (r.subject, r.target)}
+        if not needed:
+            return None
+        meanings = resolver.resolve(needed)
+        for k in resolver.new:
+            if objects[k].categories and not any(r.kind == "style" and r.target == k for r in goals):
+                meanings[k] = (plan.create(objects[k]),)
+        for r in goals:
+            self._apply(plan, r.kind, meanings.get(r.subject, ()), meanings.get(r.target, ()), objects[r.target])
+        for k, o in enumerate(objects):
+            for name in meanings.get(k, ()) if o.change == "remove" else ():
+                plan.remove(name)
+        for name, wanted in _moves(reading, goals, meanings, resolver.new, plan.placed).items():
+            if name not in plan.removed:
+                plan.move(name, wanted)
+        return plan.reply()
+
+    def _apply(
+        self,
+        plan: "_Plan",
+        kind: str,
+        subjects: Sequence[str],
+        targets: Sequence[str],
+        look: MentionedObject,
+    ) -> None:
+        """Applies a replacement, a new look or an exchange."""
+        match kind:
+            case "replace":
+                for new, old in zip(subjects, targets, strict=False):
+                    plan.put_in_place(new, old)
+            case "style":
+                for name in subjects:
+                    plan.restyle(name, look.words)
+            case "swap" if subjects and targets and subjects[0] < targets[0]:
+                plan.exchange(subjects[0], targets[0])
+            case _:
+                pass
+
+
+def _moves(
+    reading: InstructionReading,
+    goals: Sequence[MentionedRelation],
+    meanings: Mapping[int, Sequence[str]],
+    new: frozenset[int],
+    placed: Set[str],
+) -> dict[str, list[tuple[str, Sequence[str]]]]:
+    """The wanted relations of each object that moves: their kinds and the instances of their targets."""
+    objects = reading.objects
+    moves: dict[str, list[tuple[str, Sequence[str]]]] = {}
+    for r in goals:
+        subject, target, kind = r.subject, r.target, r.kind
+        if kind in ("replace", "style", "swap"):
+            continue
+        if kind in ("left", "front") and _moves_later(objects, subject, target, new):
+            subject, target, kind = target, subject, {"left": "right", "front": "behind"}[kind]
+        for name in meanings.get(subject, ()):
+            moves.setdefault(name, []).append((kind, meanings.get(target, ())))
+    for name, o in ((name, o) for k, o in enumerate(objects) for name in meanings.get(k, ())):
+        if o.goal_region and name not in moves:
+            moves[name] = [("at", (o.goal_region,))]
+        elif o.change in ("away", "add") and name not in moves and name not in placed:
+            moves[name] = [("away", ())]
+    return moves
+
+
+def _moves_later(objects: Sequence[MentionedObject], subject: int, target: int, new: frozenset[int]) -> bool:
+    """Whether the target of a directional relation is the object that moves: it is new, or it is mentioned first."""
+    if (subject in new) != (target in new):
+        return target in new
+    first = [min((start for start, _ in objects[k].mentions), default=math.inf) for k in (subject, target)]
+    return first[1] < first[0]
+
+
+class _Plan:
+    """A layout while an edit changes it."""
+
+    def __init__(self, question: ReasonerQuestion, statistics: CategoryStatistics) -> None:
+        self._question, self._statistics, self._table = question, statistics, question.table
+        self.objects = {o.instance: o.to_scene_object() for o in question.layout}
+        self._entries = {o.instance: o for o in question.layout}
+        self.removed: list[str] = []
+        self.placed: set[str] = set()
+        self._new: set[str] = set()
+
+    def reply(self) -> LayoutReply | None:
+        """The reply; None if nothing changes."""
+        was = {o.instance: o for o in self._question.layout}
+        there = [o for name, o in self._entries.items() if name not in self.removed]
+        changed = tuple(o for o in there if was.get(o.instance) != o)
+        return LayoutReply(changed, tuple(self.removed)) if changed or self.removed else None
+
+    def remove(self, name: str) -> None:
+        if name not in self.removed:
+            self.removed.append(name)
+            self.objects.pop(name, None)
+
+    def create(self, one: MentionedObject) -> str:
+        """Adds an object of the usual size, not yet placed."""
+        known = [c for c in one.categories if c in self._statistics.categories and self._statistics.categories[c].sizes]
+        category = max(known, key=lambda c: self._statistics.categories[c].count, default=one.categories[0])
+        used = {name for name in self._entries if name.rpartition("_")[0] == category}
+        name = next(f"{category}_{k}" for k in range(len(used) + 1) if f"{category}_{k}" not in used)
+        size: Vec3 = (0.1, 0.1, 0.1)
+        if known:
+            size = self._statistics.categories[category].sizes[LEVELS.index(0.5)]
+        width, depth = self._table.size_xy
+        w, d, h = (round(100 * side, 1) for side in size)
+        article = "an" if one.words[:1] in "aeiou" else "a"
+        entry = LayoutObject(name, f"{article} {one.words}", (w, d, h), (50 * width, 50 * depth, h / 2), 0)
+        self._entries[name], self.objects[name] = entry, entry.to_scene_object()
+        self._new.add(name)
+        return name
+
+    def restyle(self, name: str, look: str) -> None:
+        entry = self._entries[name]
+        words = [word for word in look.split() if word not in _NO_LOOK]
+        factor = next((_SIZE_WORDS[word] for word in words if word in _SIZE_WORDS), 1.0)
+        w, d, h = (round(side * factor, 1) for side in entry.size_cm)
+        x, y, z = entry.position_cm
+        noun = " ".join(type_words(entry.category))
+        described = f"a {' '.join(words)} {noun}" if words else entry.description
+        place = (x, y, round(z + (h - entry.size_cm[2]) / 2, 1))
+        self._store(replace(entry, description=described, size_cm=(w, d, h), position_cm=place))
+
+    def exchange(self, one: str, other: str) -> None:
+        a, b = self.objects[one], self.objects[other]
+        self._put(one, (b.position[0], b.position[1], b.bottom + a.size[2] / 2))
+        self._put(other, (a.position[0], a.position[1], a.bottom + b.size[2] / 2))
+
+    def put_in_place(self, new: str, old: str) -> None:
+        was = self.objects.get(old)
+        if was is None:
+            return
+        self.remove(old)
+        x, y, _ = was.position
+        self._put(new, (x, y, was.bottom + self.objects[new].size[2] / 2))
+
+    def move(self, name: str, wanted: Sequence[tuple[str, Sequence[str]]]) -> None:
+        """Moves an object to a free place for which the first of the wanted relations holds, and the others if possible."""
+        carriers = carriers_of(list(self.objects.values()), self._table)
+        kinds = sorted(wanted, key=lambda one: one[0] == "near")
+        candidates = list(self._places(name, kinds[0], carriers))
+        if not candidates:
+            return
+        rest = kinds[1:]
+        scored = [(self._is_taken(name, place, kinds[0], carriers), self._misses(name, place, rest)) for place in candidates]
+        best = min(range(len(candidates)), key=lambda k: (scored[k][0], scored[k][1], k))
+        self._put(name, candidates[best])
+
+    def _places(
+        self, name: str, wanted: tuple[str, Sequence[str]], carriers: dict[str, str | None]
+    ) -> Iterator[tuple[float, float, float]]:
+        kind, targets = wanted
+        there = [t for t in targets if t in self.objects and t != name]
+        if kind == "at":
+            yield from (place for cell in targets for place in self._in_cell(name, cell))
+        elif kind == "between" and len(there) > 1:
+            low = max(0.0, min(self.objects[t].bottom for t in there))
+            middle = np.mean([self.objects[t].position[:2] for t in there], axis=0)
+            yield float(middle[0]), float(middle[1]), low + self.objects[name].size[2] / 2
+        elif kind in ("in", "on"):
+            for target in there:
+                relation = RelationKind.IN if kind == "in" else RelationKind.ON
+                yield from self._of_mover(name, places_on_or_in(self.objects[name], self.objects[target], relation))
+        elif there:
+            sides = {
+                "left": (RelationKind.LEFT_OF,),
+                "right": (RelationKind.RIGHT_OF,),
+                "front": (RelationKind.IN_FRONT_OF,),
+                "behind": (RelationKind.BEHIND,),
+            }.get(kind, _SIDES)
+            for side in sides:
+                beside = places_beside(Relation(name, side, there[0]), self.objects, carriers)
+                yield from self._of_mover(name, beside)
+        else:
+            yield from self._elsewhere(name)
+
+    @staticmethod
+    def _of_mover(name: str, places: Iterable[Place]) -> Iterator[tuple[float, float, float]]:
+        return (place for mover, place in places if mover == name)
+
+    def _in_cell(self, name: str, cell: str) -> Iterator[tuple[float, float, float]]:
+        o, size = self.objects[name], np.array(self._table.size_xy)
+        half = half_extent(o)
+        for spot in table_spots(size):
+            x, y = np.clip(np.array(spot), half, np.maximum(half, size - half))
+            if cell_of((float(x), float(y)), self._table.size_xy) == cell:
+                yield float(x), float(y), o.size[2] / 2
+
+    def _elsewhere(self, name: str) -> Iterator[tuple[float, float, float]]:
+        """Places on the table, the nearest first; those of an object that is there already are a hand's breadth away."""
+        o, size = self.objects[name], np.array(self._table.size_xy)
+        half = half_extent(o)
+        spots = (np.clip(np.array(spot), half, np.maximum(half, size - half)) for spot in table_spots(size))
+        far = sorted((math.dist(spot, o.position[:2]), *map(float, spot)) for spot in spots)
+        for distance, x, y in far:
+            if name in self._new or distance > 0.1:
+                yield x, y, o.size[2] / 2
+
+    def _is_taken(
+        self, name: str, place: tuple[float, float, float], wanted: tuple[str, Sequence[str]], carriers: dict[str, str | None]
+    ) -> float:
+        """How much of an object's outline would be off the table or share its place with other objects, square metres."""
+        moved = replace(self.objects[name], position=place)
+        outline = shapely.Polygon(yawed_rectangle(moved))
+        width, depth = self._table.size_xy
+        lost = outline.area - outline.intersection(shapely.box(0, 0, width, depth)).area
+        below = set(wanted[1]) if wanted[0] in ("in", "on") else set()
+        own = SupportTree(carriers).with_descendants({name})
+        for other, o in self.objects.items():
+            if other in own or other in below or other in self._new - self.placed:
+                continue
+            if moved.bottom < o.top - _TOUCHES and o.bottom < moved.top - _TOUCHES:
+                lost += outline.intersection(shapely.Polygon(yawed_rectangle(o))).area
+        return round(float(lost), 5)
+
+    def _misses(self, name: str, place: tuple[float, float, float], wanted: Sequence[tuple[str, Sequence[str]]]) -> float:
+        """How far a place is from the targets of further relations, metres."""
+        targets = [self.objects[t] for _, names in wanted for t in names if t in self.objects]
+        return round(sum(math.dist(place[:2], t.position[:2]) for t in targets), 2)
+
+    def _put(self, name: str, place: tuple[float, float, float]) -> None:
+        x, y, z = (round(100 * float(value), 1) + 0.0 for value in place)
+        self._store(replace(self._entries[name], position_cm=(x, y, z)))
+        self.placed.add(name)
+
+    def _store(self, entry: LayoutObject) -> None:
+        was = self.objects[entry.instance]
+        self._entries[entry.instance] = entry
+        self.objects[entry.instance] = entry.to_scene_object()
+        step = np.subtract(self.objects[entry.instance].position, was.position)
+        carriers = carriers_of([was, *(o for o in self.objects.values() if o.instance != entry.instance)], self._table)
+        for name in SupportTree(carriers).with_descendants({entry.instance}) - {entry.instance}:
+            x, y, z = (float(v) for v in np.add(self.objects[name].position, step))
+            self.objects[name] = replace(self.objects[name], position=(x, y, z))  # apply_edit moves it with its support

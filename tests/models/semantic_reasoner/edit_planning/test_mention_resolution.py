@@ -1,0 +1,83 @@
+"""Which objects of a layout are meant; the readings are made by hand."""
+
+import pytest
+
+from models.instruction_reader.lexicon import Lexicon
+from models.instruction_reader.nouns import read_nouns
+from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
+from models.semantic_reasoner.edit_planning.mention_resolution import AMBIGUOUS, MISSING, MentionResolver, gap_between
+from stable_data.errors import SceneError
+from stable_data.scene import SceneObject, Tabletop
+
+TABLE = Tabletop("office_table", (1.2, 0.6))
+LEXICON = Lexicon.of(read_nouns(), read_nouns().nouns)
+
+
+def box(instance: str, x: float, y: float, bottom: float = 0.0, height: float = 0.1, words: str = "") -> SceneObject:
+    category = instance.rpartition("_")[0]
+    size = (0.3, 0.2, 0.02) if category == "serving_tray" else (0.08, 0.08, height)
+    return SceneObject(instance, category, (x, y, bottom + size[2] / 2), 0.0, size, description=words or f"a {category}")
+
+
+LAYOUT = (
+    box("mug_0", 0.2, 0.3, words="a red mug"),
+    box("mug_1", 0.7, 0.3, bottom=0.02, words="a blue mug"),
+    box("serving_tray_0", 0.7, 0.3),
+    box("candle_0", 1.0, 0.5, height=0.1),
+    box("candle_1", 1.1, 0.1, height=0.2),
+    box("can_0", 0.4, 0.1, words="a can of pickled gherkins"),
+)
+
+
+def mentioned(words: str, *categories: str, name: int = 0, text: str = "", **more: object) -> MentionedObject:
+    start = text.find(words)
+    mentions = ((start, start + len(words)),) if start >= 0 and text else ()
+    return MentionedObject(words, categories, name=name, mentions=mentions, **more)  # type: ignore[arg-type]
+
+
+def resolve(*objects: MentionedObject, start: tuple[tuple[int, str, int], ...] = (), text: str = "") -> tuple[str, ...]:
+    reading = InstructionReading(objects, tuple(MentionedRelation(*r) for r in start))
+    return MentionResolver(text, reading, LAYOUT, TABLE, LEXICON).resolve([0])[0]
+
+
+def test_an_object_is_found_by_its_category_colour_place_and_relations() -> None:
+    tray = mentioned("tray", "serving_tray", "decor_tray", name=1)
+    assert resolve(tray) == ("serving_tray_0",)
+    assert resolve(mentioned("red mug", "mug")) == ("mug_0",)
+    assert resolve(mentioned("mug", "mug"), tray, start=((0, "on", 1),)) == ("mug_1",)
+    assert resolve(mentioned("mug", "mug", region="middle_left")) == ("mug_0",)
+    assert resolve(mentioned("candle", "candle", region="front_right")) == ("candle_1",)
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"), [("taller candle", "candle_1"), ("shortest candle", "candle_0"), ("left candle", "candle_0")]
+)
+def test_a_superlative_picks_one_of_several(words: str, meant: str) -> None:
+    assert resolve(mentioned(words, "candle")) == (meant,)
+
+
+def test_a_noun_without_a_category_is_looked_for_in_descriptions() -> None:
+    assert resolve(mentioned("gherkins")) == ("can_0",)
+
+
+def test_a_plural_without_a_number_means_all() -> None:
+    assert resolve(mentioned("mugs", "mug", is_one_of_many=True)) == ("mug_0", "mug_1")
+    assert resolve(mentioned("mug", "mug"), mentioned("mug", "mug")) == ("mug_0", "mug_1")
+
+
+def test_several_that_fit_are_named_and_any_is_enough_for_an_indefinite_article() -> None:
+    with pytest.raises(SceneError, match="mug_0, mug_1") as caught:
+        resolve(mentioned("mug", "mug"))
+    assert caught.value.code == AMBIGUOUS
+    assert resolve(mentioned("mug", "mug", text="Remove a mug."), text="Remove a mug.") == ("mug_0",)
+
+
+def test_what_is_not_there_is_said() -> None:
+    with pytest.raises(SceneError, match="no object of the layout is 'violin'; it has mug_0") as caught:
+        resolve(mentioned("violin"))
+    assert caught.value.code == MISSING
+
+
+def test_the_gap_of_boxes() -> None:
+    assert gap_between(LAYOUT[0], LAYOUT[1]) == pytest.approx(0.42)
+    assert gap_between(LAYOUT[1], LAYOUT[2]) == 0.0

@@ -1,0 +1,90 @@
+"""Edits that are planned from their instructions, read by the shipped reader."""
+
+import pytest
+
+from models.semantic_reasoner.edit_planning.planner import EditPlanner
+from models.semantic_reasoner.language.interpreter import InstructionInterpreter
+from models.semantic_reasoner.reasoner import SemanticReasoner
+from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from stable_data.errors import SceneError
+from tests.models.semantic_reasoner.language.known_categories import STATISTICS, ask, interpreter, thing
+
+RED, BLUE = (
+    LayoutObject("mug_0", "a red mug", (8.0, 8.0, 9.5), (30.0, 30.0, 4.8), 0),
+    LayoutObject("mug_1", "a blue mug", (8.0, 8.0, 9.5), (90.0, 20.0, 4.8), 0),
+)
+PLATE, TRAY = thing("plate_0", 60, 30), thing("serving_tray_0", 95, 42)
+LAYOUT = (RED, BLUE, PLATE, TRAY)
+
+
+def plan(instruction: str) -> LayoutReply | None:
+    return EditPlanner(interpreter(), STATISTICS)(ask(instruction, "edit", LAYOUT))
+
+
+def planned(instruction: str) -> LayoutReply:
+    found = plan(instruction)
+    assert found is not None
+    return found
+
+
+def test_an_object_goes() -> None:
+    assert planned("Remove the red mug.") == LayoutReply((), ("mug_0",))
+
+
+def test_an_object_moves_beside_another_one() -> None:
+    (moved,) = planned("Move the red mug to the left of the plate.").objects
+    assert moved.instance == "mug_0"
+    dx, dy = moved.position_cm[0] - PLATE.position_cm[0], moved.position_cm[1] - PLATE.position_cm[1]
+    assert dx < -abs(dy)
+    assert abs(dx) >= 17.0  # the boxes do not overlap
+
+
+def test_an_object_moves_onto_another_one() -> None:
+    (moved,) = planned("Put the blue mug on the plate.").objects
+    assert moved.instance == "mug_1"
+    assert moved.position_cm[2] == pytest.approx(2.0 + 4.8, abs=0.1)
+
+
+def test_an_object_comes_with_the_usual_size() -> None:
+    (new,) = planned("Add an apple to the right of the plate.").objects
+    assert new.instance == "apple_0"
+    assert new.position_cm[0] > PLATE.position_cm[0]
+    assert new.size_cm == pytest.approx((8.0, 8.0, 8.0), abs=0.1)
+
+
+def test_an_object_takes_the_place_of_another_one() -> None:
+    found = planned("Replace the plate with a laptop.")
+    assert found.removed == ("plate_0",)
+    assert [(o.instance, o.position_cm[:2]) for o in found.objects] == [("laptop_0", (60.0, 30.0))]
+
+
+def test_an_object_gets_another_look() -> None:
+    (changed,) = planned("Make the red mug green.").objects
+    assert (changed.instance, changed.position_cm) == ("mug_0", RED.position_cm)
+    assert "green" in changed.description
+
+
+def test_several_that_fit_are_asked_back() -> None:
+    with pytest.raises(SceneError, match="mug_0, mug_1") as caught:
+        plan("Remove the mug.")
+    assert caught.value.code == "ambiguous"
+
+
+def test_no_change_is_no_plan() -> None:
+    assert plan("What a lovely day it is.") is None
+
+
+def test_the_reasoner_asks_its_engine_only_where_there_is_no_plan() -> None:
+    class NoEngine:
+        def complete(self, _: object) -> list[object]:
+            raise AssertionError("the engine is asked")
+
+    planner = EditPlanner(InstructionInterpreter(STATISTICS), STATISTICS)
+    reasoner = SemanticReasoner(NoEngine(), plan_edit=planner)  # type: ignore[arg-type]
+    clear, several = reasoner.propose(
+        [ask(text, "edit", LAYOUT) for text in ("Remove the red mug.", "Remove the mug.")], [0, 1]
+    )
+    assert clear.reply == LayoutReply((), ("mug_0",))
+    assert (several.reply, several.code) == (None, "ambiguous")
+    with pytest.raises(AssertionError, match="the engine is asked"):
+        reasoner.propose([ask("What a lovely day it is.", "edit", LAYOUT)], [0])
