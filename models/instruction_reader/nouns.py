@@ -57,6 +57,11 @@ _POOLS: Mapping[str, tuple[str, ...]] = {
 }
 
 
+def is_hollow(category: str) -> bool:
+    """Returns whether objects are in an object of a category rather than on it."""
+    return category in _POOLS["container"] and category not in _POOLS["carrier"]
+
+
 @dataclass(frozen=True)
 class NounPools:
     """The nouns by pool.

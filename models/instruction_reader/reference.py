@@ -1,5 +1,6 @@
 """What a scene must have so that an instruction makes sense in it: the required objects, and the relations of its start."""
 
+from models.instruction_reader.nouns import is_hollow
 from models.instruction_reader.reading import InstructionReading
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject
@@ -42,5 +43,6 @@ def reference_of_reading(
             entailed.append(Relation(str(k), RelationKind.IS_AT, o.region))
         if o.is_filled and str(k) not in held:
             required.append(RequiredObject(f"content of {k}", ()))
-            entailed.append(Relation(f"content of {k}", RelationKind.ON, str(k)))  # what is in an object is accepted as on it
+            kind = RelationKind.IN if all(map(is_hollow, o.categories)) else RelationKind.ON
+            entailed.append(Relation(f"content of {k}", kind, str(k)))
     return AlignmentReference(name, tuple(required), tuple(entailed))
