@@ -27,6 +27,16 @@ _PRONOUNS = frozenset(
 _LAST = frozenset({"back", "bottom", "last", "lower", "lowest", "outer", "rear", "rearmost", "right", "rightmost"})
 """Words of the last object of a stack, nest, row or file."""
 
+_ROWS = {
+    **dict.fromkeys(("front", "near", "nearest", "closest", "closer"), "front"),
+    **dict.fromkeys(("back", "rear", "far", "farthest", "furthest", "farther"), "back"),
+}
+_COLUMNS = {"left": "left", "leftmost": "left", "right": "right", "rightmost": "right"}
+_CENTRE = frozenset({"centre", "center", "middle", "central"})
+"""Words of rows and columns of the table."""
+
+_CELL_GAP = 3  # words between two that mean one cell, as in "the middle of the front edge"
+
 _SAME = 0.5
 _PART = 0.5
 _HOLDS = 0.5
@@ -87,6 +97,7 @@ def decode(
     nouns = [_noun(phrase, lexicon) for phrase in phrases]
     clusters = _clusters(start, nouns, [phrase[-1] for phrase in phrases])
     ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
+    said = {**said, **{name: _of_spoken_cells(said[name], words) for name in ("region", "goal_region")}}
     entities = [_entity(cluster, phrases, nouns, said, ranges) for cluster in clusters]
     parts = _parts(clusters, start, entities)
     _name_ones(entities, clusters, parts)
@@ -96,6 +107,31 @@ def decode(
     relations = [*_expanded(found, made.numbers), *_groups(entities, made.numbers)]
     kept, contradictions = _consistent(relations)
     return InstructionReading(tuple(made.objects), kept, tuple(_expanded(aims, made.numbers)), contradictions)
+
+
+def _of_spoken_cells(scores: Scores, words: Sequence[str]) -> Scores:
+    """The probabilities of cells of the table, without the cells that no words mean: frames teach each cell in few words."""
+    spoken = _spoken_cells(words)
+    is_spoken = np.array([cell in spoken for cell in CELLS], bool)
+    likely = scores + (scores[:, :1] < _HOLDS) * is_spoken  # a place that is not "none" is one of those that are spoken of
+    return np.where(is_spoken | (np.arange(len(CELLS)) == 0), likely, 0).astype(np.float32)
+
+
+def _spoken_cells(words: Sequence[str]) -> set[str]:
+    """The cells that words of rows and columns mean; words that stand close together mean one cell."""
+    found: set[str] = set()
+    row = column = ""
+    last = -1
+    for k, word in enumerate([*words, "", "", "", "left"]):  # the last one closes the run before it
+        if word not in _ROWS and word not in _COLUMNS and word not in _CENTRE:
+            continue
+        is_far = k - last > _CELL_GAP or (word in _ROWS and row not in ("", "middle")) or (word in _COLUMNS and column)
+        if last >= 0 and is_far:
+            found.add(f"{row or 'middle'}_{column or 'middle'}")
+            row = column = ""
+        row, column = _ROWS.get(word, row), _COLUMNS.get(word, column)
+        last = k
+    return found
 
 
 def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...]]:

@@ -29,6 +29,12 @@ def reader_fingerprint() -> str:
     return content_id(hashlib.sha256(DEFAULT_WEIGHTS.read_bytes()).hexdigest(), asdict(read_nouns()))
 
 
+@lru_cache(maxsize=1)
+def _opened(path: Path) -> tuple[ReaderModel, Spelling]:
+    model = load_reader(path)
+    return model, Spelling.of(read_frames(), read_nouns(), model.tokens.whole_words)
+
+
 class InstructionReader:
     """Reads instructions.
 
@@ -52,8 +58,8 @@ class InstructionReader:
         Raises:
             ConfigError: The weights cannot be read.
         """
-        nouns, model = read_nouns(), load_reader(path)
-        return cls(model, Lexicon.of(nouns, categories), Spelling.of(read_frames(), nouns, model.tokens.whole_words))
+        model, spelling = _opened(path)
+        return cls(model, Lexicon.of(read_nouns(), categories), spelling)
 
     def knows(self, word: str) -> bool:
         """Returns whether a word in lower case, or its stem, is one of the words of the training or of the nouns."""

@@ -34,6 +34,7 @@ _ENDINGS = (
 _LEAST = 4  # letters of a word that is compared
 _LONG = 8  # letters from which any two errors are mended; in shorter words two vowels may be wrong
 _CANDIDATES = 12
+_SEVERAL = 3  # occurrences of a word that is not foreign
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,8 @@ class Spelling:
         return [self._mended(word) for word in words]
 
     def is_frequent(self, word: str) -> bool:
-        """Returns whether a word or its stem is a word of frames, phrases and nouns."""
-        return any(stem in self.frequent for stem in _stems(word))
+        """Returns whether a word or its stem occurs several times in frames, phrases and nouns; some frames have foreign words."""
+        return any(self.frequent.get(stem, 0) >= _SEVERAL for stem in _stems(word))
 
     def _is_known(self, word: str) -> bool:
         """Whether a word or its stem is known; so is ``theyre``, which lacks an apostrophe."""

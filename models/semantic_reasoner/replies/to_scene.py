@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.interpreter import (
     InstructionInterpreter,
     compare_with_instruction,
@@ -67,10 +68,10 @@ def _stages(
     objects: tuple[SceneObject, ...], question: ReasonerQuestion, interpret: InstructionInterpreter | None
 ) -> Mapping[str, Stage | None]:
     """The stages of a whole layout."""
-    task_objects: tuple[str, ...] = ()
-    if interpret is not None:
-        found, _ = compare_with_instruction(objects, question.table, interpret(question.instruction))
-        task_objects = () if found is None else tuple(name for _, name in found.matches)
+    if interpret is None:
+        interpret = InstructionInterpreter(CategoryStatistics.of_names(o.category for o in objects))
+    found, _ = compare_with_instruction(objects, question.table, interpret(question.instruction))
+    task_objects = () if found is None else tuple(name for _, name in found.matches)
     if not task_objects:
         return dict.fromkeys((o.instance for o in objects), Stage.TASK)
     task = TaskInfo("", question.instruction, task_objects=task_objects)

@@ -115,9 +115,16 @@ def test_unlike_nouns_are_not_one_object() -> None:
 
 
 def test_regions_and_unknown_objects() -> None:
-    found = read("violin", "mug", said={1: ("region", CELLS.index("back_left"))})
+    found = read("violin", "left mug at the back", said={1: ("region", CELLS.index("back_left"))})
     assert [o.words for o in found.unknown] == ["violin"]
     assert found.objects[1].region == "back_left"
+
+
+def test_a_cell_is_one_that_the_words_mean() -> None:
+    wrong = {1: ("region", CELLS.index("front_right"))}
+    assert read("violin", "mug in the back left corner", said=wrong).objects[1].region == "back_left"
+    assert read("violin", "mug at the middle of the front edge", said=wrong).objects[1].region == "front_middle"
+    assert read("violin", "mug", said=wrong).objects[1].region == ""
 
 
 def test_no_mention_is_no_object() -> None:

@@ -166,21 +166,21 @@ def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
     one, other = two_side_by_side(shelf, tmp_path / "script.json")
     asked = tasks(
         f"The {one} is to the left of the {other}. Move it behind.",
-        f"The {one} is to the left of the {other} and to the right of the {other}. Move it behind.",
-        f"The {one} is on the {other} and the {other} is on the {one}. Take both away.",
+        f"The {one} is on the {other} and the {other} is on the {one}. Clear up.",
         f"Lift the {one} that is in the back right corner.",
     )
     reads = ReasonerSettings(statistics=str(EMBEDDED), tries=1)
     own = replace(settings, engine=EngineSettings(f"scripted:{tmp_path / 'script.json'}"), reasoner=reads)
     generate(asked, str(tmp_path / "out"), own, ALONE, [str(dataset)])
-    assert len(rows_of(tmp_path / "out", "scenes")) == 4
+    assert len(rows_of(tmp_path / "out", "scenes")) == 3
     named = [row["id"] for row in rows_of(tmp_path / "out", "warnings") if row["code"] == "not_as_said"]
-    assert set(named) == {"task_1", "task_2", "task_3"}
+    assert set(named) == {"task_1", "task_2"}
+    assert [row["id"] for row in rows_of(tmp_path / "out", "warnings") if row["code"] == "contradiction"] == []
     held = {row["scene_id"]: row["aws_understood"] for row in rows_of(tmp_path / "out", "scenes")}
     assert {row["aws"] for row in rows_of(tmp_path / "out", "scenes")} == {None}  # tasks of a user have no labels
     # Nothing is in the corner, so no words of the last say which thing is meant: that is a claim that does not hold all the
     # same.
-    assert [held[f"task_{k}"] for k in range(4)] == [1.0, 0.5, 0.5, 0.0]
+    assert [held[f"task_{k}"] for k in range(3)] == [1.0, 0.5, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_an_instruction_that_says_nothing_of_the_start_is_accepted_where_the_rul
     asked = tasks(
         f"Lift the {one}.",
         f"The {one} is to the left of the {other}. Move it behind.",
-        f"The {one} is to the left of the {other} and to the right of the {other}. Move it behind.",
+        f"The {one} is on the {other} and the {other} is on the {one}. Clear up.",
     )
     own = replace(
         settings,

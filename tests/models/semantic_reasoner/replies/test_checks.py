@@ -202,33 +202,26 @@ def test_a_later_stage_does_not_undo_what_the_instruction_says() -> None:
     assert faults(thing("apple_0", 10, 10), of=never) == []  # it was not so before
 
 
-def test_some_of_a_stuff_is_not_a_thing_that_is_there() -> None:
-    far = (PLATE, thing("mug_0", 10, 10))
-    assert soft(*far, of=ask("Take the mug from the plate.")) == {"relation_not_held"}
-    assert faults(*far, of=ask("Get me some mug from the plate.")) == []
-
-
 def test_what_shall_be_emptied_is_not_empty() -> None:
     said = ask("Take everything off the plate.")
     (found,) = faults(PLATE, MUG, of=said)
     assert (found.code, found.is_hard) == ("relation_not_held", False)
-    assert found.message == "the instruction says something on plate_0; place them so"
+    assert found.message == "the instruction says mug_0 on plate_0; place them so"
     assert faults(PLATE, thing("mug_0", 70, 30, bottom=2.0), of=said) == []
 
 
-def test_a_contradiction_names_what_is_not_met() -> None:
+def test_of_a_contradiction_the_likelier_relation_is_required() -> None:
     said = ask("The mug is on the plate and the plate is on the mug. Clear up.")
-    found = faults(PLATE, thing("mug_0", 70, 30, bottom=2.0), of=said)
-    assert [(f.code, f.is_hard) for f in found] == [("relation_not_held", False)]
-    assert found[0].message == "the instruction says plate_0 on mug_0; place them so"
+    assert faults(PLATE, thing("mug_0", 70, 30, bottom=2.0), of=said) == []
+    assert soft(PLATE, MUG, of=said) == {"relation_not_held"}
 
 
 def test_what_is_missing_is_said_with_what_would_do() -> None:
     (found,) = faults(thing("apple_0", 30, 30), thing("cup_0", 60, 30), of=ask("Put both cups away."))
-    assert found == ReplyFault("required_missing", 'the instruction mentions "cups": give 2 (cup or mug or teacup), 1 found')
+    assert found == ReplyFault("required_missing", "the instruction requires cup or mug or pen holder or teacup: give 1 more")
 
 
-@pytest.mark.parametrize("instruction", ["", "mug " * 10_000, "把杯子放在盘子上", "Lege die Tasse auf den Teller."])
+@pytest.mark.parametrize("instruction", ["", "123 " * 10_000, "把杯子放在盘子上", "Lege die Tasse auf den Teller."])
 def test_any_instruction_is_checked(instruction: str) -> None:
     asked = replace(ask(), instruction=instruction)
     assert faults(MUG, of=asked) == []

@@ -66,7 +66,6 @@ def test_what_shall_be_emptied_gets_something() -> None:
 
 
 def test_what_cannot_be_put_right_is_left_to_others() -> None:
-    assert righted([PLATE, MUG], ask("The mug is on the plate and the plate is on the mug. Clear up.")) is None
     aside = ask("Take the mug off the plate.")
     assert righted([replace(PLATE, position_cm=(300.0, 30.0, 1.0)), MUG], aside) is None  # it is not its only fault
     narrow = ask("The mug is to the left of the plate. Lift it.", size_xy=(0.28, 0.3))
