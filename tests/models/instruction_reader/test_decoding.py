@@ -115,7 +115,7 @@ def test_unlike_nouns_are_not_one_object() -> None:
 
 
 def test_regions_and_unknown_objects() -> None:
-    found = read("violin", "left mug at the back", said={1: ("region", CELLS.index("back_left"))})
+    found = read("violin", "mug at the back left", said={1: ("region", CELLS.index("back_left"))})
     assert [o.words for o in found.unknown] == ["violin"]
     assert found.objects[1].region == "back_left"
 
