@@ -35,6 +35,8 @@ _COLUMNS = {"left": "left", "leftmost": "left", "right": "right", "rightmost": "
 _CENTRE = frozenset({"centre", "center", "middle", "central"})
 """Words of rows and columns of the table."""
 
+_AT_EDGE = frozenset({"corner", "edge", "end", "left", "right", "side"})  # words after "near" and "far" that mean a row
+
 _CELL_GAP = 3  # words between two that mean one cell, as in "the middle of the front edge"
 
 _SAME = 0.5
@@ -124,6 +126,8 @@ def _spoken_cells(words: Sequence[str]) -> set[str]:
     last = -1
     for k, word in enumerate([*words, "", "", "", "left"]):  # the last one closes the run before it
         if word not in _ROWS and word not in _COLUMNS and word not in _CENTRE:
+            continue
+        if word in ("near", "far") and not (k + 1 < len(words) and words[k + 1] in _AT_EDGE):
             continue
         is_far = k - last > _CELL_GAP or (word in _ROWS and row not in ("", "middle")) or (word in _COLUMNS and column)
         if last >= 0 and is_far:

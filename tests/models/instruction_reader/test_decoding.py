@@ -18,9 +18,10 @@ def read(
     goal: str = "",
     counts: dict[int, int] | None = None,
     said: dict[int, tuple[str, int]] | None = None,
+    more: str = "",
 ) -> InstructionReading:
-    """Decodes mentions with facts such as ``0 in 1, 2 same 0``."""
-    words = [word for phrase in phrases for word in (*phrase.split(), ",")]
+    """Decodes mentions, and more words, with facts such as ``0 in 1, 2 same 0``."""
+    words = [word for phrase in (*phrases, more) for word in (*phrase.split(), ",")]
     spans, first = [], 0
     for phrase in phrases:
         spans.append((first, first + len(phrase.split()) - 1))
@@ -115,16 +116,18 @@ def test_unlike_nouns_are_not_one_object() -> None:
 
 
 def test_regions_and_unknown_objects() -> None:
-    found = read("violin", "mug at the back left", said={1: ("region", CELLS.index("back_left"))})
+    found = read("violin", "mug", said={1: ("region", CELLS.index("back_left"))}, more="at the back left")
     assert [o.words for o in found.unknown] == ["violin"]
     assert found.objects[1].region == "back_left"
 
 
-def test_a_cell_is_one_that_the_words_mean() -> None:
-    wrong = {1: ("region", CELLS.index("front_right"))}
-    assert read("violin", "mug in the back left corner", said=wrong).objects[1].region == "back_left"
-    assert read("violin", "mug at the middle of the front edge", said=wrong).objects[1].region == "front_middle"
-    assert read("violin", "mug", said=wrong).objects[1].region == ""
+@pytest.mark.parametrize(
+    ("words", "cell"),
+    [("in the back left corner", "back_left"), ("at the middle of the front edge", "front_middle"), ("near it", ""), ("", "")],
+)
+def test_a_cell_is_one_that_the_words_mean(words: str, cell: str) -> None:
+    found = read("violin", "mug", said={1: ("region", CELLS.index("middle_right"))}, more=words)
+    assert found.objects[1].region == cell
 
 
 def test_no_mention_is_no_object() -> None:
