@@ -292,8 +292,8 @@ def _split(made: _ObjectList, k: int, members: Sequence[int]) -> None:
 
 
 def _is_one(entity: _Entity) -> bool:
-    """Whether a plural noun means one object, such as scissors."""
-    return entity.count == 0 and bool(entity.categories) and all(is_plural(c.replace("_", " ")) for c in entity.categories)
+    """Whether a plural noun means one object, such as scissors or a pair of scissors."""
+    return entity.count in (0, 2) and bool(entity.categories) and all(is_plural(c.replace("_", " ")) for c in entity.categories)
 
 
 def _relations(

@@ -1,5 +1,6 @@
 """Finds the objects of a layout that an instruction mentions: by category, adjectives, place, relations and superlatives."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -43,6 +44,15 @@ _EXTREMES: Mapping[str, Callable[[SceneObject], float]] = {
     **dict.fromkeys(("bottom", "lowermost"), lambda o: o.position[2]),
 }  # fmt: skip
 """What is least for the object that a word picks out of several."""
+
+
+_PICKED_OUT = re.compile(
+    r"(?:,? (?:that|which)(?: is|'s))?(?: the)? (?:farthest|furthest|nearest|closest)"
+    r"(?: to| on| at)?(?: the)? (left|right|front|back|me|away)\b"
+)
+"""Words after a mention that pick it out of several, with the side."""
+
+_BEFORE = 2  # words before a mention that may be superlatives
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +167,15 @@ class MentionResolver:
         return [name for name, how in close.items() if how == best > 0]
 
     def _adjectives(self, one: MentionedObject) -> list[str]:
+        """The adjectives of a mention, and what is said of its place among others (``that is farthest to the left``)."""
         words = one.words.split()
-        return words[: len(words) - self._lexicon.noun_size(words)]
+        found = words[: len(words) - self._lexicon.noun_size(words)]
+        for start, end in one.mentions:
+            before = split_words(self._text[:start])[-_BEFORE:]
+            found += [word for word in before if word in _EXTREMES and word.endswith(("st", "er"))]
+            if (m := _PICKED_OUT.match(self._text[end:].lower())) is not None:
+                found.append({"me": "front", "away": "back"}.get(m[1], m[1]))
+        return found
 
     def _described(self, group: MentionedGroup, names: list[str]) -> list[str]:
         """The instances whose description has the adjectives of a mention, as far as any has them."""

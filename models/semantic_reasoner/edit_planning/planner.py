@@ -32,6 +32,9 @@ _SIZE_WORDS = {
     **dict.fromkeys(("smaller", "shorter", "tiny", "mini", "small", "little"), _SMALLER),
     **dict.fromkeys(("bigger", "larger", "taller", "huge", "giant", "big", "large", "oversized"), _LARGER),
 }
+_LOOK = "look"
+"""Kind of a relation whose target has the words of a new look before its noun."""
+
 _NO_LOOK = frozenset(
     {"a", "an", "the", "into", "in", "to", "of", "more", "much", "rather", "something", "instead", "one", "it"}
 )
@@ -67,8 +70,9 @@ class EditPlanner:
         if not needed:
             return None
         meanings = resolver.resolve(needed)
+        goals = [_as_style(r, objects) for r in goals]
         for k in resolver.new:
-            if objects[k].categories and not any(r.kind == "style" and r.target == k for r in goals):
+            if objects[k].categories and not any(r.kind in ("style", _LOOK) and r.target == k for r in goals):
                 meanings[k] = (plan.create(objects[k]),)
         for r in goals:
             self._apply(plan, r.kind, meanings.get(r.subject, ()), meanings.get(r.target, ()), objects[r.target])
@@ -76,8 +80,7 @@ class EditPlanner:
             for name in meanings.get(k, ()) if o.change == "remove" else ():
                 plan.remove(name)
         for name, wanted in _moves(reading, goals, meanings, resolver.new, plan.placed).items():
-            if name not in plan.removed:
-                plan.move(name, wanted)
+            plan.move(name, wanted)
         return plan.reply()
 
     def _apply(
@@ -96,10 +99,21 @@ class EditPlanner:
             case "style":
                 for name in subjects:
                     plan.restyle(name, look.words)
+            case "look":
+                for name in subjects:
+                    plan.restyle(name, " ".join(look.words.split()[:-1]))
             case "swap" if subjects and targets and subjects[0] < targets[0]:
                 plan.exchange(subjects[0], targets[0])
             case _:
                 pass
+
+
+def _as_style(r: MentionedRelation, objects: Sequence[MentionedObject]) -> MentionedRelation:
+    """A replacement by objects of the same kind, as in "the napkins by white ones", as a new look of the old ones."""
+    new, old = objects[r.subject], objects[r.target]
+    if r.kind != "replace" or len(new.words.split()) < 2 or not set(new.categories) & set(old.categories):
+        return r
+    return MentionedRelation(r.target, _LOOK, r.subject, r.score)
 
 
 def _moves(
@@ -114,7 +128,7 @@ def _moves(
     moves: dict[str, list[tuple[str, Sequence[str]]]] = {}
     for r in goals:
         subject, target, kind = r.subject, r.target, r.kind
-        if kind in ("replace", "style", "swap"):
+        if kind in ("replace", "style", _LOOK, "swap"):
             continue
         if kind in ("left", "front") and _moves_later(objects, subject, target, new):
             subject, target, kind = target, subject, {"left": "right", "front": "behind"}[kind]
@@ -177,6 +191,8 @@ class _Plan:
         return name
 
     def restyle(self, name: str, look: str) -> None:
+        if name not in self.objects:
+            return  # it goes
         entry = self._entries[name]
         words = [word for word in look.split() if word not in _NO_LOOK]
         factor = next((_SIZE_WORDS[word] for word in words if word in _SIZE_WORDS), 1.0)
@@ -188,6 +204,8 @@ class _Plan:
         self._store(replace(entry, description=described, size_cm=(w, d, h), position_cm=place))
 
     def exchange(self, one: str, other: str) -> None:
+        if not {one, other} <= self.objects.keys():
+            return  # one of them goes
         a, b = self.objects[one], self.objects[other]
         self._put(one, (b.position[0], b.position[1], b.bottom + a.size[2] / 2))
         self._put(other, (a.position[0], a.position[1], a.bottom + b.size[2] / 2))
@@ -202,6 +220,8 @@ class _Plan:
 
     def move(self, name: str, wanted: Sequence[tuple[str, Sequence[str]]]) -> None:
         """Moves an object to a free place for which the first of the wanted relations holds, and the others if possible."""
+        if name not in self.objects:
+            return  # it goes
         carriers = carriers_of(list(self.objects.values()), self._table)
         kinds = sorted(wanted, key=lambda one: one[0] == "near")
         candidates = list(self._places(name, kinds[0], carriers))

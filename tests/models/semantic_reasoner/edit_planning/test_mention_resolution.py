@@ -56,6 +56,14 @@ def test_a_superlative_picks_one_of_several(words: str, meant: str) -> None:
     assert resolve(mentioned(words, "candle")) == (meant,)
 
 
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("Remove the candle that is farthest to the left.", "candle_0"), ("Remove the tallest candle.", "candle_1")],
+)
+def test_words_around_a_mention_pick_one_too(text: str, meant: str) -> None:
+    assert resolve(mentioned("candle", "candle", text=text), text=text) == (meant,)
+
+
 def test_a_noun_without_a_category_is_looked_for_in_descriptions() -> None:
     assert resolve(mentioned("gherkins")) == ("can_0",)
 

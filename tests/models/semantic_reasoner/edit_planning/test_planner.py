@@ -64,6 +64,12 @@ def test_an_object_gets_another_look() -> None:
     assert "green" in changed.description
 
 
+def test_others_of_the_same_kind_are_a_new_look() -> None:
+    found = planned("Replace all the mugs with white ones.")
+    assert (found.removed, {o.instance for o in found.objects}) == ((), {"mug_0", "mug_1"})
+    assert all("white" in o.description for o in found.objects)
+
+
 def test_several_that_fit_are_asked_back() -> None:
     with pytest.raises(SceneError, match="mug_0, mug_1") as caught:
         plan("Remove the mug.")
