@@ -1,4 +1,4 @@
-"""Makes a reasoner from its settings: the engine, the checks, and the grounding for a closed vocabulary."""
+"""Makes a reasoner from its settings: the engine, the checks, and the interpreter of instructions."""
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path

@@ -65,7 +65,7 @@ def test_an_unknown_thing_is_to_be_reported() -> None:
     assert "not reported: dragon" in str(silent)
     told = Proposal(
         layout().proposals[0][1].reply,
-        notices=(Notice("instruction", "grounding", "word_read_as", "instruction: 'dragon' is unknown, read as figurine"),),
+        notices=(Notice("instruction", "understand", "word_read_as", "instruction: 'dragon' is unknown, read as figurine"),),
     )
     said = verdict_of(case, layout(*there, proposal=told))
     assert (said.reported, said.falls_back, said.is_nonsense) == (("dragon",), True, False)
