@@ -159,3 +159,24 @@ def test_the_job_trains_stops_and_continues(tmp_path: Path) -> None:
     broken = runner.invoke(app, [*command[:4], str(tmp_path / "new")])
     assert broken.exit_code == 2
     assert "it has no =>" in broken.output
+
+
+def test_hidden_tokens_are_of_words_alone(model: ReaderModel) -> None:
+    batch = model.tokens.batch([["the", "red", "mug"], ["mug"]])
+    hidden = model.tokens.hide(batch, torch.ones_like(batch.ids, dtype=torch.bool))
+    is_word = batch.word < batch.num_words
+    assert torch.equal(hidden.ids[~is_word], batch.ids[~is_word])
+    assert len(set(hidden.ids[is_word].tolist())) == 1
+    assert torch.equal(hidden.word, batch.word)
+
+
+def test_a_training_continues_from_weights_that_are_there(tmp_path: Path, model: ReaderModel) -> None:
+    path = tmp_path / "first.safetensors"
+    save_reader(path, model, {"steps": "0", "frames": "none"})
+    again = load_reader(path, trains=True)
+    assert again.network.training
+    assert any(p.requires_grad for p in again.network.parameters())
+    job = ["train-reader", "--set", "sentences=8", "--set", "batch=4", "--set", "masked_sentences=0.5", "--set", "dropout=0.1"]
+    done = CliRunner().invoke(app, [*job, "--out", str(tmp_path / "second"), "--set", f"initial={path}"])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "second" / "weights" / "instruction_reader.safetensors").is_file()
