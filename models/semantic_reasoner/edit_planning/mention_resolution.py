@@ -131,6 +131,9 @@ class MentionResolver:
                 words = ", ".join(o.instance for o in self._layout[:8])
                 raise SceneError(f"no object of the layout is {group.first.words!r}; it has {words}", MISSING)
             count = len(group.numbers)
+            if len(names) < count and not group.is_open:
+                there = ", ".join(names)
+                raise SceneError(f"{count} objects are {group.first.words!r}, but the layout has only {there}", MISSING)
             if len(names) > count and not group.is_open:
                 if not group.is_any:
                     several = ", ".join(names)

@@ -86,6 +86,12 @@ def test_what_is_not_there_is_said() -> None:
     assert caught.value.code == MISSING
 
 
+def test_fewer_than_are_mentioned_are_said() -> None:
+    with pytest.raises(SceneError, match="3 objects are 'mugs', but the layout has only mug_0, mug_1") as caught:
+        resolve(*[mentioned("mugs", "mug")] * 3)
+    assert caught.value.code == MISSING
+
+
 def test_the_gap_of_boxes() -> None:
     assert gap_between(LAYOUT[0], LAYOUT[1]) == pytest.approx(0.42)
     assert gap_between(LAYOUT[1], LAYOUT[2]) == 0.0
