@@ -31,14 +31,15 @@ EDIT_MARK = ("edit", ":")
 
 _OPEN, _CLOSE = 0xE000, "\uf000"  # private characters around a mention; the first one tells the object
 
-_JOINS = 0.3  # share of sentences of two frames
+_JOINS = 0.4  # share of sentences of two frames
 _SHARES_OBJECT = 0.5  # share of these in which both frames have an object in common
 _MODIFIES = 0.15  # share of sentences with an addition after a noun
 _DETERMINES = 0.2  # share of "the" before a noun that becomes another determiner
 _DESCRIBES = (0.55, 0.37, 0.08)  # shares of objects with 0, 1, 2 adjectives
 _OPENS, _CLOSES = 0.15, 0.15  # shares of sentences with an opening, a closing
-_TYPES_BADLY = 0.2  # share of sentences with typing errors,
-_TYPING_ERRORS = 0.12  # and share of the words with one in these
+_TYPES_BADLY = 0.25  # share of sentences with typing errors,
+_TYPING_ERRORS = (0.05, 0.3)  # and range of the share of words with one in these
+_SHORTENS = 0.35  # share of further mentions of an object with the last word of its noun alone
 _WITHOUT_MARKS, _WITHOUT_APOSTROPHES, _WITHOUT_ARTICLES = 0.15, 0.1, 0.06
 _COUNTS = ((2, 0.62), (3, 0.22), (4, 0.08), (5, 0.04), (6, 0.02), (7, 0.01), (8, 0.01))
 
@@ -243,8 +244,8 @@ class SentenceMaker:
         if m["words"]:
             return _marked(m["words"], k)
         noun = nouns[k]
-        if m["form"] == "^":
-            noun = noun.split(" of ")[0].split(" ")[-1]
+        if m["form"] == "^" or (k in said and rng.random() < _SHORTENS and _is_clear(k, nouns)):
+            noun = _head(noun)
         elif k not in said or rng.random() < 0.4:
             noun = f"{adjectives[k]}{noun}"
         if m["form"] == "+" and not is_plural(noun):
@@ -268,6 +269,15 @@ class SentenceMaker:
             if parent in named:  # "all three" has no noun of its own, and its parts have different ones
                 nouns[k] = nouns[parent]
         return nouns
+
+
+def _head(noun: str) -> str:
+    return noun.split(" of ")[0].split(" ")[-1]
+
+
+def _is_clear(k: int, nouns: Mapping[int, str]) -> bool:
+    """Whether the last word of the noun of object k means no other object of the sentence."""
+    return all(_head(noun) != _head(nouns[k]) for j, noun in nouns.items() if j != k)
 
 
 def _marked(words: str, k: int) -> str:
@@ -366,7 +376,7 @@ def _labelled(text: str, draft: _Draft, rng: Random) -> LabelledSentence | None:
     text = re.sub(r"\s+(?=['’]s\b|[,.;:?!])", "", re.sub(r"\s+", " ", text))
     tokens = WORD.findall(text.lower())
     is_unmarked, is_terse = rng.random() < _WITHOUT_MARKS, rng.random() < _WITHOUT_ARTICLES
-    errors = _TYPING_ERRORS if rng.random() < _TYPES_BADLY else 0.0
+    errors = rng.uniform(*_TYPING_ERRORS) if rng.random() < _TYPES_BADLY else 0.0
     words = list(EDIT_MARK) if draft.is_edit else []
     mentions: list[tuple[int, int, int]] = []
     opened: tuple[int, int] | None = None

@@ -69,7 +69,7 @@ class ReaderTrainingSettings(Settings):
     """Share of the tokens that are hidden in these."""
 
     dropout: Share = 0.0
-    """Dropout of the encoder."""
+    """Dropout of the encoder's hidden values."""
 
     initial: str = ""
     """Weights of a reader from which the training continues; empty: those of the sentence encoder, with new heads."""
@@ -202,8 +202,8 @@ class ReaderTrainer:
         trained, held = split_frames(frames)
         self._maker, self._held = SentenceMaker(trained, nouns), SentenceMaker(held or trained, nouns)
         network.encoder.embeddings.requires_grad_(False)
-        for module in network.encoder.modules():
-            if isinstance(module, torch.nn.Dropout):
+        for name, module in network.encoder.named_modules():
+            if isinstance(module, torch.nn.Dropout) and not name.endswith("self.dropout"):  # that of attention costs most
                 module.p = settings.dropout
         encoder = [p for p in network.encoder.parameters() if p.requires_grad]
         known = {id(p) for p in network.encoder.parameters()}
