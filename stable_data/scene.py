@@ -44,7 +44,10 @@ class Stage(StrEnum):
 
 
 class RelationKind(StrEnum):
-    """The relations of the scene graph. ``on`` and ``in`` depend on contact and containment, the others on boxes."""
+    """The relations of the scene graph. ``on`` and ``in`` depend on contact and containment, the others on boxes.
+
+    ``between`` follows from the directions of two others; only a task states it, the scene graph does not list it.
+    """
 
     ON = "on"
     IN = "in"
@@ -57,6 +60,7 @@ class RelationKind(StrEnum):
     FACE_TO = "face to"
     IS_AT = "is at"
     EQUALLY_SPACED = "are equally spaced along"
+    BETWEEN = "between"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -66,7 +70,8 @@ class Relation:
     Attributes:
         subject: Instance; for ``are equally spaced along`` the instances, joined by a comma and a space.
         kind: The relation.
-        target: Instance, or ``table``; for the last three kinds a cell, direction or axis.
+        target: Instance, or ``table``; for ``between`` two instances, joined likewise; for ``face to``, ``is at`` and ``are
+            equally spaced along`` a direction, cell or axis.
     """
 
     subject: str

@@ -1,5 +1,7 @@
 """What a scene must have so that an instruction makes sense in it: the required objects, and the relations of its start."""
 
+from collections.abc import Iterator, Set
+
 from models.instruction_reader.nouns import is_hollow
 from models.instruction_reader.reading import InstructionReading
 from stable_data.metrics.alignment import AlignmentReference
@@ -12,7 +14,7 @@ _KINDS = {
     "left": RelationKind.LEFT_OF,
     "front": RelationKind.IN_FRONT_OF,
 }
-"""The relations of a reading that the scene graph has; ``near`` and ``between`` are not among them."""
+"""The relations of a reading between two objects that the scene graph has; ``near`` is not among them."""
 
 
 def reference_of_reading(
@@ -37,6 +39,7 @@ def reference_of_reading(
         for r in (*reading.start, *(reading.contradictions if with_contradictions else ()))
         if r.kind in _KINDS and {r.subject, r.target} <= known.keys()
     ]
+    entailed += _between(reading, known.keys())
     held = {r.target for r in entailed if r.kind in (RelationKind.IN, RelationKind.ON)}
     for k, o in known.items():
         if o.region:
@@ -46,3 +49,14 @@ def reference_of_reading(
             kind = RelationKind.IN if all(map(is_hollow, o.categories)) else RelationKind.ON
             entailed.append(Relation(f"content of {k}", kind, str(k)))
     return AlignmentReference(name, tuple(required), tuple(entailed))
+
+
+def _between(reading: InstructionReading, known: Set[int]) -> Iterator[Relation]:
+    """That an object is between two others; a reading states it by a relation to each of them."""
+    ends: dict[int, list[int]] = {}
+    for r in reading.start:
+        if r.kind == "between":
+            ends.setdefault(r.subject, []).append(r.target)
+    for subject, targets in ends.items():
+        if len(targets) == 2 and {subject, *targets} <= known:
+            yield Relation(str(subject), RelationKind.BETWEEN, ", ".join(map(str, sorted(targets))))

@@ -18,7 +18,8 @@ A relation holds under these conditions:
   target, at any distance and with any other objects near. ``above`` and ``below``: by heights and outlines. An edge of the
   scene graph is not required: edges link only nearest neighbours, so one more distractor would break the relation.
 * ``is at``: the centre is in that ninth of the table. ``face to``: the facing, rounded to 45 degrees, is that direction.
-  ``are equally spaced along``: one row of the scene graph along that axis contains all of the objects.
+  ``are equally spaced along``: one row of the scene graph along that axis contains all of the objects. ``between``: seen from
+  the two others, the object is in opposite directions.
 
 Unknown is never a pass: without relations AwS is None, not 1. It is also None if the search for the best matching was stopped.
 
@@ -41,6 +42,7 @@ from stable_data.scene_graph.relations import (
     cell_of,
     direction_of,
     facing_of,
+    is_between,
     is_held,
     relations_of,
     scene_graph,
@@ -92,6 +94,8 @@ def members(relation: Relation) -> tuple[str, ...]:
         return (relation.subject,)
     if relation.kind is RelationKind.EQUALLY_SPACED:
         return tuple(relation.subject.split(", "))
+    if relation.kind is RelationKind.BETWEEN:
+        return (relation.subject, *relation.target.split(", "))
     return (relation.subject, relation.target)
 
 
@@ -264,6 +268,12 @@ class _Layout:
             for row, axis in self.rows:
                 if axis == relation.target:
                     yield dict.fromkeys(members(relation), frozenset(row))
+        elif relation.kind is RelationKind.BETWEEN:
+            middle, one, other = members(relation)
+            for a, b in product(allowed[middle], allowed[one]):
+                ends = frozenset(c for c in allowed[other] if len({a, b, c}) == 3 and self._is_between(a, b, c))
+                if ends:
+                    yield {middle: {a}, one: {b}, other: ends}
         elif relation.kind in _UNARY or relation.target == TABLE:
             yield {relation.subject: {name for name in allowed[relation.subject] if self._holds_for_one(name, relation)}}
         else:
@@ -275,6 +285,9 @@ class _Layout:
             # One option for each subject with all of its targets: far fewer variables than one for each pair.
             for one in dict.fromkeys(pair[0] for pair in held):
                 yield {relation.subject: {one}, relation.target: {pair[1] for pair in held if pair[0] == one}}
+
+    def _is_between(self, middle: str, one: str, other: str) -> bool:
+        return is_between(*(self.objects[name].position for name in (middle, one, other)))
 
     def _holds_for_one(self, name: str, relation: Relation) -> bool:
         """Whether a relation of one object, or of an object to the table, holds."""

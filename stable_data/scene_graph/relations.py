@@ -12,7 +12,7 @@ The other relations are those of MesaTask and follow from boxes. Overlap is a sh
 """
 
 import itertools
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -43,6 +43,7 @@ GAP = 1e-2
 
 INSIDE_SLACK = 5e-3  # how far the centre of a content may be outside its container's outline, metres
 _SINK = 1.5e-2  # how deep an object without contact may reach into the box of its support (a plate's hollow), metres
+_TOP = 5e-3  # how deep an object on the top of another one may reach into its box, metres
 _BOTTOM = 5e-3  # how much the bottom of a support may be above the bottom of the supported object, metres
 INSIDE_FLOOR = 1.5e-3  # a content is at least this much above its container's bottom, metres
 _RIM_SHARE = 0.15  # the bottom of a content is below the rim by at least this share of the container's height
@@ -161,13 +162,15 @@ def _closest_below(layout: _Layout, carriers: Mapping[str, str | None], child: s
         for p in layout.objects
         if _may_support(layout, carriers, p, child) and layout.distance_outside(child, p) <= INSIDE_SLACK
     ]
-    # On a surface near its bottom, else in a hollow, else on the table.
     solid = [p for p in below if -GAP <= layout.depth(child, p) <= _SINK]
-    if solid:
-        return min(solid, key=lambda p: (abs(layout.depth(child, p)), p))
+    on = min(solid, key=lambda p: (abs(layout.depth(child, p)), p), default=None)
     hollow = [p for p in below if layout.holds(p, child)]
-    if hollow:
-        return min(hollow, key=lambda p: (layout.depth(child, p), p))
+    # Of nested ones the innermost: the top one of three plates in each other ends near the rim of the lowest.
+    inside = min(hollow, key=lambda p: (-layout.low[p], layout.depth(child, p), p), default=None)
+    if on is not None:
+        return inside if inside is not None and on in ancestors(carriers, inside) else on
+    if inside is not None:
+        return inside
     return TABLE if layout.low[child] <= GAP else None
 
 
@@ -180,9 +183,9 @@ def scene_graph(
     """Builds the scene graph.
 
     Nodes are the instances and ``table``. An object's node has ``category``, ``support`` (see :func:`supports`), ``container``,
-    ``cell`` and ``facing``. Edges run from subject to target; their key is the :class:`RelationKind`. The graph's ``rows`` are
-    the equally spaced rows, (instances, axis). Of two opposite relations, only the one whose subject comes first in the scene
-    is included.
+    ``cell`` and ``facing``. Edges run from subject to target; their key is the :class:`RelationKind`. An object on another one
+    in a container has both relations. The graph's ``rows`` are the equally spaced rows, (instances, axis). Of two opposite
+    relations, only the one whose subject comes first in the scene is included.
 
     Args:
         scene: The scene.
@@ -207,7 +210,7 @@ def scene_graph(
             facing=facing_of(o.yaw),
         )
     for child in carriers:
-        _link_to_parent(graph, layout, carriers, child)
+        _link_to_parent(graph, layout, carriers, child, len(contacts.get(child, ())))
     for one, other in _near_pairs(scene):
         kind = _spatial_relation(scene, layout, one, other)
         is_stacked = other in ancestors(carriers, one) or one in ancestors(carriers, other)
@@ -216,13 +219,18 @@ def scene_graph(
     return graph
 
 
-def _link_to_parent(graph: SceneGraph, layout: _Layout, carriers: Mapping[str, str | None], child: str) -> None:
+def _link_to_parent(
+    graph: SceneGraph, layout: _Layout, carriers: Mapping[str, str | None], child: str, num_contacts: int
+) -> None:
     carrier = carriers[child]
     if carrier is None:
         return
     # A container further down counts: the second ball in a bowl is in the bowl, although it rests on the first.
     container = next((p for p in ancestors(carriers, child) if layout.holds(p, child)), None)
     graph.add_edge(child, container or carrier, key=RelationKind.IN if container else RelationKind.ON)
+    # The apple on a book in a crate is on the book too; a ball in a heap, which rests on the sides of others, is not.
+    if container not in (None, carrier) and layout.depth(child, carrier) <= _TOP and num_contacts <= 1:
+        graph.add_edge(child, carrier, key=RelationKind.ON)
 
 
 def _near_pairs(scene: Scene) -> list[tuple[str, str]]:
@@ -281,20 +289,31 @@ def is_held(on_in: Set[Relation], relation: Relation) -> bool:
     """Returns whether the subject is on or in the target, directly or through others.
 
     Args:
-        on_in: The ``on`` and ``in`` relations that hold, at most one for each subject.
+        on_in: The ``on`` and ``in`` relations that hold; without circles.
         relation: The relation to test. ``on`` also holds if the subject is in the target. ``in`` holds if at least one relation
             between subject and target is ``in``.
     """
-    carrier = {r.subject: r for r in on_in}
-    is_in = False
-    for name in (relation.subject, *ancestors({r.subject: r.target for r in on_in}, relation.subject)):
-        below = carrier.get(name)
-        if below is None:
-            break
-        is_in |= below.kind is RelationKind.IN
-        if below.target == relation.target:
-            return is_in or relation.kind is RelationKind.ON
+    below: dict[str, list[Relation]] = {}
+    for r in on_in:
+        below.setdefault(r.subject, []).append(r)
+    seen: set[tuple[str, bool]] = set()
+    paths = [(relation.subject, relation.kind is RelationKind.ON)]  # how far one came, and whether that is enough
+    while paths:
+        name, is_enough = paths.pop()
+        for r in below.get(name, ()):
+            reached = r.target, is_enough or r.kind is RelationKind.IN
+            if reached == (relation.target, True):
+                return True
+            if reached not in seen:
+                seen.add(reached)
+                paths.append(reached)
     return False
+
+
+def is_between(middle: Sequence[float], one: Sequence[float], other: Sequence[float]) -> bool:
+    """Returns whether a position lies between two others: seen from these, in opposite directions (:func:`direction_of`)."""
+    seen = {direction_of(middle[0] - end[0], middle[1] - end[1]) for end in (one, other)}
+    return seen in ({RelationKind.LEFT_OF, RelationKind.RIGHT_OF}, {RelationKind.IN_FRONT_OF, RelationKind.BEHIND})
 
 
 def cell_of(position: tuple[float, ...], size_xy: tuple[float, float]) -> str:

@@ -22,7 +22,7 @@ from models.semantic_reasoner.text.prompt import ANY_TABLE
 from stable_data.errors import Notice
 from stable_data.instructions.wording.vocabulary import nouns_of
 from stable_data.instructions.wording.words import is_plural, plural, singular_noun, type_words
-from stable_data.metrics.alignment import Alignment, AlignmentReference, align
+from stable_data.metrics.alignment import Alignment, AlignmentReference, align, members
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
 
 TextEncoder: TypeAlias = Callable[[Sequence[str]], npt.NDArray[np.float32]]
@@ -208,8 +208,8 @@ def relations_of_task(found: Alignment) -> tuple[Relation, ...]:
 def _renamed(found: Alignment, relations: Sequence[Relation]) -> Iterator[Relation]:
     names = dict(found.matches)
     for r in relations:
-        target = r.target if r.kind is RelationKind.IS_AT else names.get(r.target)
-        if r.subject in names and target is not None:
+        if set(members(r)) <= names.keys():
+            target = r.target if r.kind is RelationKind.IS_AT else ", ".join(names[name] for name in members(r)[1:])
             yield Relation(names[r.subject], r.kind, target)
 
 

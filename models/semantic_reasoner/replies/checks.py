@@ -8,6 +8,7 @@ support is a soft fault, since :func:`models.semantic_reasoner.editing.apply_edi
 changes nothing is a soft fault too, since some instructions require no change (``take the cups away`` without cups).
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, replace
@@ -104,8 +105,8 @@ class ReplyCheck:
 
 
 def form_check(reply: LayoutReply, question: ReasonerQuestion, /) -> list[ReplyFault]:
-    """Returns the faults that need no statistics of categories: names, and edits that change nothing."""
-    return list(name_faults(reply.objects, reply.removed, question)) or list(
+    """Returns the faults that need no statistics of categories: names, the unit, and edits that change nothing."""
+    return [*name_faults(reply.objects, reply.removed, question), *_unit_fault(reply.objects, question)] or list(
         _no_change_fault(reply.objects, reply.removed, question)
     )
 
@@ -133,9 +134,9 @@ def check_reply(
     """
     if len(objects) > settings.most_objects:  # checked first, since the other checks compare all pairs
         return [ReplyFault("too_many", f"there are {len(objects)} objects; give at most {settings.most_objects}")]
-    faults = list(name_faults(objects, removed, question))
+    faults = [*name_faults(objects, removed, question), *_unit_fault(objects, question)]
     if any(f.is_hard for f in faults):
-        return faults  # the other checks need unique names
+        return faults  # the other checks need unique names and centimetres
     unchanged = _unchanged_objects(objects, removed, question)
     was = _changeable(question)
     unmoved = {o.instance for o in objects if o.instance in was and _is_unmoved(o, was[o.instance])}
@@ -219,6 +220,13 @@ def name_faults(objects: Sequence[LayoutObject], removed: Sequence[str], questio
 def _repeated(names: Sequence[str]) -> list[tuple[str, int]]:
     """Names that appear more than once, with their counts."""
     return [(name, count) for name, count in Counter(names).items() if count > 1]
+
+
+def _unit_fault(objects: Sequence[LayoutObject], question: ReasonerQuestion) -> Iterator[ReplyFault]:
+    """Yields a fault if all objects would be in a corner of the table that is as many centimetres wide as the table is metres."""
+    largest = max((max(*o.size_cm, *map(abs, o.position_cm)) for o in objects), default=math.inf)
+    if largest <= max(1.0, *question.table.size_xy):
+        yield ReplyFault("unit", f"no size and no position exceeds {largest:.1f} cm, as if they were metres; give centimetres")
 
 
 def _suggestions(known: Sequence[str], wanted: str) -> str:

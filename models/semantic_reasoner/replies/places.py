@@ -5,8 +5,9 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from stable_data.metrics.alignment import members
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, SceneObject, Tabletop
-from stable_data.scene_graph.relations import cell_of, yawed_rectangle
+from stable_data.scene_graph.relations import cell_of, direction_of, yawed_rectangle
 from stable_data.scene_graph.support_tree import ancestors
 
 DIRECTION = {
@@ -44,6 +45,25 @@ def places_beside(
                 across = np.array((direction[1], direction[0])) * aside
                 x, y = anchor.position[:2] + sign * direction * (reach + gap) + across
                 yield one, (x, y, low + mover.size[2] / 2)
+
+
+def places_between(
+    relation: Relation, objects: Mapping[str, SceneObject], carriers: Mapping[str, str | None]
+) -> Iterator[Place]:
+    """The subject between its two targets; then one of these on the other side of the subject."""
+    middle, one, other = members(relation)
+    low = objects[middle].bottom if carriers[middle] == TABLE else 0.0
+    ends = [np.array(objects[name].position[:2]) for name in (one, other)]
+    for share, aside in itertools.product((0.5, 0.4, 0.6, 0.3, 0.7), _ASIDE):
+        across = np.array((ends[0][1] - ends[1][1], ends[1][0] - ends[0][0]))
+        x, y = ends[0] + share * (ends[1] - ends[0]) + aside * across / max(1e-6, float(np.linalg.norm(across)))
+        yield middle, (x, y, low + objects[middle].size[2] / 2)
+    for mover, anchor in ((one, other), (other, one)):
+        side = direction_of(*np.subtract(objects[middle].position, objects[anchor].position)[:2])
+        if side is not None:  # the mover on the side of the middle that is away from the anchor
+            for name, place in places_beside(Relation(mover, side, middle), objects, carriers):
+                if name == mover:
+                    yield name, place
 
 
 def places_in_cell(

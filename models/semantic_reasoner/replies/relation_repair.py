@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from models.semantic_reasoner.replies.checks import ReplyFault
-from models.semantic_reasoner.replies.places import DIRECTION, places_beside, places_in_cell, places_on_or_in
+from models.semantic_reasoner.replies.places import DIRECTION, places_beside, places_between, places_in_cell, places_on_or_in
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from stable_data.metrics.alignment import members
 from stable_data.scene import FloatArray, Relation, RelationKind, Tabletop, Vec3
 from stable_data.scene_graph.support_from_boxes import carriers_of
 from stable_data.scene_graph.support_tree import SupportTree
@@ -51,19 +52,23 @@ def repair_relations(
 
 def _relation_words(relation: Relation) -> str:
     kind = str(relation.kind).removeprefix("is ")
+    if relation.kind is RelationKind.BETWEEN:
+        return f"{kind} {relation.target.replace(', ', ' and ')}"
     return f"{kind} {relation.target.replace('_', ' ') if relation.kind is RelationKind.IS_AT else relation.target}"
 
 
 def _candidate_replies(reply: LayoutReply, relation: Relation, table: Tabletop) -> Iterator[tuple[str, LayoutReply]]:
     """Instances whose move may make a relation hold, each with the reply after the move; the smallest change first."""
     objects = {o.instance: o.to_scene_object() for o in reply.objects}
-    if relation.subject not in objects or (relation.kind is not RelationKind.IS_AT and relation.target not in objects):
+    if not set(members(relation)) <= objects.keys():
         return  # an object of an earlier stage, which may not move
     carriers = carriers_of(list(objects.values()), table)
     if relation.kind is RelationKind.IS_AT:
         found = places_in_cell(relation, objects, carriers, table)
     elif relation.kind in DIRECTION:
         found = places_beside(relation, objects, carriers)
+    elif relation.kind is RelationKind.BETWEEN:
+        found = places_between(relation, objects, carriers)
     else:
         found = places_on_or_in(objects[relation.subject], objects[relation.target], relation.kind)
     for name, place in found:

@@ -44,3 +44,10 @@ def test_contents_with_a_name_are_enough() -> None:
     found = reference_of_reading(reading(MUG, replace(TRAY, is_filled=True), start=((0, "on", 1),)), "task")
     assert found is not None
     assert len(found.required) == 2
+
+
+def test_that_one_is_between_two_others_is_one_relation() -> None:
+    between = ((0, "between", 2), (0, "between", 1), (1, "between", 2))
+    found = reference_of_reading(reading(MUG, TRAY, TRAY, start=between), "task")
+    assert found is not None
+    assert found.entailed == (Relation("0", RelationKind.BETWEEN, "1, 2"),)

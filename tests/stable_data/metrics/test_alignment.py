@@ -182,6 +182,10 @@ def test_what_shall_be_on_a_thing_may_be_on_it_through_another_or_in_it_but_not_
         (Relation("m, p, b", RelationKind.EQUALLY_SPACED, "x"), 1),
         (Relation("m, p, c", RelationKind.EQUALLY_SPACED, "x"), 0),
         (Relation("m, p, b", RelationKind.EQUALLY_SPACED, "y"), 0),
+        (Relation("p", RelationKind.BETWEEN, "m, b"), 1),
+        (Relation("p", RelationKind.BETWEEN, "c, m"), 1),
+        (Relation("m", RelationKind.BETWEEN, "p, b"), 0),
+        (Relation("p", RelationKind.BETWEEN, "c, b"), 0),
     ],
     ids=str,
 )

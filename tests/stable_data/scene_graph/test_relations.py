@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import networkx as nx
@@ -13,7 +13,17 @@ from hypothesis import strategies as st
 
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
-from stable_data.scene_graph.relations import Contacts, cell_of, facing_of, relations_of, scene_graph, supports, yawed_rectangle
+from stable_data.scene_graph.relations import (
+    Contacts,
+    cell_of,
+    facing_of,
+    is_between,
+    is_held,
+    relations_of,
+    scene_graph,
+    supports,
+    yawed_rectangle,
+)
 
 TABLETOP = Tabletop("office_table", (1.2, 0.6))
 
@@ -47,6 +57,41 @@ def test_what_lies_on_contents_below_the_rim_is_in_the_container_and_above_it_is
     low = box("3_cube_0", (0.6, 0.3, 0.1), CUBE.size)
     assert Relation("3_cube_0", RelationKind.IN, "1_bowl_0") in links(scene_of(BOWL, BALL, low), contacts, containers)
     assert Relation("3_cube_0", RelationKind.ON, "2_ball_0") in links(scene_of(BOWL, BALL, CUBE), contacts, containers)
+
+
+def test_a_thing_on_another_one_in_a_container_is_on_that_one_too_but_a_heap_is_not() -> None:
+    crate = box("1_crate_0", (0.6, 0.3, 0.1), (0.3, 0.3, 0.2))
+    book, apple = box("2_book_0", (0.6, 0.3, 0.03), (0.2, 0.15, 0.04)), box("3_apple_0", (0.6, 0.3, 0.085), (0.07, 0.07, 0.07))
+    contacts = {"1_crate_0": (TABLE,), "2_book_0": ("1_crate_0",), "3_apple_0": ("2_book_0",)}
+    on_in = links(scene_of(crate, book, apple), contacts, {"1_crate_0": True, "2_book_0": False})
+    assert {(r.subject, r.kind, r.target) for r in on_in if r.subject == "3_apple_0"} == {
+        ("3_apple_0", RelationKind.ON, "2_book_0"),
+        ("3_apple_0", RelationKind.IN, "1_crate_0"),
+    }
+    assert is_held(on_in, Relation("3_apple_0", RelationKind.ON, "2_book_0"))
+    assert is_held(on_in, Relation("3_apple_0", RelationKind.IN, "1_crate_0"))
+    assert not is_held(on_in, Relation("3_apple_0", RelationKind.IN, "2_book_0"))
+    assert not is_held(on_in, Relation("2_book_0", RelationKind.ON, "3_apple_0"))
+    ball = box("2_ball_0", (0.58, 0.3, 0.045), (0.07, 0.07, 0.07))
+    upper = box("3_ball_1", (0.61, 0.3, 0.085), (0.07, 0.07, 0.07))  # in the dip beside the first one
+    contacts = {"1_crate_0": (TABLE,), "2_ball_0": ("1_crate_0",), "3_ball_1": ("2_ball_0",)}
+    assert [r.kind for r in links(scene_of(crate, ball, upper), contacts, {"1_crate_0": True}) if r.subject == "3_ball_1"] == [
+        RelationKind.IN
+    ]
+
+
+def test_plates_that_nest_are_each_on_the_one_below_by_boxes_alone() -> None:
+    plates = [box(f"{k}_plate_{k}", (0.6, 0.3, 0.0125 + 0.008 * k), (0.2, 0.2, 0.025)) for k in range(3)]
+    assert supports(scene_of(*plates), {}) == {"0_plate_0": TABLE, "1_plate_1": "0_plate_0", "2_plate_2": "1_plate_1"}
+
+
+@pytest.mark.parametrize(
+    ("middle", "holds"), [((0.5, 0.32), True), ((0.1, 0.3), False), ((0.5, 0.9), False), ((0.3, 0.3), False)]
+)
+def test_what_lies_between_two_things_is_seen_from_them_in_opposite_directions(
+    middle: tuple[float, float], holds: bool
+) -> None:
+    assert is_between(middle, (0.3, 0.3), (0.8, 0.35)) is holds
 
 
 def test_nothing_is_in_a_thing_that_is_known_to_be_no_container() -> None:
@@ -205,6 +250,11 @@ def _shifted(truth: dict[str, object]) -> set[str]:
     while more := {n for n, o in objects.items() if o["parent"] in moved} - moved:
         moved |= more
     return moved
+
+
+def _in_last(on_in: Collection[Relation]) -> list[Relation]:
+    """The truth names the container of what lies on another thing in it."""
+    return sorted(on_in, key=lambda r: r.kind is RelationKind.IN)
 
 
 def test_boxes_alone_find_nearly_every_recorded_parent(measured_data: Path) -> None:

@@ -34,6 +34,7 @@ def righted(objects: Sequence[LayoutObject], said: ReasonerQuestion) -> tuple[La
         ("The mug is in front of the cup but should be behind it. Move it.", [TRAY, thing("mug_0", 60, 36, bottom=4.0), CUP]),
         ("Take the tin out of the tray.", [TRAY, thing("can_0", 20, 30)]),
         ("Take the mug that is in the back right corner off the plate.", [PLATE, MUG]),
+        ("Take the mug that stands between the plate and the cup.", [PLATE, MUG, CUP]),
     ],
 )
 def test_things_are_put_where_the_instruction_says(instruction: str, objects: list[LayoutObject]) -> None:
