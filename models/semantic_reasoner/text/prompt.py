@@ -57,6 +57,9 @@ FIXED: tuple[str, ...] = (SYSTEM, INSTRUCTION, TABLE, BY, CM, ZONE, DETAILS, LAY
 RETRY = "That answer cannot be used: {reason}. Answer again, JSON alone."
 """The user message after a refused answer."""
 
+_LONGEST_SHOWN = 20_000  # characters of a refused answer that are sent back; a layout of 60 objects fits
+_NO_ANSWER = "(no answer)"  # some endpoints refuse empty messages
+
 
 @dataclass(frozen=True, slots=True)
 class ReasonerQuestion:
@@ -82,15 +85,21 @@ class ReasonerQuestion:
         return self.wanted == "edit"
 
 
-def messages(question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
+def messages(question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = (), system: str = SYSTEM) -> list[Message]:
     """Returns the chat of a question: a system and a user message, then each refused answer with its reason.
 
     Raises:
         SceneError: The instruction is empty or too long (``instruction_invalid``).
     """
-    chat = [{"role": "system", "content": SYSTEM}, {"role": "user", "content": user_message(question)}]
+    chat = [{"role": "system", "content": system}, {"role": "user", "content": user_message(question)}]
+    return chat + refusal_messages(refused)
+
+
+def refusal_messages(refused: Sequence[tuple[str, str]]) -> list[Message]:
+    """Returns two messages for each refused answer: the answer, of which the end is cut if it is long, and the reason."""
+    chat = []
     for answer, reason in refused:
-        chat.append({"role": "assistant", "content": answer})
+        chat.append({"role": "assistant", "content": answer[:_LONGEST_SHOWN] if answer.strip() else _NO_ANSWER})
         chat.append({"role": "user", "content": RETRY.format(reason=sanitise_words(reason))})
     return chat
 

@@ -25,6 +25,9 @@ LONGEST_REPLY = 2**18
 """The largest reply, bytes; a layout of 60 objects has about 20,000."""
 
 _INSTANCE = re.compile(r"[^\W\d_]\w*?_[0-9]+")
+_OPENING = re.compile(r'\{\s*"(?:objects|remove)"\s*:')
+# A whole string or a comma before a closing bracket; possessive, so that a string without an end costs linear time.
+_STRING_OR_COMMA = re.compile(r'("(?:[^"\\]|\\.)*+(?:"|\Z))|,(?=\s*[\]}])', re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +184,9 @@ class LayoutReply:
 def parse_reply(text: str) -> LayoutReply:
     """Parses a reply in the form of ``schemas/layout_reply.schema.json``.
 
-    Code fences, white space and words before the first brace are skipped, since models without constrained decoding add them.
-    Numbers may have any form of JSON and are rounded to the decimals of the text.
+    Code fences, words before and after the JSON, and commas before closing brackets are skipped, since models without
+    constrained decoding add them; of several replies in one text, the last is used. Comments are refused: they often stand for
+    objects that are left out. Numbers may have any form of JSON and are rounded to the decimals of the text.
 
     Raises:
         SceneError: The reply is too long (``reply_too_long``), not JSON (``reply_not_json``), or not in the form of a reply
@@ -192,11 +196,7 @@ def parse_reply(text: str) -> LayoutReply:
     num_bytes = len(text.encode("utf-8", "surrogatepass"))
     if num_bytes > LONGEST_REPLY:
         raise SceneError(f"reply has {num_bytes} bytes, expected at most {LONGEST_REPLY}; ask again", "reply_too_long")
-    body = text[max(0, text.find("{")) :].rstrip().removesuffix("```")
-    try:
-        data = json_value(body)
-    except ValueError as error:
-        raise SceneError(f"reply is not JSON ({error}): {_shown(text)}; ask again", "reply_not_json") from error
+    data = _json_in(text)
     if not isinstance(data, dict) or not isinstance(data.get("objects"), list):
         raise SceneError(f'reply is {_shown(text)}, expected {{"objects":[...]}}', "reply_malformed")
     removed = data.get("remove", [])
@@ -206,6 +206,30 @@ def parse_reply(text: str) -> LayoutReply:
         if len(entries) > MOST_ENTRIES:
             raise SceneError(f'reply: "{key}" has {len(entries)} entries, expected at most {MOST_ENTRIES}', "reply_malformed")
     return LayoutReply(tuple(_parse(entry, k) for k, entry in enumerate(data["objects"])), tuple(removed))
+
+
+def _json_in(text: str) -> Any:
+    """The JSON that starts at the first brace; if that is none, the JSON that starts where the last reply opens."""
+    end = text.rfind("}") + 1 or len(text)
+    starts = [max(0, text.find("{")), *(m.start() for m in _OPENING.finditer(text))]
+    for start in (starts[0], starts[-1]):
+        body = text[start:end]
+        for attempt in (body, _STRING_OR_COMMA.sub(r"\1", body)):
+            try:
+                return json_value(attempt)
+            except ValueError as error:
+                reason = _why_not_json(error)
+    raise SceneError(f"reply is not JSON ({reason}): {_shown(text)}; ask again", "reply_not_json")
+
+
+def _why_not_json(error: ValueError) -> str:
+    if not isinstance(error, json.JSONDecodeError):
+        return str(error)
+    if not error.doc.strip():
+        return "it is empty"
+    if error.pos >= len(error.doc.rstrip()) or error.msg.startswith("Unterminated string"):
+        return "it is cut off"
+    return f"{error.msg} at {_shown(error.doc[error.pos : error.pos + 40])}"
 
 
 def _parse(entry: Any, k: int) -> LayoutObject:
@@ -220,7 +244,9 @@ def _parse(entry: Any, k: int) -> LayoutObject:
         raise SceneError(f'reply: {instance} has "description" {_shown(str(description))}, expected words', "reply_malformed")
     size, position = _vector(entry, "size", instance), _vector(entry, "position", instance)
     if min(size) < LEAST_SIDE_CM:
-        raise SceneError(f"reply: {instance} has size {size}, expected three lengths of 0.1 cm or more", "reply_malformed")
+        raise SceneError(
+            f"reply: {instance} has size {size}, expected three lengths of 0.1 cm or more, in centimetres", "reply_malformed"
+        )
     angle: Any = entry.get("z_rotation")
     if not _is_number(angle):
         raise SceneError(f'reply: {instance} has "z_rotation" {_shown(str(angle))}, expected degrees', "reply_malformed")

@@ -49,6 +49,23 @@ def test_fences_and_words_before_a_reply_are_passed_over(layout: list[LayoutObje
     assert parse_reply(f"Here it is:\n```json\n{text}\n```\n").objects == tuple(layout)
 
 
+@given(st.lists(objects, min_size=1, max_size=5))
+def test_words_after_a_reply_and_commas_before_brackets_are_passed_over(layout: list[LayoutObject]) -> None:
+    text = json.dumps(json.loads(render_objects(layout)), indent=2).replace("\n  ]", ",\n  ]").replace("\n    }", ",\n    }")
+    for said in (
+        f"{text}\n\nEach of them rests on the table.",
+        f"In the form {{...}}: {text}",
+        f"First {text}\nand now {text}",
+    ):
+        assert parse_reply(said).objects == tuple(layout)
+
+
+def test_commas_in_words_stay() -> None:
+    mug = replace(MUG, description='a mug, ] with the words "a,]" and a \\')
+    text = render_objects([mug]).replace("]}", ",]}")
+    assert parse_reply(text).objects == (mug,)
+
+
 @given(st.floats(-20, 20), st.floats(0.001, 2), st.floats(-3, 3))
 def test_an_object_keeps_its_place_to_half_a_millimetre(yaw: float, side: float, x: float) -> None:
     o = SceneObject("7_mug_0", "mug", (x, 0.2, 0.05), yaw, (side, 0.1, 0.1), description="a mug")
@@ -117,8 +134,17 @@ def test_what_is_no_reply_is_refused(text: str, code: str) -> None:
         render_objects([MUG] * 2_000),
         render_objects([MUG] * 60_000),
         render_objects([], ["mug_0", "mug_1"] * 10_000),
+        '{"objects":["' + '\\"' * 120_000,
+        "{" + '\\"' * 120_000,
+        "{" + ", " * 120_000,
+        "{" + "," + " " * 240_000,
+        "{" * 240_000,
+        '{"objects":[' * 20_000,
     ],
-    ids=["lines", "fences", "blanks", "lists", "objects", "bytes", "removed"],
+    ids=[
+        *("lines", "fences", "blanks", "lists", "objects", "bytes", "removed"),
+        *("quotes", "more quotes", "commas", "a comma", "braces", "openings"),
+    ],
 )
 def test_a_hostile_reply_is_refused_at_once(text: str) -> None:
     start = time.process_time()
