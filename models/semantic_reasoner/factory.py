@@ -13,6 +13,7 @@ from models.semantic_reasoner.prompt_styles import prompt_style_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
+from models.semantic_reasoner.text.zero_shot_prompt import ZERO_SHOT_SYSTEM
 from models.settings import Count, PositiveCount, Settings
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
@@ -38,9 +39,10 @@ class ReasonerSettings(Settings):
     checks: CheckSettings = field(default_factory=CheckSettings)
     """How strict the checks of an answer are."""
 
-    dialect: Literal["stages", "mesatask"] = "stages"
-    """Form of the prompts: ``stages`` is this project's, ``mesatask`` is the one that MesaTask's released model was trained
-    with.
+    dialect: Literal["auto", "stages", "zero_shot", "mesatask"] = "auto"
+    """Form of the prompts: ``stages`` is the one that this project's models are trained on, ``zero_shot`` explains it to models
+    that were not, ``mesatask`` is the one that MesaTask's released model was trained with. ``auto`` takes ``zero_shot`` for the
+    engine ``openai`` and ``stages`` for the others.
     """
 
     wording: str = ""
@@ -49,6 +51,12 @@ class ReasonerSettings(Settings):
     def tries_with(self, engine: EngineSettings) -> tuple[int, int]:
         """How often a question is asked at most, and how often that of the first stage."""
         return self.tries, self.task_tries or self.tries * (4 if engine.kind == "embedded" else 1)
+
+    def dialect_with(self, engine: EngineSettings) -> str:
+        """The form of the prompts for an engine."""
+        if self.dialect != "auto":
+            return self.dialect
+        return "zero_shot" if engine.kind == "openai" else "stages"
 
     def settled(self) -> "ReasonerSettings":
         """Returns the settings with absolute paths, so that they hold in any working directory."""
@@ -74,7 +82,7 @@ def load_reasoner(
         interpret = InstructionInterpreter(statistics, load_default())
         check = ReplyCheck(statistics, interpret, settings.checks)
     is_closed = engine.kind == "embedded"  # it knows only the words of its training
-    dialect = prompt_style_of(settings.dialect, _text(settings.wording), interpret, is_closed)
+    dialect = prompt_style_of(settings.dialect_with(engine), _text(settings.wording), interpret, is_closed)
     tries = settings.tries_with(engine)
     plan_edit = None
     if is_closed and statistics is not None and interpret is not None:
@@ -113,8 +121,9 @@ def proposal_config(engine: EngineSettings, settings: ReasonerSettings | None = 
         "checks": settings.checks.shaping(),
         "prompt_version": PROMPT_VERSION,
     }
-    if settings.dialect != "stages":
-        found |= {"dialect": settings.dialect, "wording": content_id(_text(settings.wording))}
+    if (dialect := settings.dialect_with(engine)) != "stages":
+        wording = ZERO_SHOT_SYSTEM if dialect == "zero_shot" else _text(settings.wording)
+        found |= {"dialect": dialect, "wording": content_id(wording)}
     statistics = _statistics(engine, settings)
     if settings.statistics:  # else they are in the engine's own folder, whose files are hashed with the model
         found["statistics"] = content_id(None if statistics is None else asdict(statistics))

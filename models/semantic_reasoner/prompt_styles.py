@@ -1,4 +1,4 @@
-"""Styles of prompts: this project's own, stage by stage, or the one that MesaTask's released model was trained with."""
+"""Styles of prompts: this project's own, the same explained to models that were not trained on it, and MesaTask's."""
 
 import json
 from collections.abc import Sequence
@@ -7,8 +7,16 @@ from typing import Protocol
 
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
-from models.semantic_reasoner.text.prompt import RETRY, Message, ReasonerQuestion, check_instruction, messages
+from models.semantic_reasoner.text.prompt import (
+    SYSTEM,
+    Message,
+    ReasonerQuestion,
+    check_instruction,
+    messages,
+    refusal_messages,
+)
 from models.semantic_reasoner.text.reply_json import LayoutReply, parse_reply, sanitise_words
+from models.semantic_reasoner.text.zero_shot_prompt import ZERO_SHOT_SYSTEM
 from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask.task_info import write_task_info
 from stable_data.metrics.matching import RequiredObject
@@ -37,10 +45,11 @@ class StagedPromptStyle:
     Args:
         interpret: Interprets instructions, so that an answer must contain the required objects; None requires nothing.
         rewords: Whether the engine knows only some words, so that a prompt has the interpreter's wording and a known table.
+        system: The system message; by default the one on which models are trained.
     """
 
-    def __init__(self, interpret: InstructionInterpreter | None = None, rewords: bool = False) -> None:
-        self._interpret, self._rewords = interpret, rewords
+    def __init__(self, interpret: InstructionInterpreter | None = None, rewords: bool = False, system: str = SYSTEM) -> None:
+        self._interpret, self._rewords, self._system = interpret, rewords, system
 
     def messages(self, question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
         """Returns the chat that asks for a stage, a whole layout or an edit."""
@@ -49,7 +58,7 @@ class StagedPromptStyle:
             wording = self._interpret(question.instruction, question.edits).wording
             table_type, _ = self._interpret.table_type(question.table.table_type)
             question = replace(question, instruction=wording, table=replace(question.table, table_type=table_type))
-        return messages(question, refused)
+        return messages(question, refused, self._system)
 
     def form(self, question: ReasonerQuestion) -> ReplyGrammar:
         """Returns a grammar bound to the table, to the required objects and, in an edit, to the names of the layout."""
@@ -108,13 +117,7 @@ class MesaTaskPromptStyle:
         task = question.details or TaskInfo("", check_instruction(question.instruction))
         document = write_task_info(TaskInfo(*_prompt_fields(task)), question.table)
         text = f"{self._wording}\n{json.dumps(document, indent=2, ensure_ascii=False)}"
-        chat = [{"role": "user", "content": text}]
-        for answer, reason in refused:
-            chat += [
-                {"role": "assistant", "content": answer},
-                {"role": "user", "content": RETRY.format(reason=sanitise_words(reason))},
-            ]
-        return chat
+        return [{"role": "user", "content": text}, *refusal_messages(refused)]
 
     def form(self, question: ReasonerQuestion) -> ReplyGrammar:
         """Returns a grammar that does not bind, since reasons precede the JSON."""
@@ -144,9 +147,9 @@ def prompt_style_of(
     """Returns a prompt style by name.
 
     Args:
-        name: ``stages`` or ``mesatask``.
+        name: ``stages``, ``zero_shot`` or ``mesatask``.
         wording: Text of MesaTask's question; empty uses the default text.
-        interpret: Interprets instructions; used by ``stages`` only.
+        interpret: Interprets instructions; not used by ``mesatask``.
         rewords: See :class:`StagedPromptStyle`.
 
     Raises:
@@ -154,6 +157,8 @@ def prompt_style_of(
     """
     if name == "stages":
         return StagedPromptStyle(interpret, rewords)
+    if name == "zero_shot":
+        return StagedPromptStyle(interpret, rewords, ZERO_SHOT_SYSTEM)
     if name == "mesatask":
         return MesaTaskPromptStyle(wording)
-    raise ConfigError(f"dialect is {name!r}, expected stages or mesatask", "config_invalid")
+    raise ConfigError(f"dialect is {name!r}, expected stages, zero_shot or mesatask", "config_invalid")

@@ -91,5 +91,5 @@ def test_only_our_own_words_bind_the_answer() -> None:
 def test_dialects_by_name() -> None:
     assert isinstance(prompt_style_of("stages"), StagedPromptStyle)
     assert isinstance(prompt_style_of("mesatask"), MesaTaskPromptStyle)
-    with pytest.raises(ConfigError, match="expected stages or mesatask"):
+    with pytest.raises(ConfigError, match="expected stages, zero_shot or mesatask"):
         prompt_style_of("klingon")
