@@ -2,7 +2,7 @@
 
 OUT/weights/                     a plain Hugging Face folder, with reasoner.json (the settings of its training) and
                                  categories.json (used by the checks of its replies)
-OUT/checkpoint/state.pt          the checkpoint from which a stopped run continues
+OUT/checkpoint/NUMBER/           the checkpoint from which a stopped run continues, a part from each process
 OUT/logs/events.out.tfevents.*   losses, for TensorBoard
 OUT/manifest.json                settings, data and models
 OUT/cache/                       tokens and tokenizer; may be deleted
@@ -26,10 +26,13 @@ from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.token_dataset import TokenDataset
 from models.semantic_reasoner.training.trainer import CheckpointIdentity, ReasonerTrainer, StepMetrics, train
 from models.training.distributed import ProcessContext
-from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
+from pipelines.train.run import TrainingJob, TrainingMonitor, json_bytes, result_line
 from stable_data.code_version import code_version
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
+
+CHECKPOINT = "checkpoint"
+"""The folder of the checkpoint in a training's folder."""
 
 Judge: TypeAlias = Callable[[Any, PreTrainedTokenizerBase], Mapping[str, float]]
 """Computes named figures from the text that a model generates; the model is a complete one of transformers or peft."""
@@ -118,9 +121,10 @@ class ReasonerTrainingJob(TrainingJob):
         """Trains, or continues; the part of one process."""
         tokenizer, examples, held_out = self._read()
         training = ReasonerTrainer(examples, self.settings, tokenizer, place, self.identity(tokenizer))
-        training.resume(self.out / STATE)
+        training.resume(self.out / CHECKPOINT)
         watch, settings = self.watch, self.settings
-        with TrainingMonitor(training, settings.steps, self.out, self.minutes, watch.log_every, watch.save_minutes) as monitor:
+        limits = (self.minutes, watch.log_every, watch.save_minutes)
+        with TrainingMonitor(training, settings.steps, self.out, *limits, state=CHECKPOINT) as monitor:
 
             def after(_: ReasonerTrainer, step: StepMetrics) -> None:
                 rate = settings.learning_rate_at(training.step - 1)

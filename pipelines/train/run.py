@@ -23,7 +23,7 @@ from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 
 STATE = "checkpoint/state.pt"
-"""The checkpoint in a training's folder."""
+"""The checkpoint in a training's folder, of a training whose processes all hold the whole network."""
 
 _MIN_PAUSE = 20  # shortest time between checkpoints, in units of the time of saving one
 
@@ -161,15 +161,24 @@ class TrainingMonitor:
         minutes: Time limit; 0 is no limit.
         log_every: Steps between log entries; a logged loss is the mean over them.
         save_minutes: Minutes between checkpoints.
+        state: Path of the checkpoint in the folder.
 
     Attributes:
         is_first: Whether this process writes the files.
     """
 
     def __init__(
-        self, training: MonitoredTraining, steps: int, out: Path, minutes: float, log_every: int, save_minutes: float
+        self,
+        training: MonitoredTraining,
+        steps: int,
+        out: Path,
+        minutes: float,
+        log_every: int,
+        save_minutes: float,
+        *,
+        state: str = STATE,
     ) -> None:
-        self._training, self._out, self._log_every = training, out, log_every
+        self._training, self._state, self._log_every = training, out / state, log_every
         self._seconds, self._save_seconds = 60 * minutes, 60 * save_minutes
         self.is_first = training.place.rank == 0
         self._began = self._saved = time.monotonic()
@@ -226,7 +235,7 @@ class TrainingMonitor:
     def save(self) -> None:
         """Writes the checkpoint."""
         began = time.monotonic()
-        self._training.save(self._out / STATE)
+        self._training.save(self._state)
         self._saved = time.monotonic()
         self._save_took = self._saved - began
 

@@ -1,17 +1,9 @@
-"""The loss of the reasoner's training: the negative log-likelihood of the replies; prompts have no loss.
-
-In several processes the weights, their gradients and the optimizer's averages are sharded (FSDP) by PyTorch's ``fully_shard``:
-names of parameters and classes of modules do not change, and trained and frozen parameters may be mixed, as with LoRA.
-accelerate would only start the processes in addition, which Ray Train does already.
-"""
+"""The loss of the reasoner's training: the negative log-likelihood of the replies; prompts have no loss."""
 
 from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.distributed.device_mesh import init_device_mesh
-from torch.distributed.fsdp import fully_shard
-from torch.distributed.tensor import DTensor, distribute_tensor
 from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 from transformers import AttentionInterface, PreTrainedModel
@@ -109,36 +101,8 @@ def _attention_in_float32(
     return found.transpose(1, 2).contiguous().to(value.dtype), None
 
 
-_ON_CPU = "float32_on_cpu"
-AttentionInterface.register(_ON_CPU, _attention_in_float32)
-AttentionMaskInterface.register(_ON_CPU, sdpa_mask)
+FLOAT32_ON_CPU = "float32_on_cpu"
+"""Name of this attention for transformers."""
 
-
-def place_network(loss: ReplyLoss, place: ProcessContext) -> None:
-    """Moves a network to the training device in float32: all of it, or this process's shard of each layer."""
-    network: Any = loss.network
-    if place.device.type == "cpu":
-        network.set_attn_implementation(_ON_CPU)
-    if place.world_size == 1:
-        network.to(place.device, torch.float32)
-        return
-    mesh = init_device_mesh(place.device.type, (place.world_size,))
-    layers = network.model.layers
-    rest = [module for module in network.model.children() if module is not layers]
-    for module in (*rest, network.lm_head):
-        module.to(place.device, torch.float32)
-    for layer in layers:  # one after another, so that only one whole layer is on the device
-        fully_shard(layer.to(place.device, torch.float32), mesh=mesh)
-    fully_shard(loss, mesh=mesh)
-
-
-def gather_tensor(value: Tensor) -> Tensor:
-    """Returns the whole tensor of a shard, on every process."""
-    return value.full_tensor() if isinstance(value, DTensor) else value
-
-
-def shard_like(value: Tensor, like: Tensor) -> Tensor:
-    """Returns a tensor that every process has whole, on the device and with the shards of another one."""
-    if not isinstance(like, DTensor):
-        return value.to(like.device)
-    return distribute_tensor(value.to(like.device), like.device_mesh, like.placements, src_data_rank=None)
+AttentionInterface.register(FLOAT32_ON_CPU, _attention_in_float32)
+AttentionMaskInterface.register(FLOAT32_ON_CPU, sdpa_mask)

@@ -8,9 +8,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from transformers import PreTrainedModel, PreTrainedTokenizerBase, Qwen3Config, Qwen3ForCausalLM
+from transformers import AutoModelForCausalLM, PreTrainedModel, PreTrainedTokenizerBase, Qwen3Config, Qwen3ForCausalLM
 
-from models.semantic_reasoner.training.hf_folder import read_model
+from models.semantic_reasoner.training.hf_folder import read_config, read_model
 from models.semantic_reasoner.training.settings import LanguageModelSettings, LoraSettings, ReasonerTrainingSettings
 
 
@@ -57,7 +57,7 @@ def _initialise_number_embeddings(embeddings: Tensor, vocabulary: Mapping[str, i
         scale: Standard deviation of the other embeddings; these are larger, so that the first steps do not destroy them.
     """
     if embeddings.is_meta:
-        return  # a network without memory, whose parameters are only counted
+        return  # a network without memory
     numbers = {int(word): index for word, index in vocabulary.items() if re.fullmatch(r"-?[0-9]{1,3}", word)}
     values = torch.tensor(sorted(numbers), dtype=torch.float32)
     waves = 2 * math.pi * values[:, None] / torch.logspace(math.log10(3), math.log10(1200), embeddings.shape[1] // 2)
@@ -89,6 +89,12 @@ def _initialise_copy_heads(network: Qwen3ForCausalLM, width: int) -> None:
 class TrainableNetwork:
     """The network of a training, with LoRA if the settings have a rank.
 
+    Args:
+        settings: The settings of the training.
+        tokenizer: Its tokenizer.
+        is_empty: Whether the network has no values and takes no memory (PyTorch's device ``meta``): of ``base`` only the
+            configuration is read.
+
     Attributes:
         network: The causal language model, on the CPU; with LoRA only the added low-rank matrices are trained.
 
@@ -96,15 +102,19 @@ class TrainableNetwork:
         ConfigError: ``base`` is not a readable model.
     """
 
-    def __init__(self, settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase) -> None:
+    def __init__(
+        self, settings: ReasonerTrainingSettings, tokenizer: PreTrainedTokenizerBase, *, is_empty: bool = False
+    ) -> None:
         self._adapter: Any = None
-        if settings.base:
-            self.network = read_model(Path(settings.base).expanduser(), settings.max_tokens)
-        else:
-            self.network = new_network(settings.network, tokenizer, settings.max_tokens, settings.seed)
-        if settings.lora.rank:
-            self._adapter = _with_lora(self.network.to(torch.float32), settings.lora, settings.seed)
-            self.network = self._adapter.get_base_model()
+        with torch.device("meta" if is_empty else "cpu"):
+            if settings.base:
+                folder = Path(settings.base).expanduser()
+                self.network: PreTrainedModel = (_empty_model if is_empty else read_model)(folder, settings.max_tokens)
+            else:
+                self.network = new_network(settings.network, tokenizer, settings.max_tokens, settings.seed)
+            if settings.lora.rank:
+                self._adapter = _with_lora(self.network.to(torch.float32), settings.lora, settings.seed)
+                self.network = self._adapter.get_base_model()
         self.network.train()
 
     def with_values(self, values: Mapping[str, Tensor]) -> "TrainableNetwork":
@@ -129,6 +139,11 @@ class TrainableNetwork:
 def trainable_parameters(network: PreTrainedModel) -> dict[str, torch.nn.Parameter]:
     """Returns the trained parameters by name; a shared parameter has one name."""
     return {name: p for name, p in network.named_parameters() if p.requires_grad}
+
+
+def _empty_model(folder: Path, max_tokens: int) -> PreTrainedModel:
+    found: PreTrainedModel = AutoModelForCausalLM.from_config(read_config(folder, max_tokens))
+    return found
 
 
 def _with_lora(network: PreTrainedModel, settings: LoraSettings, seed: int) -> Any:

@@ -1,14 +1,13 @@
 """The optimizers of the reasoner's training behind one interface."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Mapping
 
 import torch
 from torch import Tensor, nn
 
-from models.semantic_reasoner.training.loss import shard_like
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 
-_STATE_KEYS = ("step", "exp_avg", "exp_avg_sq", "momentum_buffer")  # of AdamW and Muon
+_AVERAGES = ("exp_avg", "exp_avg_sq", "momentum_buffer")  # of AdamW and Muon
 
 
 class OptimizerSet:
@@ -44,25 +43,23 @@ class OptimizerSet:
             optimizer.step()
             optimizer.zero_grad()
 
-    def state(self) -> Iterator[tuple[str, str, Tensor]]:
-        """Returns the state of all parameters: the key, the parameter's name, and this process's part of the value."""
+    def averages(self) -> dict[str, Tensor]:
+        """Returns the moving averages as ``average.parameter``, of sharded parameters this process's part."""
         known = [(name, o.state[p]) for name, p in self._parameters.items() for o in self._optimizers if p in o.state]
-        return ((key, name, state[key]) for key in _STATE_KEYS for name, state in known if key in state)
+        return {f"{key}.{name}": state[key] for name, state in known for key in _AVERAGES if key in state}
 
-    def restore(self, state: Mapping[str, Mapping[str, Tensor]]) -> None:
-        """Sets the state that :meth:`state` returned, with whole tensors, by key and name."""
+    def make_averages(self, names: Collection[str], step: int) -> None:
+        """Makes the averages of these names, for values from a checkpoint, as they are after a number of steps."""
         for optimizer in self._optimizers:
             own = {id(p) for group in optimizer.param_groups for p in group["params"]}
             for name, p in self._parameters.items():
-                found = {key: values[name] for key, values in state.items() if name in values}
-                if id(p) in own and found:
-                    optimizer.state[p] = {key: _restored(key, value, p) for key, value in found.items()}
+                made = {key: torch.zeros_like(p.detach()) for key in _AVERAGES if f"{key}.{name}" in names}
+                if id(p) in own and made:
+                    # AdamW counts the steps of each parameter; Muon does not.
+                    count = {"step": torch.tensor(float(step), device=p.device)} if "exp_avg" in made else {}
+                    optimizer.state[p] = {**count, **made}
 
 
 def is_hidden(name: str, parameter: Tensor) -> bool:
     """Returns whether a parameter is a matrix between embeddings and head, whose rows Muon must not mix."""
     return parameter.dim() == 2 and "embed_tokens" not in name and "lm_head" not in name
-
-
-def _restored(key: str, value: Tensor, like: Tensor) -> Tensor:
-    return value.to(like.device).clone() if key == "step" else shard_like(value, like).clone()

@@ -22,13 +22,13 @@ from torch import Tensor
 from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.training.batch_sampler import Rows, batch_of, batches_in_order, batches_of_pass
-from models.semantic_reasoner.training.loss import ReplyLoss, gather_tensor, place_network, shard_like
-from models.semantic_reasoner.training.network import TrainableNetwork, trainable_parameters
+from models.semantic_reasoner.training.network import trainable_parameters
 from models.semantic_reasoner.training.optimizers import OptimizerSet
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
+from models.semantic_reasoner.training.sharding import gather_tensor, make_loss
 from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset
-from models.training.checkpoint import load_checkpoint, save_checkpoint
 from models.training.distributed import CPU, ProcessContext
+from models.training.sharded_checkpoint import load_tensors, read_values, save_sharded
 from stable_data.errors import ConfigError
 
 
@@ -117,8 +117,7 @@ class ReasonerTrainer:
             )
         self.data, self.settings, self.place, self.tokenizer = data, settings, place, tokenizer
         self._identity = identity
-        self.loss = ReplyLoss(TrainableNetwork(settings, tokenizer).network, settings)
-        place_network(self.loss, place)
+        self.loss = make_loss(settings, tokenizer, place)
         self._parameters = trainable_parameters(self.loss.network)
         self._optimizers = OptimizerSet(self._parameters, settings)
         self.step = self.tokens = 0
@@ -181,25 +180,29 @@ class ReasonerTrainer:
 
     def values(self) -> dict[str, Tensor]:
         """Returns the trained parameters by name, whole and on the CPU; all processes call it, and only the first gets them."""
-        return dict(self._on_first(self._parameters.items()))
-
-    def _on_first(self, items: Any) -> Iterator[tuple[str, Tensor]]:
-        for name, value in items:
-            whole = gather_tensor(value.detach())
+        found: dict[str, Tensor] = {}
+        for name, parameter in self._parameters.items():
+            whole = gather_tensor(parameter.detach())
             if self.place.rank == 0:
-                yield name, whole.cpu()
+                found[name] = whole.cpu()
+        return found
 
-    def save(self, path: Path) -> None:
-        """Writes a checkpoint atomically; all processes call it."""
-        values = self.values()
-        averages: dict[str, dict[str, Tensor]] = {}
-        for key, name, value in self._optimizers.state():
-            averages.setdefault(key, {}).update(self._on_first([(name, value)]))
-        if self.place.rank == 0:
-            state = {"step": self.step, "tokens": self.tokens, "values": values, "averages": averages}
-            save_checkpoint(path, state | {"learning_rates": self._rates(self.step)}, self._expected_identity())
+    def save(self, folder: Path) -> None:
+        """Writes a checkpoint into a folder atomically, each process its own part; all processes call it.
 
-    def resume(self, path: Path) -> bool:
+        Raises:
+            ConfigError: It could not be written; the checkpoint before it stays.
+        """
+        averages = self._optimizers.averages()
+        values = {
+            "step": self.step,
+            "tokens": self.tokens,
+            "averages": list(averages),
+            "learning_rates": self._rates(self.step),
+        }
+        save_sharded(folder, self._weights() | averages, values, self._expected_identity(), self.place)
+
+    def resume(self, folder: Path) -> bool:
         """Continues from a checkpoint of :meth:`save`, with any number of processes; returns False if there is none.
 
         ``steps`` and ``cool_down`` may differ from those of the checkpoint if the finished steps have the same learning rates.
@@ -207,30 +210,30 @@ class ReasonerTrainer:
         Raises:
             ConfigError: The checkpoint cannot be read, or has other settings, data or models.
         """
-        state = load_checkpoint(path, self._expected_identity(), "step", "tokens", "values", "averages", "learning_rates")
-        if state is None:
+        found = read_values(folder, self._expected_identity(), self.place, "step", "tokens", "averages", "learning_rates")
+        if found is None:
             return False
+        checkpoint, values = found
         # The settings steps and cool_down are not compared, so that a run may be extended before its cool-down.
-        if not torch.equal(state["learning_rates"], self._rates(state["step"])):
+        if values["learning_rates"] != self._rates(values["step"]):
             raise ConfigError(
-                f"{path}: with steps {self.settings.steps} and cool_down {self.settings.cool_down:g} the {state['step']} finished "
+                f"{folder}: with steps {self.settings.steps} and cool_down {self.settings.cool_down:g} the {values['step']} finished "
                 "steps would have had other learning rates; set both as at the start, or change them before the cool-down",
                 "config_changed",
             )
-        self._restore(state)
+        self._optimizers.make_averages(values["averages"], values["step"])
+        load_tensors(checkpoint, self._weights() | self._optimizers.averages(), self.place)
+        self.step, self.tokens = values["step"], values["tokens"]
+        self._batches = self._batches_from(self.step)
         return True
 
-    def _rates(self, step: int) -> Tensor:
-        """The learning rates of the steps before ``step``."""
-        return torch.tensor([self.settings.learning_rate_at(k) for k in range(step)], dtype=torch.float64)
+    def _weights(self) -> dict[str, Tensor]:
+        """The trained parameters as they are in a checkpoint, of sharded ones this process's part."""
+        return {f"weights.{name}": p.detach() for name, p in self._parameters.items()}
 
-    @torch.no_grad()
-    def _restore(self, state: dict[str, Any]) -> None:
-        for name, parameter in self._parameters.items():
-            parameter.copy_(shard_like(state["values"][name], parameter))
-        self._optimizers.restore(state["averages"])
-        self.step, self.tokens = state["step"], state["tokens"]
-        self._batches = self._batches_from(self.step)
+    def _rates(self, step: int) -> list[float]:
+        """The learning rates of the steps before ``step``."""
+        return [self.settings.learning_rate_at(k) for k in range(step)]
 
     def _expected_identity(self) -> dict[str, Any]:
         settings = {key: value for key, value in asdict(self.settings).items() if key not in ("steps", "cool_down")}

@@ -3,9 +3,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from models.semantic_reasoner.training.loss import ReplyLoss, place_network
+from models.semantic_reasoner.training.loss import ReplyLoss
 from models.semantic_reasoner.training.network import new_network
 from models.semantic_reasoner.training.settings import EMBEDDED, LanguageModelSettings, Precision, ReasonerTrainingSettings
+from models.semantic_reasoner.training.sharding import place_network
 from models.training.distributed import CPU
 from pipelines.train.estimate import memory_bytes
 from tests.models.semantic_reasoner.training.reasoner_examples import tokenizer

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import torch
+from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from transformers import AutoModelForCausalLM, AutoTokenizer
 from typer.testing import CliRunner
@@ -30,8 +31,7 @@ from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.job import preprocess
 from pipelines.settings import SECTIONS
 from pipelines.train.estimate import training_plan
-from pipelines.train.reasoner import ReasonerMonitoring, ReasonerTrainingJob
-from pipelines.train.run import STATE
+from pipelines.train.reasoner import CHECKPOINT, ReasonerMonitoring, ReasonerTrainingJob
 from stable_data.embedded_world.edit_table import write_edits
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
@@ -86,6 +86,19 @@ def job(
 def weights(out: Path) -> dict[str, torch.Tensor]:
     found: dict[str, torch.Tensor] = AutoModelForCausalLM.from_pretrained(out / "weights").state_dict()
     return found
+
+
+def checkpoint_values(out: Path) -> dict[str, Any]:
+    """The plain values of a training's checkpoint."""
+    (folder,) = (out / CHECKPOINT).iterdir()
+    found: dict[str, Any] = json.loads((folder / "training.json").read_text("utf-8"))["values"]
+    return found
+
+
+def num_saved_weights(out: Path) -> int:
+    """The number of the trained weights in a training's checkpoint."""
+    tensors = [found for file in (out / CHECKPOINT).glob("*/*.safetensors") for found in load_file(file).items()]
+    return sum(value.numel() for name, value in tensors if name.startswith("weights."))
 
 
 def invoke(*arguments: object) -> Any:
@@ -179,7 +192,7 @@ def test_killed_and_terminated_and_run_again_it_gives_the_weights_of_one_run(run
         process.communicate()
         if number == signal.SIGTERM:
             assert process.returncode == 0
-            assert 0 < torch.load(out / STATE, weights_only=True)["step"] < steps
+            assert 0 < checkpoint_values(out)["step"] < steps
     subprocess.run(command_of(run, out, steps), check=True, capture_output=True, env=environment)
     assert (out / "weights/model.safetensors").read_bytes() == (tmp_path / "one/weights/model.safetensors").read_bytes()
 
@@ -410,7 +423,7 @@ def test_the_plan_is_what_then_is_done(run: Path, out: Path) -> None:
     assert planned["steps"] == manifest["settings"]["steps"]
     assert planned["examples_read"] == manifest["examples"]["train"]["used"]
     assert sum(of["total"] for of in planned["tokens"].values()) == manifest["examples"]["train"]["tokens"]
-    assert planned["memory_bytes"]["num_weights"] == sum(v.numel() for v in torch.load(out / STATE)["values"].values())
+    assert planned["memory_bytes"]["num_weights"] == num_saved_weights(out)
 
 
 @pytest.mark.filterwarnings("ignore:.is_gradient_checkpointing.:FutureWarning")  # of peft about transformers
@@ -423,7 +436,7 @@ def test_memory_is_shared_and_lora_trains_little(run: Path, out: Path, base: Pat
     assert whole["gathered"] > alone["gathered"] == 0
     assert little["num_weights"] == alone["num_weights"]
     job(run, out, lora, minutes=1e-9).run()
-    assert little["num_trained"] == sum(v.numel() for v in torch.load(out / STATE)["values"].values())
+    assert little["num_trained"] == num_saved_weights(out)
     again = training_plan(job(run, out, replace(SETTINGS, base=str(base), recomputes=True)), 0)["memory_bytes"]
     assert again["activations"] < alone["activations"]
 

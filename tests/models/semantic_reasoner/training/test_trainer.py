@@ -1,3 +1,8 @@
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -5,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 from transformers import AutoModelForCausalLM, AutoTokenizer
 
 from models.semantic_reasoner.training.batch_sampler import TokenBatch, batch_of
 from models.semantic_reasoner.training.hf_folder import read_model, read_tokenizer, write_model
-from models.semantic_reasoner.training.loss import ReplyLoss, place_network
+from models.semantic_reasoner.training.loss import ReplyLoss
 from models.semantic_reasoner.training.network import TrainableNetwork, new_network, trainable_parameters
 from models.semantic_reasoner.training.settings import (
     LanguageModelSettings,
@@ -17,6 +23,7 @@ from models.semantic_reasoner.training.settings import (
     ReasonerTrainingSettings,
     training_preset,
 )
+from models.semantic_reasoner.training.sharding import place_network
 from models.semantic_reasoner.training.token_dataset import TokenDataset
 from models.semantic_reasoner.training.trainer import CheckpointIdentity, ReasonerTrainer, train
 from models.training.distributed import CPU, ProcessContext
@@ -35,6 +42,12 @@ def advanced(settings: ReasonerTrainingSettings, steps: int) -> ReasonerTrainer:
     for _ in range(steps):
         made.advance()
     return made
+
+
+def checkpoint_of(folder: Path) -> dict[str, list[float]]:
+    """The tensors of the checkpoint in a folder."""
+    (found,) = folder.glob("*/*.safetensors")
+    return {name: value.flatten().tolist() for name, value in load_file(found).items()}
 
 
 def same(a: ReasonerTrainer, b: ReasonerTrainer) -> bool:
@@ -215,34 +228,33 @@ def test_a_loss_that_is_not_finite_ends_the_run() -> None:
 def test_a_run_that_was_killed_and_resumed_is_the_run_that_was_not(settings: ReasonerTrainingSettings, tmp_path: Path) -> None:
     clean = advanced(settings, 12)  # several passes
     first = advanced(settings, 5)
-    first.save(tmp_path / "state.pt")
+    first.save(tmp_path / "kept")
     first.advance()  # lost: it was killed before it was kept
     second = training(settings)
-    assert second.resume(tmp_path / "state.pt")
+    assert second.resume(tmp_path / "kept")
     assert (second.step, second.tokens < clean.tokens) == (5, True)
     for _ in range(7):
         second.advance()
     assert same(second, clean)
     assert second.tokens == clean.tokens
-    second.save(tmp_path / "second.pt")
-    clean.save(tmp_path / "clean.pt")
-    a, b = (torch.load(tmp_path / f"{name}.pt", weights_only=True) for name in ("second", "clean"))
+    second.save(tmp_path / "second")
+    clean.save(tmp_path / "clean")
+    a, b = (checkpoint_of(tmp_path / name) for name in ("second", "clean"))
+    assert a == b
     muons = {"momentum_buffer"} if settings.optimizer == "muon" else set()
-    assert set(a["averages"]) == {"step", "exp_avg", "exp_avg_sq"} | muons
-    for key, averages in a["averages"].items():
-        assert all(torch.equal(value, b["averages"][key][name]) for name, value in averages.items())
+    assert {name.partition(".")[0] for name in a} == {"weights", "exp_avg", "exp_avg_sq"} | muons
 
 
 def test_a_run_may_be_kept_before_its_first_step(tmp_path: Path) -> None:
-    training().save(tmp_path / "state.pt")
+    training().save(tmp_path)
     again = training()
-    assert again.resume(tmp_path / "state.pt")
+    assert again.resume(tmp_path)
     assert again.advance() == training().advance()
 
 
 def test_a_run_may_become_longer_until_it_cools_down(tmp_path: Path) -> None:
     short, long = (replace(TINY, steps=steps, warm_up=2, cool_down=0.5) for steps in (8, 16))
-    path = tmp_path / "state.pt"
+    path = tmp_path / "kept"
     advanced(short, 4).save(path)
     longer = training(long)
     assert longer.resume(path)
@@ -255,21 +267,122 @@ def test_a_run_may_become_longer_until_it_cools_down(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "state.pt"
+    path = tmp_path / "kept"
     assert not training().resume(path)
     training().save(path)
-    with pytest.raises(ConfigError, match=r"settings.learning_rate: 0.01 -> 0.5"):
+    with pytest.raises(ConfigError, match=r"settings.learning_rate: 0.01 -> 0.5") as caught:
         training(replace(TINY, learning_rate=0.5)).resume(path)
+    assert caught.value.code == "config_changed"
     with pytest.raises(ConfigError, match=r"identity.data:  -> other"):
         ReasonerTrainer(DATA, TINY, tokenizer(), CPU, CheckpointIdentity("other")).resume(path)
-    state = torch.load(path, weights_only=True)
-    del state["values"]
-    torch.save(state, path)
+
+
+def cut(folder: Path) -> None:
+    (file,) = folder.glob("*.safetensors")
+    file.write_bytes(file.read_bytes()[:-4])
+
+
+def cut_and_said(folder: Path) -> None:
+    """As if it had been written so."""
+    cut(folder)
+    notes = json.loads((folder / "training.json").read_text("utf-8"))
+    notes["files"] = {name: (folder / name).stat().st_size for name in notes["files"]}
+    (folder / "training.json").write_text(json.dumps(notes), "utf-8")
+
+
+def without_a_value(folder: Path) -> None:
+    notes = json.loads((folder / "training.json").read_text("utf-8"))
+    del notes["values"]["tokens"]
+    (folder / "training.json").write_text(json.dumps(notes), "utf-8")
+
+
+def without_a_tensor(folder: Path) -> None:
+    (file,) = folder.glob("*.safetensors")
+    names = {name: value for name, value in load_file(file).items() if "embed" not in name}
+    size = file.stat().st_size
+    save_file(names, file)
+    notes = (folder / "training.json").read_text("utf-8")
+    (folder / "training.json").write_text(notes.replace(str(size), str(file.stat().st_size)), "utf-8")
+
+
+BROKEN: dict[str, Callable[[Path], object]] = {
+    "a file is cut": cut,
+    "a file was cut before": cut_and_said,
+    "a file is away": lambda folder: next(folder.glob("*.safetensors")).unlink(),
+    "the values are away": lambda folder: (folder / "training.json").unlink(),
+    "the values are no JSON": lambda folder: (folder / "training.json").write_text("{", "utf-8"),
+    "the values are a list": lambda folder: (folder / "training.json").write_text("[]", "utf-8"),
+    "a value is missing": without_a_value,
+    "a tensor is missing": without_a_tensor,
+    "there is something else": lambda folder: (folder.parent / "state.pt").write_bytes(b"of an earlier version"),
+}
+
+
+@pytest.mark.parametrize("way", BROKEN)
+def test_an_unreadable_checkpoint_is_one_clear_line(way: str, tmp_path: Path) -> None:
+    advanced(TINY, 1).save(tmp_path / "kept")
+    BROKEN[way](tmp_path / "kept/000001")
+    with pytest.raises(ConfigError, match="cannot be read as a checkpoint") as caught:
+        training().resume(tmp_path / "kept")
+    assert caught.value.code == "checkpoint_invalid"
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_where_the_checkpoint_should_be_is_said(tmp_path: Path) -> None:
+    (tmp_path / "kept").write_bytes(b"PK nothing")
     with pytest.raises(ConfigError, match="cannot be read as a checkpoint"):
-        training().resume(path)
-    path.write_bytes(b"PK nothing")
-    with pytest.raises(ConfigError, match="cannot be read as a checkpoint"):
-        training().resume(path)
+        training().resume(tmp_path / "kept")
+    with pytest.raises(ConfigError, match="could not be written") as caught:
+        training().save(tmp_path / "kept")
+    assert caught.value.code == "checkpoint_unwritten"
+
+
+class KilledError(BaseException):
+    """In place of the end of the process."""
+
+
+def killed_after(calls: int, patch: pytest.MonkeyPatch) -> list[int]:
+    """Makes the calls that change files raise after some of them; returns a list with the number of calls that are left."""
+    left = [calls]
+
+    def limited(call: Callable[..., Any]) -> Callable[..., Any]:
+        def counted(*args: Any, **more: Any) -> Any:
+            if left[0] == 0:
+                raise KilledError
+            left[0] -= 1
+            return call(*args, **more)
+
+        return counted
+
+    for owner, name in ((os, "fsync"), (os, "unlink"), (os, "rmdir"), (os, "mkdir"), (Path, "replace"), (Path, "open")):
+        patch.setattr(owner, name, limited(getattr(owner, name)))
+    return left
+
+
+def test_wherever_it_is_killed_the_old_or_the_new_checkpoint_is_there(tmp_path: Path) -> None:
+    made = advanced(TINY, 2)
+    made.save(tmp_path / "before")
+    made.advance()
+    found = []
+    for calls in range(100):
+        folder = Path(shutil.copytree(tmp_path / "before", tmp_path / "kept"))
+        with pytest.MonkeyPatch.context() as patch:
+            left = killed_after(calls, patch)
+            with contextlib.suppress(KilledError, ConfigError):  # torch wraps what ends its writing
+                made.save(folder)
+        again = training()
+        assert again.resume(folder)
+        found.append(again.step)
+        assert again.step == 2 or same(again, made)
+        again.save(folder)  # what was left over is in nobody's way
+        assert len(list(folder.iterdir())) == 1
+        assert training().resume(folder)
+        shutil.rmtree(folder)
+        if left[0]:
+            break
+    assert found == sorted(found)
+    assert len(found) > 10
+    assert set(found) == {2, 3}
 
 
 def test_processes_that_cannot_share_a_step_are_refused() -> None:
@@ -347,8 +460,8 @@ def test_lora_trains_its_matrices_alone(base: Path, tmp_path: Path, merges: bool
     here: Any = made.loss.network
     torch.testing.assert_close(loaded(tokens).logits, here(tokens).logits, rtol=1e-3, atol=1e-3)
     again = training(settings)
-    made.save(tmp_path / "state.pt")
-    assert again.resume(tmp_path / "state.pt")
+    made.save(tmp_path / "kept")
+    assert again.resume(tmp_path / "kept")
     assert made.advance() == again.advance()
 
 
