@@ -1,6 +1,6 @@
 """The known categories that a noun phrase may mean."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,14 +25,16 @@ class Lexicon:
 
     Attributes:
         nouns: The nouns of each category.
+        words: Words that are not typing errors of a noun.
     """
 
     nouns: Mapping[str, Sequence[str]]
+    words: Container[str] = frozenset()
 
     @classmethod
-    def of(cls, pools: NounPools, categories: Iterable[str]) -> "Lexicon":
+    def of(cls, pools: NounPools, categories: Iterable[str], words: Container[str] = frozenset()) -> "Lexicon":
         """Returns the nouns of these categories."""
-        return cls({c: pools.nouns.get(c, (c.replace("_", " "),)) for c in categories})
+        return cls({c: pools.nouns.get(c, (c.replace("_", " "),)) for c in categories}, words)
 
     def _nouns_of(self, category: str) -> tuple[str, ...]:
         """The nouns of a category, and those of its classes, such as ``fruit``."""
@@ -78,7 +80,7 @@ class Lexicon:
         return next((len(words) - k for k in range(len(words)) if _spelt(words[k:]) in self._by_noun), len(words))
 
     def _nearest(self, spelt: str) -> str | None:
-        if len(spelt) < _LEAST:
+        if len(spelt) < _LEAST or all(word in self.words for word in spelt.split()):
             return None
         most = 2 if len(spelt) >= _LONG else 1
         found = extractOne(spelt, self._nouns, scorer=OSA.distance, score_cutoff=most)

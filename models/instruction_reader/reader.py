@@ -59,7 +59,7 @@ class InstructionReader:
             ConfigError: The weights cannot be read.
         """
         model, spelling = _opened(path)
-        return cls(model, Lexicon.of(read_nouns(), categories), spelling)
+        return cls(model, Lexicon.of(read_nouns(), categories, spelling.words), spelling)
 
     def knows(self, word: str) -> bool:
         """Returns whether a word in lower case, or its stem, is one of the words of the training or of the nouns."""

@@ -1,5 +1,6 @@
 """Mends typing errors: an unknown word becomes the frequent known word that differs from it least."""
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -30,6 +31,9 @@ _ENDINGS = (
     ("ve", ""),
 )
 """Endings of known stems, and what the stem has instead."""
+
+_DOUBLING = frozenset({"ing", "ed", "er"})  # endings before which short stems double their last letter
+_DOUBLED = re.compile("[^aeiou]*[aeiou][^aeiouwxy]")
 
 _LEAST = 4  # letters of a word that is compared
 _LONG = 8  # letters from which any two errors are mended; in shorter words two vowels may be wrong
@@ -70,6 +74,11 @@ class Spelling:
         return cls({word: n for word, n in counts.items() if word.isalpha()}, frozenset(known))
 
     @cached_property
+    def words(self) -> frozenset[str]:
+        """All known words."""
+        return self.known | self.frequent.keys()
+
+    @cached_property
     def _words(self) -> list[str]:
         return [word for word in self.frequent if len(word) >= _LEAST - 1]
 
@@ -103,8 +112,17 @@ class Spelling:
 
 
 def _stems(word: str) -> tuple[str, ...]:
-    """A word, and what it may be an inflection of."""
-    return (word, *(word.removesuffix(end) + more for end, more in _ENDINGS if word.endswith(end)))
+    """A word, and what it may be an inflection of: ``chop`` of ``chopping``, but not of ``choping``."""
+    found = [word]
+    for end, more in _ENDINGS:
+        if word.endswith(end):
+            stem = word.removesuffix(end)
+            doubles = not more and end in _DOUBLING
+            if not (doubles and _DOUBLED.fullmatch(stem)):
+                found.append(stem + more)
+            if doubles and stem[-1:] == stem[-2:-1]:
+                found.append(stem[:-1])
+    return tuple(found)
 
 
 def _consonants(word: str) -> str:

@@ -1,7 +1,7 @@
 """Finds the objects of a layout that an instruction mentions: by category, adjectives, place, relations and superlatives."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +11,7 @@ from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.reading import InstructionReading, MentionedObject
 from models.instruction_reader.sentences import split_words
 from stable_data.errors import SceneError
-from stable_data.instructions.wording.words import singular
+from stable_data.instructions.wording.words import singular, type_words
 from stable_data.metrics.matching import closeness
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
 from stable_data.scene_graph.relations import cell_of, direction_of, is_held, relations_of, scene_graph
@@ -23,6 +23,9 @@ _ANY = frozenset({"a", "an", "any", "one", "some"})
 """Words before a mention of which any object may be meant."""
 
 _ALL = frozenset({"all", "every", "each", "both"})
+
+_ONE_OR_MANY = frozenset({"dice"})
+"""Nouns whose plural may mean one object."""
 
 _DEFINITE = frozenset({"the", "that", "this", "those", "these"})
 """Words before a mention of an object that must be there."""
@@ -114,11 +117,17 @@ class MentionResolver:
     def _words_before(self, one: MentionedObject) -> set[str]:
         return {split_words(self._text[:start])[-1] for start, _ in one.mentions if split_words(self._text[:start])}
 
-    def resolve(self, needed: Iterable[int]) -> dict[int, tuple[str, ...]]:
+    def is_unknown(self, number: int) -> bool:
+        """Whether a mention has no known noun and fits no object, such as ``the washbasin`` beside the table."""
+        one = self._reading.objects[number]
+        return number not in self.new and not one.categories and not self._of_category(one)
+
+    def resolve(self, needed: Iterable[int], changed: Set[int]) -> dict[int, tuple[str, ...]]:
         """Returns the instances of each needed object; all objects of a group have the same instances.
 
         Args:
             needed: Numbers of objects that the edit changes, or that it needs to know the place of.
+            changed: Those that it changes; of the others fewer may be there than are mentioned ("the row of three books").
 
         Raises:
             SceneError: None or too few objects fit (``object_missing``), or more than are meant (``ambiguous``).
@@ -131,7 +140,7 @@ class MentionResolver:
                 words = ", ".join(o.instance for o in self._layout[:8])
                 raise SceneError(f"no object of the layout is {group.first.words!r}; it has {words}", MISSING)
             count = len(group.numbers)
-            if len(names) < count and not group.is_open:
+            if len(names) < count and not group.is_open and changed & set(group.numbers):
                 there = ", ".join(names)
                 raise SceneError(f"{count} objects are {group.first.words!r}, but the layout has only {there}", MISSING)
             if len(names) > count and not group.is_open:
@@ -145,7 +154,8 @@ class MentionResolver:
     def _group(self, numbers: tuple[int, ...]) -> MentionedGroup:
         one = self._reading.objects[numbers[0]]
         before = self._words_before(one)
-        return MentionedGroup(numbers, one, one.is_one_of_many or bool(before & _ALL), bool(before & _ANY))
+        is_open = one.is_one_of_many or bool(before & _ALL) or one.words.split()[-1] in _ONE_OR_MANY
+        return MentionedGroup(numbers, one, is_open, bool(before & _ANY))
 
     def _fitting(self) -> list[list[str]]:
         """The instances that each group may mean, by all that is said of it."""
@@ -158,21 +168,44 @@ class MentionResolver:
                 fitting[k] = self._related(k, fitting)
         for k, group in enumerate(self.groups):
             fitting[k] = self._extreme(group, fitting[k])
-        return self._different(fitting)
+        fitting = self._different(fitting)
+        return [self._with_its_carrier(k, fitting) for k in range(len(self.groups))]
+
+    def _with_its_carrier(self, k: int, fitting: Sequence[list[str]]) -> list[str]:
+        """The instances of a group that lie on, or carry, another mentioned object: ``the muffin, plate and all``.
+
+        The group is not where something shall go: ``put the muffin on the plate`` asks for another plate than its own.
+        """
+        names, group = fitting[k], self.groups[k]
+        aims = {r.target for r in self._reading.goal}
+        if len(names) <= len(group.numbers) or aims & set(group.numbers):
+            return names
+        known = [one for j, found in enumerate(fitting) if j != k and len(found) == 1 for one in found]
+        tied = [a for a in names if any(self._holds("on", a, b) or self._holds("on", b, a) for b in known if a != b)]
+        return tied if len(tied) == len(group.numbers) else names
 
     def _of_category(self, one: MentionedObject) -> list[str]:
         """The instances of its categories, or else those with most of its words in their descriptions."""
-        close = {o.instance: max((closeness(o.category, c) for c in one.categories), default=0) for o in self._layout}
+        close = {o.instance: self._closeness(one, o) for o in self._layout}
         if not any(close.values()):
             words = set(singular(tuple(w for w in one.words.split() if len(w) >= _LETTERS)))
-            close = {o.instance: len(words & set(singular(tuple(split_words(o.description))))) for o in self._layout}
+            close = {o.instance: _common_words(words, singular(tuple(split_words(o.description)))) for o in self._layout}
         best = max(close.values(), default=0)
         return [name for name, how in close.items() if how == best > 0]
 
+    def _closeness(self, one: MentionedObject, o: SceneObject) -> int:
+        """How well an object fits a mention; best if the mention says its category."""
+        words, category = singular(tuple(one.words.split())), singular(type_words(o.category))
+        size = self._lexicon.noun_size(one.words.split())
+        if category and category == words[-len(category) :] and len(category) >= size:
+            return 3
+        if category and set(category) <= set(words) and set(self._lexicon.categories(category)) & set(one.categories):
+            return 2  # the ketchup of a "ketchup bottle"
+        return max((closeness(o.category, c) for c in one.categories), default=0)
+
     def _adjectives(self, one: MentionedObject) -> list[str]:
-        """The adjectives of a mention, and what is said of its place among others (``that is farthest to the left``)."""
-        words = one.words.split()
-        found = words[: len(words) - self._lexicon.noun_size(words)]
+        """The words of a mention, and what is said of its place among others (``that is farthest to the left``)."""
+        found = one.words.split()
         for start, end in one.mentions:
             before = split_words(self._text[:start])[-_BEFORE:]
             found += [word for word in before if word in _EXTREMES and word.endswith(("st", "er"))]
@@ -250,6 +283,11 @@ class MentionResolver:
                     if j != k and len(rest) >= len(self.groups[j].numbers):
                         left[j] = rest
         return left
+
+
+def _common_words(words: Iterable[str], of_description: Sequence[str]) -> int:
+    """The number of words that a description has, alone or as the end of a compound such as ``racquetball``."""
+    return sum(any(other.endswith(word) for other in of_description) for word in words)
 
 
 _NEAR = 0.15  # metres between the outlines of objects that are near each other

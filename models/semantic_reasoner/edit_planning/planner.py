@@ -66,10 +66,11 @@ class EditPlanner:
         )
         goals = [r for r in reading.goal if not {r.subject, r.target} <= resolver.new or r.kind == "style"]
         acted = {k for k, o in enumerate(objects) if o.change or o.goal_region}
+        goals = list(_without_surroundings(goals, resolver, acted))
         needed = acted | {n for r in goals for n in (r.subject, r.target)}
         if not needed:
             return None
-        meanings = resolver.resolve(needed)
+        meanings = resolver.resolve(needed, acted | {r.subject for r in goals})
         goals = [_as_style(r, objects) for r in goals]
         for k in resolver.new:
             if objects[k].categories and not any(r.kind in ("style", _LOOK) and r.target == k for r in goals):
@@ -79,7 +80,7 @@ class EditPlanner:
         for k, o in enumerate(objects):
             for name in meanings.get(k, ()) if o.change == "remove" else ():
                 plan.remove(name)
-        for name, wanted in _moves(reading, goals, meanings, resolver.new, plan.placed).items():
+        for name, wanted in _targets_first(_moves(reading, goals, meanings, resolver.new, plan.placed)):
             plan.move(name, wanted)
         return plan.reply()
 
@@ -106,6 +107,15 @@ class EditPlanner:
                 plan.exchange(subjects[0], targets[0])
             case _:
                 pass
+
+
+def _without_surroundings(
+    goals: Sequence[MentionedRelation], resolver: MentionResolver, acted: Set[int]
+) -> Iterator[MentionedRelation]:
+    """The goals without those to unknown things around the table, where the edit says more of the same object."""
+    known = [r for r in goals if not resolver.is_unknown(r.target)]
+    placed = acted | {r.subject for r in known}
+    return (r for r in goals if r in known or r.subject not in placed)
 
 
 def _as_style(r: MentionedRelation, objects: Sequence[MentionedObject]) -> MentionedRelation:
@@ -140,6 +150,17 @@ def _moves(
         elif o.change in ("away", "add") and name not in moves and name not in placed:
             moves[name] = [("away", ())]
     return moves
+
+
+def _targets_first(
+    moves: Mapping[str, list[tuple[str, Sequence[str]]]],
+) -> Iterator[tuple[str, list[tuple[str, Sequence[str]]]]]:
+    """The moves in an order in which an object moves after those that it goes to."""
+    left = dict(moves)
+    while left:
+        name = next((n for n, wanted in left.items() if not any(t in left for _, names in wanted for t in names if t != n)), "")
+        name = name or next(iter(left))  # they go to each other
+        yield name, left.pop(name)
 
 
 def _moves_later(objects: Sequence[MentionedObject], subject: int, target: int, new: frozenset[int]) -> bool:

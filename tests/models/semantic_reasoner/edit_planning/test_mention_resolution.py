@@ -37,7 +37,7 @@ def mentioned(words: str, *categories: str, name: int = 0, text: str = "", **mor
 
 def resolve(*objects: MentionedObject, start: tuple[tuple[int, str, int], ...] = (), text: str = "") -> tuple[str, ...]:
     reading = InstructionReading(objects, tuple(MentionedRelation(*r) for r in start))
-    return MentionResolver(text, reading, LAYOUT, TABLE, LEXICON).resolve([0])[0]
+    return MentionResolver(text, reading, LAYOUT, TABLE, LEXICON).resolve([0], {0})[0]
 
 
 def test_an_object_is_found_by_its_category_colour_place_and_relations() -> None:
