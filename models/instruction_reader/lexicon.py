@@ -75,6 +75,10 @@ class Lexicon:
             return self.categories(words[: words.index("of", 1)])
         return ()
 
+    def is_noun(self, word: str) -> bool:
+        """Returns whether a word alone is a noun of a category."""
+        return word in self._by_noun
+
     def noun_size(self, words: Sequence[str]) -> int:
         """Returns the number of words at the end of a phrase that are its noun; all of them if the noun is unknown."""
         return next((len(words) - k for k in range(len(words)) if _spelt(words[k:]) in self._by_noun), len(words))

@@ -5,17 +5,18 @@ for a small network; for a large one it follows from the number of operations an
 """
 
 import time
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-from transformers import AutoModelForCausalLM, PreTrainedTokenizerBase
+from transformers import PreTrainedTokenizerBase
 
 from models.semantic_reasoner.training.batch_sampler import padding_of
-from models.semantic_reasoner.training.hf_folder import read_config
-from models.semantic_reasoner.training.network import new_network
+from models.semantic_reasoner.training.loss import HEAD_CHUNK
+from models.semantic_reasoner.training.network import TrainableNetwork
 from models.semantic_reasoner.training.optimizers import is_hidden
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset
@@ -30,7 +31,7 @@ ASSUMED_FLOPS = 4e14
 _READ = 6000  # examples whose token lengths are counted
 _MEASURED_WEIGHTS = 5e7  # largest number of weights of a network whose steps are measured
 _STEPS = 3
-_FLOAT = 4  # bytes of a float32
+_FLOAT, _LOW = 4, 2  # bytes of a float32 and of a bfloat16
 
 
 def training_plan(job: ReasonerTrainingJob, workers: int) -> dict[str, Any]:
@@ -108,38 +109,73 @@ def memory_bytes(
         world: Number of processes, which share weights, gradients and averages.
 
     Returns:
-        Bytes by use; also the numbers of weights and of trained weights.
+        Bytes of a process by use: ``weights``, ``gradients`` and ``optimizer`` are exact, of the first process, whose shards are
+        the largest; ``gathered`` are whole weights and gradients while they are in use; ``activations`` are kept from the forward
+        to the backward pass; ``working`` is the most that the backward pass takes at a time. Also the bytes of a checkpoint, and
+        the numbers of weights and of trained weights.
     """
-    with torch.device("meta"):
-        network: Any = (
-            AutoModelForCausalLM.from_config(read_config(Path(settings.base).expanduser(), settings.max_tokens))
-            if settings.base
-            else new_network(settings.network, tokenizer, settings.max_tokens, settings.seed)
-        )
-    config, rank, layers = network.config, settings.lora.rank, network.model.layers
-    num_weights, num_layer = (sum(p.numel() for p in module.parameters()) for module in (network, layers[0]))
-    linear = [module for module in network.model.modules() if isinstance(module, torch.nn.Linear)]
-    num_low_rank = sum(rank * (module.in_features + module.out_features) for module in linear)
-    num_hidden = sum(p.numel() for name, p in network.named_parameters() if is_hidden(name, p))
-    trained, of_muon = (num_low_rank, num_low_rank) if rank else (num_weights, num_hidden)
-    averages = 2 * trained - (
-        of_muon if settings.optimizer == "muon" else 0
-    )  # AdamW stores two averages of each weight, Muon one
-    size = 2 if settings.precision == "bfloat16" else _FLOAT  # bytes of a factor in matrix products
-    head = getattr(config, "head_dim", None) or config.hidden_size // config.num_attention_heads
+    network: Any = TrainableNetwork(settings, tokenizer, is_empty=True).network
+    parameters = dict(network.named_parameters())
+    trained = {name: p for name, p in parameters.items() if p.requires_grad}
+    averages = {name: 1 if settings.optimizer == "muon" and is_hidden(name, p) else 2 for name, p in trained.items()}
+    shard = {name: -(-len(p) // world) * (p.numel() // len(p)) for name, p in parameters.items()}  # as fully_shard cuts them
+    kept, working = _activations(network, settings, tokens, replies, world)
+    parts = {
+        "weights": _FLOAT * sum(shard.values()),
+        "gradients": _FLOAT * sum(shard[name] for name in trained),
+        "optimizer": _FLOAT * sum(count * shard[name] for name, count in averages.items()),
+        "gathered": _gathered(network, settings) if world > 1 else 0,
+        "activations": kept,
+        "working": working,
+    }
+    saved = _FLOAT * sum((1 + averages[name]) * p.numel() for name, p in trained.items())
+    counts = {"num_weights": _count(parameters.values()), "num_trained": _count(trained.values())}
+    return {**counts, **parts, "each_process": sum(parts.values()), "checkpoint": saved}
+
+
+def _activations(network: Any, settings: ReasonerTrainingSettings, tokens: int, replies: int, world: int) -> tuple[int, int]:
+    """The bytes that a process keeps for the backward pass, and the most that the backward pass takes at a time besides."""
+    config, layers = network.config, network.model.layers
+    width, is_low, has_lora = config.hidden_size, settings.precision == "bfloat16", settings.lora.rank > 0
+    size = _LOW if is_low else _FLOAT  # of a factor in matrix products
+    head = getattr(config, "head_dim", None) or width // config.num_attention_heads
     heads = (config.num_attention_heads + config.num_key_value_heads) * head
-    # The backward pass of a layer needs, for each token, the inputs of norms, attention and products, and weights in bfloat16.
-    of_layer = tokens * (24 * config.hidden_size + 16 * heads + 4 * size * config.intermediate_size)
-    of_layer += 2 * num_layer if size == 2 else 0
-    inputs = tokens * config.hidden_size * _FLOAT * len(layers)
-    activations = inputs + 2 * of_layer if settings.recomputes else (len(layers) + 1) * of_layer  # one more for the gradients
-    logits = (min(replies, 1024) if settings.recomputes else replies) * config.vocab_size * (2 + 3 * _FLOAT)
-    # Not sharded while in use: embedding and head with their gradients; a layer, its gradient and the next layer.
-    whole = 2 * (num_weights - len(layers) * num_layer) + 3 * num_layer if world > 1 else 0
-    numbers = {"weights": num_weights / world, "gradients": trained / world, "optimizer": averages / world, "gathered": whole}
-    parts = {name: round(_FLOAT * number) for name, number in numbers.items()} | {"activations": activations + logits}
-    totals = {"each_process": sum(parts.values()), "checkpoint": _FLOAT * (trained + averages)}
-    return {"num_weights": num_weights, "num_trained": trained, **parts, **totals}
+    # For each token, float32: the inputs of two norms and, where their weights are trained, their results; the same for queries
+    # and keys. Factors: five inputs of products, of which equal ones are one in float32; four of the feed-forward layer.
+    of_norms = 2 * _FLOAT if has_lora else 4 * _FLOAT
+    of_token = width * (of_norms + (5 if is_low else 2) * size) + heads * (16 - (size if has_lora else 0))
+    of_token += 4 * size * config.intermediate_size + 7 * size * settings.lora.rank
+    # Autocast makes copies of weights in bfloat16, except where layers are gathered in it.
+    copies = _LOW * _count(layers[0].parameters()) if is_low and world == 1 else 0
+    of_layer = tokens * of_token + copies
+    # The head: its weights as a factor with their gradient, and for each logit its values in both formats and their gradient.
+    num_head = network.lm_head.weight.numel()
+    of_head = num_head * (_LOW if is_low else 0)
+    of_gradient = num_head * ((_LOW if is_low else 0) + _FLOAT) if network.lm_head.weight.requires_grad else 0
+    logits = (min(replies, HEAD_CHUNK) if settings.recomputes else replies) * config.vocab_size
+    of_loss = tokens * width * (_FLOAT if has_lora else 2 * _FLOAT) + replies * width * _FLOAT  # the last norm
+    if settings.recomputes:
+        kept = of_loss + len(layers) * tokens * width * _FLOAT
+        working = max(2 * of_layer, logits * (_LOW + 3 * _FLOAT) + of_head + of_gradient)
+    else:
+        kept = of_loss + len(layers) * of_layer + logits * _FLOAT + of_head + (replies * width * size if is_low else 0)
+        working = max(of_layer, logits * (_LOW + 2 * _FLOAT) + of_gradient)
+    return kept, working
+
+
+def _gathered(network: Any, settings: ReasonerTrainingSettings) -> int:
+    """The bytes of whole weights and gradients in use at a time: embedding and head, a layer, and the next one on its way."""
+    layer = list(network.model.layers[0].parameters())
+    inside = {id(p) for p in network.model.layers.parameters()}
+    rest = [p for p in network.parameters() if id(p) not in inside]
+    size = _LOW if settings.precision == "bfloat16" else _FLOAT
+    # A layer and the next, which arrives in one piece and is then taken apart; gradients, and those that are being added up.
+    of_layer = 3 * size * _count(layer) + (size + _FLOAT) * _count(p for p in layer if p.requires_grad)
+    return of_layer + _FLOAT * (_count(rest) + _count(p for p in rest if p.requires_grad))
+
+
+def _count(parameters: Iterable[torch.Tensor]) -> int:
+    return sum(p.numel() for p in parameters)
 
 
 def _seconds_a_step(

@@ -2,10 +2,20 @@
 
 In a plain cache all sequences of a batch grow together, so that a batch takes as long as its longest reply. Here each sequence
 has a slot and its own length. The used slots are contiguous, so that a step reads views of the cache and copies nothing.
+
+The logits of a sequence do not depend on the other sequences of its batch, to the last bit. Products of matrices round
+differently for different numbers of rows, so three things are fixed:
+
+- a prompt is read alone;
+- the rows of a step are filled up: to a multiple of :data:`_ROWS` on a CPU, whose products give a row the same bits in any such
+  number of rows (``test_local_engine.py`` measures it), and to all slots on other devices, which choose a kernel by the shape;
+- on a CPU each sequence attends alone to its own tokens; on other devices all attend together, and the hidden tokens have the
+  weight 0, in whole blocks of a kernel.
 """
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad, scaled_dot_product_attention
 from transformers import AttentionInterface, PreTrainedModel
 from transformers.cache_utils import Cache, CacheLayerMixin
 
@@ -15,6 +25,8 @@ ATTENTION = "stable_data_slots"
 """Name of :func:`slot_attention` in transformers."""
 
 _GROWTH = 256  # tokens by which the cache grows at a time
+_ROWS = 4
+_BLOCK = 128  # tokens that attention kernels of GPUs read at a time, at most
 
 
 def slot_attention(
@@ -27,7 +39,7 @@ def slot_attention(
         query: (B, H, Q, C).
         key: (B, K, T, C), K a divisor of H.
         value: (B, K, T, C).
-        attention_mask: Added to the scores, (B, 1, 1, T); None: causal, Q = T.
+        attention_mask: Added to the scores, (B, 1, 1, T), and Q = 1; None: causal, Q = T.
         more: Further arguments of transformers, with ``scaling``.
 
     Returns:
@@ -36,14 +48,37 @@ def slot_attention(
     scaling = more.get("scaling")
     assert isinstance(scaling, float)
     if attention_mask is None:
-        attended = torch.nn.functional.scaled_dot_product_attention(
-            query, key, value, is_causal=query.shape[2] > 1, scale=scaling, enable_gqa=True
-        )
+        attended = scaled_dot_product_attention(query, key, value, is_causal=query.shape[2] > 1, scale=scaling, enable_gqa=True)
         return attended.transpose(1, 2), None
-    batch, heads, _, width = query.shape
-    grouped = query.view(batch, key.shape[1], heads // key.shape[1], width)
-    weights = torch.softmax(torch.matmul(grouped, key.transpose(2, 3)) * scaling + attention_mask, -1)
-    return torch.matmul(weights, value).view(batch, 1, heads, width), None
+    seen: Tensor | list[int] = attention_mask
+    if query.device.type == "cpu":
+        seen = (attention_mask[:, 0, 0] == 0).sum(1).tolist()
+    return attend(query[:, :, 0], key, value, seen, scaling)[:, None], None
+
+
+def attend(query: Tensor, keys: Tensor, values: Tensor, seen: Tensor | list[int], scaling: float) -> Tensor:
+    """Computes the attention of one token of each sequence.
+
+    Args:
+        query: (B, H, C).
+        keys: (B, K, T, C), K a divisor of H.
+        values: (B, K, T, C).
+        seen: The tokens that each sequence attends to. A mask that is added to the scores, (B, 1, 1, T), and all attend together;
+            or the numbers of first tokens of the first sequences, and each attends alone; the other rows have no meaning.
+        scaling: Factor of the scores.
+
+    Returns:
+        (B, H, C).
+    """
+    # Query heads that share a key head become queries of one head, so that no key is repeated.
+    grouped = query.unflatten(1, (keys.shape[1], -1))
+    if isinstance(seen, Tensor):
+        return scaled_dot_product_attention(grouped, keys, values, attn_mask=seen, scale=scaling).flatten(1, 2)
+    attended = torch.zeros_like(grouped)
+    for k, n in enumerate(seen):
+        row = slice(k, k + 1)
+        attended[row] = scaled_dot_product_attention(grouped[row], keys[row, :, :n], values[row, :, :n], scale=scaling)
+    return attended.flatten(1, 2)
 
 
 AttentionInterface.register(ATTENTION, slot_attention)
@@ -69,14 +104,15 @@ class _SlotLayer(CacheLayerMixin):  # type: ignore[misc]
             self.lazy_initialization(key_states, value_states)
         assert self.keys is not None
         assert self.values is not None
-        if missing := self._cache.capacity - self.keys.shape[2]:
-            self.keys = torch.nn.functional.pad(self.keys, (0, 0, 0, missing))
-            self.values = torch.nn.functional.pad(self.values, (0, 0, 0, missing))
-        first, count, size = self._cache.first, len(key_states), key_states.shape[2]
+        slots, tokens = self._cache.num_slots - self.keys.shape[0], self._cache.capacity - self.keys.shape[2]
+        if slots or tokens:
+            more = (0, 0, 0, tokens, 0, 0, 0, slots)
+            self.keys, self.values = pad(self.keys, more), pad(self.values, more)
+        count, size = len(key_states), key_states.shape[2]
         if self._cache.positions is None:
-            self.keys[first : first + count, :, :size] = key_states
-            self.values[first : first + count, :, :size] = value_states
-            return key_states, value_states  # new sequences have no older tokens
+            self.keys[self._cache.first, :, :size] = key_states[0]
+            self.values[self._cache.first, :, :size] = value_states[0]
+            return key_states, value_states  # a new sequence has no older tokens
         rows = torch.arange(count, device=key_states.device)  # one token for each sequence, at its own position
         self.keys[rows, :, self._cache.positions] = key_states[:, :, 0]
         self.values[rows, :, self._cache.positions] = value_states[:, :, 0]
@@ -96,19 +132,28 @@ class _SlotLayer(CacheLayerMixin):  # type: ignore[misc]
 
 
 class SlotCache(Cache):  # type: ignore[misc]
-    """A key-value cache of ``num_layers`` layers in which each of at most ``num_slots`` sequences has a slot."""
+    """A key-value cache of ``num_layers`` layers in which each sequence has a slot.
 
-    def __init__(self, num_layers: int, num_slots: int) -> None:
-        self.num_slots, self.capacity = num_slots, _GROWTH
+    Attributes:
+        num_slots: Number of slots; grows with the batch.
+        capacity: Number of tokens of a slot; grows with the longest sequence.
+        first: Slot of the prompt that is read.
+        positions: Positions of the tokens of a step; None while a prompt is read.
+        width: Number of tokens that a step attends to.
+    """
+
+    def __init__(self, num_layers: int) -> None:
+        self.num_slots, self.capacity = _ROWS, _GROWTH
         self.first, self.width = 0, 0
         self.positions: Tensor | None = None
         self._slots = [_SlotLayer(self) for _ in range(num_layers)]
         super().__init__(layers=list(self._slots))
 
-    def reserve(self, width: int) -> None:
-        """Grows the capacity to at least ``width`` tokens of a sequence."""
-        if width > self.capacity:
-            self.capacity = -(-width // _GROWTH) * _GROWTH
+    def reserve(self, num_slots: int, width: int) -> None:
+        """Grows to at least ``num_slots`` slots of at least ``width`` tokens."""
+        if num_slots > self.num_slots:
+            self.num_slots = max(num_slots, 2 * self.num_slots)
+        self.capacity = max(self.capacity, _filled(width, _GROWTH))
 
     def move(self, source: int, target: int, length: int) -> None:
         """Copies the first ``length`` tokens of a slot to another."""
@@ -128,52 +173,56 @@ class Decoder:
 
     Attributes:
         lengths: Number of tokens of each sequence in the cache, in slot order.
+        logits: Logits of the next tokens on the model's device, (rows, V), one row for each slot; rows after the last sequence
+            have no meaning.
     """
 
     def __init__(self, model: PreTrainedModel, num_slots: int, pad: int) -> None:
         self._model, self._pad = model, pad
-        self._step = Qwen3Step(model) if Qwen3Step.knows(model) else None
-        self._cache = SlotCache(model.config.get_text_config().num_hidden_layers, num_slots)
+        self._step = Qwen3Step(model, attend) if Qwen3Step.knows(model) else None
+        self._cache = SlotCache(model.config.get_text_config().num_hidden_layers)
+        self._multiple = _ROWS if model.device.type == "cpu" else num_slots
         self.num_slots = num_slots
         self.lengths: list[int] = []
+        self.logits = torch.zeros(0, model.get_output_embeddings().weight.shape[0], device=model.device)
 
     @torch.inference_mode()
-    def admit(self, prompts: list[list[int]]) -> Tensor:
-        """Reads the prompts of new sequences into the next free slots.
-
-        Returns:
-            Logits of the token after each prompt, (len(prompts), V).
-        """
-        width = max(map(len, prompts))
-        cache, device = self._cache, self._model.device
-        cache.reserve(width)
-        cache.first, cache.positions, cache.width = len(self.lengths), None, width
-        tokens = torch.tensor([p + [self._pad] * (width - len(p)) for p in prompts], device=device)
-        hidden = self._forward(tokens, torch.arange(width, device=device).expand_as(tokens), None)
-        last = torch.tensor([len(p) - 1 for p in prompts], device=device)
-        self.lengths += map(len, prompts)
-        return self._logits(hidden[torch.arange(len(prompts), device=device), last])
+    def admit(self, prompt: list[int]) -> None:
+        """Reads the prompt of a new sequence into the next free slot."""
+        cache, slot, size = self._cache, len(self.lengths), len(prompt)
+        self.lengths.append(size)
+        rows = _filled(len(self.lengths), self._multiple)
+        cache.reserve(rows, size)
+        cache.first, cache.positions, cache.width = slot, None, size
+        device = self._model.device
+        hidden = self._forward(torch.tensor([prompt], device=device), torch.arange(size, device=device)[None], None)
+        if rows != len(self.logits):
+            self.logits = pad(self.logits, (0, 0, 0, rows - len(self.logits)))
+        self.logits[slot] = self._logits(hidden[:, -1])[0]
 
     @torch.inference_mode()
-    def step(self, tokens: list[int]) -> Tensor:
-        """Appends one token to each sequence, in slot order.
-
-        Returns:
-            Logits of the next tokens, (len(tokens), V).
-        """
+    def step(self, tokens: list[int]) -> None:
+        """Appends one token to each sequence, in slot order."""
         cache, device = self._cache, self._model.device
-        positions = torch.tensor(self.lengths, device=device)
+        rows = _filled(len(tokens), self._multiple)
+        more = rows - len(tokens)  # rows of one token, whose slots are free
+        places = torch.tensor([self.lengths + [0] * more, tokens + [self._pad] * more], device=device)
+        positions, read = places.unbind()
         self.lengths = [n + 1 for n in self.lengths]
-        cache.width = max(self.lengths)
-        cache.reserve(cache.width)
-        cache.first, cache.positions = 0, positions
-        # Sequences that are shorter than the longest one do not attend to the rest of their slots.
-        hides = torch.arange(cache.width, device=device)[None] > positions[:, None]
-        mask = torch.zeros(hides.shape, dtype=self._model.dtype, device=device).masked_fill_(hides, -torch.inf)[:, None, None]
-        read = torch.tensor(tokens, device=device)
-        if self._step is not None:
-            return self._logits(self._step(read, positions, mask if min(self.lengths) < cache.width else None, cache))
-        return self._logits(self._forward(read[:, None], positions[:, None], mask)[:, 0])
+        cache.width = max(self.lengths) if device.type == "cpu" else _filled(max(self.lengths), _BLOCK)
+        cache.reserve(rows, cache.width)
+        cache.positions = positions
+        if self._step is not None and device.type == "cpu":
+            hidden = self._step(read, positions, self.lengths, cache)
+        else:
+            # Sequences that are shorter than the longest one do not attend to the rest of their slots.
+            hides = torch.arange(cache.width, device=device)[None] > positions[:, None]
+            mask = torch.zeros(hides.shape, dtype=self._model.dtype, device=device).masked_fill_(hides, -torch.inf)[:, None, None]
+            if self._step is not None:
+                hidden = self._step(read, positions, mask, cache)
+            else:
+                hidden = self._forward(read[:, None], positions[:, None], mask)[:, 0]
+        self.logits = self._logits(hidden)
 
     def _forward(self, tokens: Tensor, positions: Tensor, mask: Tensor | None) -> Tensor:
         # A mask by attention type is used unchanged; for any other the decoder makes a mask for a cache that grows.
@@ -199,6 +248,8 @@ class Decoder:
     def release(self, slot: int) -> int | None:
         """Ends a sequence and moves the last one to its slot, so that used slots stay contiguous.
 
+        The logits are not moved: a step follows.
+
         Returns:
             The former slot of the moved sequence; None if the ended one was the last.
         """
@@ -208,3 +259,8 @@ class Decoder:
             self.lengths[slot] = self.lengths[last]
         self.lengths.pop()
         return None if slot == last else last
+
+
+def _filled(count: int, multiple: int) -> int:
+    """The next multiple."""
+    return -(-count // multiple) * multiple

@@ -1,5 +1,6 @@
 """Engines in this process: the embedded small Qwen3, or any causal language model in a Hugging Face folder, with a grammar."""
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +15,10 @@ from torch import Tensor
 from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, PreTrainedTokenizerFast
 
 from models.semantic_reasoner.engines.batched_decoding import ATTENTION, Decoder
-from models.semantic_reasoner.engines.incremental_batches import Conversation, collect_answers
+from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long
+from models.semantic_reasoner.engines.shared_batch import SharedBatch
+from models.semantic_reasoner.engines.token_sampling import TokenSampler
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.reply_json import parse_reply
 from models.semantic_reasoner.text.tokenizer import chat_text
@@ -42,11 +45,12 @@ class LocalEngine:
     """A language model in this process: batched, seeded, and bound to the form of the replies.
 
     Sequences are decoded ``num_slots`` at a time, and the next one takes the slot of a finished one. Each has its own random
-    stream from its seed, so its reply does not depend on the rest of the batch, except for the rounding of batched products.
+    stream from its seed, and logits that do not depend on the rest of its batch, see
+    :mod:`models.semantic_reasoner.engines.batched_decoding`. So a reply depends on its request alone, whatever else is decoded.
 
-    The end of a list of objects is drawn with the model's own probability at any temperature. The model decides it once an
-    object, so a temperature below 1 and the cut at ``top_p`` would give longer lists than those of its training. A reply that
-    would end without the objects that its form requires continues with one of them.
+    Several threads may call :meth:`complete`: their requests share one running batch.
+
+    A reply that would end without the objects that its form requires continues with one of them.
 
     Args:
         model: A causal language model.
@@ -55,6 +59,10 @@ class LocalEngine:
         sampling: How tokens are drawn.
         num_slots: Largest number of sequences at a time.
         is_constrained: Whether replies are bound to their form.
+
+    Attributes:
+        num_steps: Number of decoding steps so far.
+        num_tokens: Number of tokens that these steps have drawn, one for each sequence in the batch.
     """
 
     repeats = True
@@ -74,8 +82,12 @@ class LocalEngine:
         self._num_slots, self._is_constrained = num_slots, is_constrained
         self._vocabulary = model.get_output_embeddings().weight.shape[0]
         self._end = {model.config.eos_token_id, tokenizer.eos_token_id} - {None}
+        closing = np.zeros(self._vocabulary, bool)
         words = tokenizer.convert_ids_to_tokens(range(len(tokenizer)))
-        self._closing = torch.tensor([k for k, word in enumerate(words) if word.endswith(_CLOSING)], dtype=torch.long)
+        closing[[k for k, word in enumerate(words) if word.endswith(_CLOSING)]] = True
+        self._sampler = TokenSampler(sampling, closing)
+        self._shared = SharedBatch(lambda: _DecodingBatch(self))
+        self.num_steps = self.num_tokens = 0
         self._guide = llguidance.hf.from_tokenizer(tokenizer, n_vocab=self._vocabulary)
         self._executor = LLExecutor()
 
@@ -127,45 +139,26 @@ class LocalEngine:
         return cls(model, tokenizer, name or f"transformers:{folder.name}", sampling, num_slots, is_constrained)
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
-        """Returns one completion for each request, in their order."""
-        return collect_answers(self.converse(requests), len(requests))
+        """Returns one completion for each request, in their order; they join the requests of other threads."""
+        futures = [self._shared.submit(request) for request in requests]
+        try:
+            return [future.result() for future in futures]
+        finally:
+            for future in futures:
+                future.cancel()  # after an error or Ctrl-C; a finished one cannot be cancelled
 
     def converse(self, requests: Sequence[Request]) -> Conversation[Completion, Request]:
-        """Yields completions when they are done; the requests that follow take their slots, so the batch stays full."""
-        num_requests = 0
-        done: list[tuple[int, Completion]] = []
-        waiting: list[_Sequence] = []
+        """Yields completions when they are done; the requests that follow take their slots, so the batch stays full.
 
-        def add(more: Sequence[Request]) -> None:
-            nonlocal num_requests
-            for index, request in enumerate(more, num_requests):
-                sequence = self._start(index, request)
-                if isinstance(sequence, Completion):
-                    done.append((index, sequence))
-                else:
-                    waiting.append(sequence)
-            num_requests += len(more)
-            waiting.sort(key=lambda s: len(s.prompt))  # prompts of similar length need little padding; the sort is stable
-
-        add(requests)
-        decoder = Decoder(self._model, min(self._num_slots, max(1, len(waiting))), self._tokenizer.pad_token_id or 0)
-        active: list[_Sequence] = []
-        logits = torch.zeros(0, self._vocabulary)
-        while True:
-            while done:
-                found, done = done, []
-                add((yield found))
-            if not (waiting or active):
-                return
-            # Prompts are read when an eighth of the slots is free: one at a time would cost a step for each.
-            free = decoder.num_slots - len(active)
-            if waiting and (not active or free >= max(1, decoder.num_slots // 8)):
-                admitted, waiting = waiting[:free], waiting[free:]
-                logits = torch.cat([logits, decoder.admit([s.prompt for s in admitted]).cpu()])
-                active += admitted
-            tokens = self._draw(logits, active)
-            done = self._append(tokens, active, decoder)
-            logits = decoder.step(tokens).cpu() if active else logits[:0]
+        The batch is not shared with other threads, so that the order of completions depends on the requests alone.
+        """
+        batch, count = _DecodingBatch(self), 0
+        while requests or batch.is_busy:
+            for request in requests:
+                batch.add(count, request)
+                count += 1
+            done = batch.advance()
+            requests = (yield done) if done else ()
 
     def _start(self, index: int, request: Request) -> _Sequence | Completion:
         chat = chat_text(self._tokenizer, request.messages, thinks=not request.form.binds)
@@ -182,34 +175,6 @@ class LocalEngine:
 
     def _matcher(self, grammar: str) -> LLMatcher:
         return LLMatcher(self._guide, LLMatcher.grammar_from_lark(grammar))
-
-    def _append(self, tokens: list[int], active: list[_Sequence], decoder: Decoder) -> list[tuple[int, Completion]]:
-        """Appends a token to each sequence, and removes the completed ones from ``tokens`` and ``active``."""
-        done = []
-        longest = self._model.config.get_text_config().max_position_embeddings
-        for slot in reversed(range(len(active))):  # from the last, since a release moves the last sequence
-            sequence, token = active[slot], tokens[slot]
-            ended = token in self._end
-            if not ended:
-                sequence.reply.append(token)
-                if sequence.matcher is not None:
-                    sequence.matcher.consume_token(token)
-                    ended = sequence.matcher.is_stopped()
-            if ended and self._reopen(sequence):
-                ended = False
-                # The last remaining token is decoded again, for the logits after it.
-                so_far = sequence.prompt + sequence.reply
-                decoder.rewind(slot, len(so_far) - 1)
-                tokens[slot] = so_far[-1]
-            room = min(self.sampling.max_tokens, longest - len(sequence.prompt))
-            if ended or len(sequence.reply) >= room:
-                done.append((sequence.index, self._completion(sequence, ended)))
-                last = decoder.release(slot)
-                if last is not None:
-                    active[slot], tokens[slot] = active[last], tokens[last]
-                active.pop()
-                tokens.pop()
-        return done
 
     def _reopen(self, sequence: _Sequence) -> bool:
         """Removes the end of a reply that lacks required objects, so that one of these follows; False if none is missing."""
@@ -230,37 +195,14 @@ class LocalEngine:
 
     def _draw(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
         """Draws a token for each sequence."""
+        allowed, may_end = None, np.zeros(len(active), bool)
         matchers = [(s.matcher, row) for row, s in enumerate(active) if s.matcher is not None]
         if matchers:
-            mask = llguidance.numpy.allocate_token_bitmask(len(active), self._vocabulary)
-            llguidance.numpy.fill_next_token_bitmask_par(self._executor, matchers, mask)
-            allowed = np.unpackbits(mask.view(np.uint8), axis=1, bitorder="little")[:, : self._vocabulary]
-            logits = logits.masked_fill(torch.from_numpy(allowed == 0), -torch.inf)
-        sampling = self.sampling
-        if sampling.temperature == 0:
-            return logits.argmax(1).tolist()
-        if matchers:
-            self._draw_ends(logits, active)
-        # Top k, then top p, in the order of transformers.
-        best, tokens = torch.topk(logits, min(sampling.top_k or self._vocabulary, self._vocabulary))
-        share = torch.softmax(best / sampling.temperature, 1)
-        before = torch.cumsum(share, 1) - share
-        share = share * (before < sampling.top_p)  # the most probable token always remains
-        draws = torch.tensor([s.draws.random() for s in active])[:, None]
-        place = (torch.cumsum(share, 1) <= draws * share.sum(1, keepdim=True)).sum(1, keepdim=True)
-        return tokens.gather(1, place.clamp_max(share.shape[1] - 1))[:, 0].tolist()
-
-    def _draw_ends(self, logits: Tensor, active: list[_Sequence]) -> None:
-        """Draws which of the lists that may end here do end, and masks the other tokens of these, or else the end."""
-        for row in torch.isfinite(logits[:, self._closing]).any(1).nonzero()[:, 0].tolist():
-            if active[row].matcher is None:
-                continue
-            odds = torch.softmax(logits[row], 0)[self._closing].sum()
-            ends = active[row].draws.random() < float(odds)
-            closing = logits[row, self._closing] if ends else -torch.inf
-            if ends:
-                logits[row] = -torch.inf
-            logits[row, self._closing] = closing
+            allowed = llguidance.numpy.allocate_token_bitmask(len(active), self._vocabulary)
+            llguidance.numpy.fill_next_token_bitmask_par(self._executor, matchers, allowed)
+            may_end[[row for _, row in matchers]] = self._sampler.may_end(allowed[[row for _, row in matchers]])
+        end_draws = np.array([s.draws.random() if ends else np.nan for s, ends in zip(active, may_end, strict=True)])
+        return self._sampler.draw(logits, allowed, np.array([s.draws.random() for s in active]), end_draws)
 
     def _text(self, tokens: list[int]) -> str:
         return str(self._tokenizer.decode(tokens, skip_special_tokens=True, clean_up_tokenization_spaces=False))
@@ -271,3 +213,70 @@ class LocalEngine:
         if not ended:
             return Completion("", read, written, f"the reply was cut off after {written:,} tokens", "reply_cut")
         return Completion(text, read, written)
+
+
+class _DecodingBatch:
+    """The sequences that an engine decodes at a time, and those that wait for a slot."""
+
+    def __init__(self, engine: LocalEngine) -> None:
+        self._engine = engine
+        self._decoder = Decoder(engine._model, engine._num_slots, engine._tokenizer.pad_token_id or 0)
+        self._waiting: deque[_Sequence] = deque()
+        self._active: list[_Sequence] = []
+        self._refused: list[tuple[int, Completion]] = []
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether requests are open."""
+        return bool(self._waiting or self._active or self._refused)
+
+    def add(self, number: int, request: Request) -> None:
+        """Adds a request, which begins when there is a slot."""
+        sequence = self._engine._start(number, request)
+        if isinstance(sequence, Completion):
+            self._refused.append((number, sequence))
+        else:
+            self._waiting.append(sequence)
+
+    def advance(self) -> list[tuple[int, Completion]]:
+        """Decodes one token of each sequence, and returns the completions that end with it."""
+        done, self._refused = self._refused, []
+        engine, decoder, active = self._engine, self._decoder, self._active
+        while self._waiting and len(active) < decoder.num_slots:
+            active.append(self._waiting.popleft())
+            decoder.admit(active[-1].prompt)
+        if active:
+            engine.num_steps, engine.num_tokens = engine.num_steps + 1, engine.num_tokens + len(active)
+            tokens = engine._draw(decoder.logits, active)
+            done += self._append(tokens)
+            if active:
+                decoder.step(tokens)
+        return done
+
+    def _append(self, tokens: list[int]) -> list[tuple[int, Completion]]:
+        """Appends a token to each sequence, and removes the completed ones from the batch and ``tokens``."""
+        engine, decoder, active, done = self._engine, self._decoder, self._active, []
+        longest = engine._model.config.get_text_config().max_position_embeddings
+        for slot in reversed(range(len(active))):  # from the last, since a release moves the last sequence
+            sequence, token = active[slot], tokens[slot]
+            ended = token in engine._end
+            if not ended:
+                sequence.reply.append(token)
+                if sequence.matcher is not None:
+                    sequence.matcher.consume_token(token)
+                    ended = sequence.matcher.is_stopped()
+            if ended and engine._reopen(sequence):
+                ended = False
+                # The last remaining token is decoded again, for the logits after it.
+                so_far = sequence.prompt + sequence.reply
+                decoder.rewind(slot, len(so_far) - 1)
+                tokens[slot] = so_far[-1]
+            room = min(engine.sampling.max_tokens, longest - len(sequence.prompt))
+            if ended or len(sequence.reply) >= room:
+                done.append((sequence.index, engine._completion(sequence, ended)))
+                last = decoder.release(slot)
+                if last is not None:
+                    active[slot], tokens[slot] = active[last], tokens[last]
+                active.pop()
+                tokens.pop()
+        return done

@@ -8,6 +8,8 @@ the difference is within the noise (5 % less processor time, 4 % more time). The
 ways, one at a time and all at once, for greedy and for sampled decoding.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -17,9 +19,16 @@ from transformers.models.qwen3.modeling_qwen3 import Qwen3RMSNorm
 
 
 class Qwen3Step:
-    """A decoding step with the weights of a model that :meth:`knows` accepts."""
+    """A decoding step with the weights of a model that :meth:`knows` accepts.
 
-    def __init__(self, model: Qwen3ForCausalLM) -> None:
+    Args:
+        model: The model.
+        attend: Computes the attention of one token of each sequence, see
+            :func:`models.semantic_reasoner.engines.batched_decoding.attend`.
+    """
+
+    def __init__(self, model: Qwen3ForCausalLM, attend: Callable[[Tensor, Tensor, Tensor, Tensor | list[int], float], Tensor]) -> None:
+        self._attend = attend
         config = model.config
         self._layers = list(model.model.layers)
         self._embed, self._norm, self._rotary = model.model.embed_tokens, model.model.norm, model.model.rotary_emb
@@ -37,13 +46,13 @@ class Qwen3Step:
         # Query, key, value and output of attention; gate, up and down of the MLP.
         return len(parts) == 7 * len(model.model.layers) and all(type(part) is torch.nn.Linear for part in parts)
 
-    def __call__(self, tokens: Tensor, positions: Tensor, mask: Tensor | None, cache: Cache) -> Tensor:
+    def __call__(self, tokens: Tensor, positions: Tensor, seen: Tensor | list[int], cache: Cache) -> Tensor:
         """Reads a token of each sequence.
 
         Args:
             tokens: (B,) int64.
             positions: Positions of the tokens, (B,) int64.
-            mask: Added to the scores, (B, 1, 1, T); None if all tokens are visible.
+            seen: The tokens that each sequence attends to, see ``attend``.
             cache: Keys and values of the earlier tokens; those of the new tokens are added.
 
         Returns:
@@ -62,9 +71,7 @@ class Qwen3Step:
             value = functional.linear(inputs, attention.v_proj.weight).view(batch, kv_heads, 1, width)
             query, key = (_rotated(x, cos, sin) for x in (_normed(query, attention.q_norm), _normed(key, attention.k_norm)))
             keys, values = cache.update(key[:, :, None], value, number)
-            # Query heads that share a key head become queries of one head, so that no key is repeated.
-            query = query.view(batch, kv_heads, heads // kv_heads, width)
-            attended = functional.scaled_dot_product_attention(query, keys, values, attn_mask=mask, scale=attention.scaling)
+            attended = self._attend(query, keys, values, seen, attention.scaling)
             hidden = hidden + functional.linear(attended.reshape(batch, heads * width), attention.o_proj.weight)
             inputs = _normed(hidden, layer.post_attention_layernorm)
             gated = functional.silu(functional.linear(inputs, mlp.gate_proj.weight))

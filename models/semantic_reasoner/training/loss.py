@@ -13,7 +13,8 @@ from models.semantic_reasoner.training.batch_sampler import IGNORED, TokenBatch
 from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.training.distributed import ProcessContext
 
-_HEAD_CHUNK = 1024  # tokens whose logits are in memory at a time if activations are recomputed
+HEAD_CHUNK = 1024
+"""Tokens whose logits are in memory at a time if activations are recomputed."""
 
 
 class ReplyLoss(nn.Module):
@@ -60,7 +61,7 @@ class ReplyLoss(nn.Module):
             hidden, target = hidden[counts], target[counts]
             if not self._settings.recomputes:
                 return self._head(hidden, target)
-            parts = zip(torch.split(hidden, _HEAD_CHUNK), torch.split(target, _HEAD_CHUNK), strict=True)
+            parts = zip(torch.split(hidden, HEAD_CHUNK), torch.split(target, HEAD_CHUNK), strict=True)
             losses = [checkpoint(self._head, h, t, use_reentrant=False) for h, t in parts]
         return torch.stack(losses).sum()
 

@@ -1,37 +1,70 @@
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
-import torch
+from transformers import Qwen3Config
 
-from models.semantic_reasoner.training.loss import ReplyLoss
-from models.semantic_reasoner.training.network import new_network
-from models.semantic_reasoner.training.settings import EMBEDDED, LanguageModelSettings, Precision, ReasonerTrainingSettings
-from models.semantic_reasoner.training.sharding import place_network
-from models.training.distributed import CPU
+from models.semantic_reasoner.training.settings import EMBEDDED, LanguageModelSettings, LoraSettings, ReasonerTrainingSettings
+from models.training.distributed import CPU, ProcessContext
 from pipelines.train.estimate import memory_bytes
-from tests.models.semantic_reasoner.training.reasoner_examples import tokenizer
+from tests.models.semantic_reasoner.training.reasoner_examples import TINY, tokenizer
+from tests.models.semantic_reasoner.training.sharded_runs import (
+    DATA,
+    in_processes,
+    memory_of,
+    of_base,
+    trainer,
+    write_base,
+)
 
-TOKENS = 128
+ROWS = [[20], [21], [22], [23]]
+EXACT = ("weights", "gradients", "optimizer")
+BOUND = 0.05
+"""How far the planned activations may be from those that autograd keeps."""
+
+BASE_CASES: dict[str, dict[str, Any]] = {
+    "full": {},
+    "recomputes": {"recomputes": True},
+    "bfloat16": {"precision": "bfloat16"},
+    "bfloat16_recomputes": {"precision": "bfloat16", "recomputes": True},
+    "lora": {"lora": LoraSettings(2, 8), "recomputes": True},
+    "bfloat16_lora": {"lora": LoraSettings(2, 8), "precision": "bfloat16"},
+    "muon": {"optimizer": "muon"},
+}
+pytestmark = pytest.mark.filterwarnings("ignore:.is_gradient_checkpointing.:FutureWarning")  # of peft about transformers
 
 
-def bytes_kept_for_backward(settings: ReasonerTrainingSettings) -> int:
-    """What autograd keeps of the layers' forward pass over one row, beside the parameters."""
-    loss = ReplyLoss(new_network(settings.network, tokenizer(), 512, 0), settings)
-    place_network(loss, CPU)
-    parameters = {p.untyped_storage().data_ptr() for p in loss.parameters()}
-    kept: dict[int, torch.Tensor] = {}
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_base(tmp_path_factory.mktemp("base"))
 
-    def keep(value: torch.Tensor) -> torch.Tensor:
-        if value.untyped_storage().data_ptr() not in parameters:
-            kept[value.untyped_storage().data_ptr()] = value  # a reference, so that its address is not used again
-        return value
 
-    low = settings.precision == "bfloat16"
-    hooks = torch.autograd.graph.saved_tensors_hooks(keep, lambda value: value)
-    with hooks, torch.autocast("cpu", torch.bfloat16, enabled=low, cache_enabled=False):
-        output = loss.network.model(input_ids=torch.zeros((1, TOKENS), dtype=torch.long), use_cache=False)
-    assert output.last_hidden_state.requires_grad
-    return sum(value.untyped_storage().nbytes() for value in kept.values())
+def planned(settings: ReasonerTrainingSettings, world: int) -> dict[str, int]:
+    tokens = len(ROWS) * int(DATA.length[[row[0] for row in ROWS]].max())
+    replies = int(DATA.reply_length[[row[0] for row in ROWS]].sum())
+    return memory_bytes(settings, tokenizer(), tokens, replies, world)
+
+
+def measured(settings: ReasonerTrainingSettings, place: ProcessContext) -> dict[str, int]:
+    made = trainer(settings, place)
+    made.advance()
+    return memory_of(made, ROWS)
+
+
+def settings_of(case: str, base: Path, place: ProcessContext) -> ReasonerTrainingSettings:
+    return replace(of_base(replace(TINY, accumulate=4), base, place), **BASE_CASES[case])
+
+
+def compare(found: dict[str, int], plan: dict[str, int]) -> None:
+    assert {name: found[name] for name in EXACT} == {name: plan[name] for name in EXACT}
+    assert plan["activations"] == pytest.approx(found["activations"], rel=BOUND)
+
+
+@pytest.mark.parametrize("case", BASE_CASES)
+def test_the_plan_of_one_process_is_what_it_holds(case: str, base: Path) -> None:
+    settings = settings_of(case, base, CPU)
+    compare(measured(settings, CPU), planned(settings, 1))
 
 
 @pytest.mark.parametrize("precision", ["bfloat16", "float32"])
@@ -40,8 +73,51 @@ def bytes_kept_for_backward(settings: ReasonerTrainingSettings) -> int:
     [LanguageModelSettings(), LanguageModelSettings(layers=3, heads=8, key_value_heads=8, head=32, intermediate=512)],
     ids=["embedded", "other"],
 )
-def test_the_activations_of_a_plan_are_what_autograd_keeps(network: LanguageModelSettings, precision: Precision) -> None:
-    settings = replace(EMBEDDED, network=network, precision=precision)
-    planned = memory_bytes(settings, tokenizer(), TOKENS, replies=0, world=1)["activations"]
-    kept = bytes_kept_for_backward(settings)
-    assert planned * network.layers / (network.layers + 1) == pytest.approx(kept, rel=0.05)
+def test_the_plan_of_a_network_from_scratch_is_what_it_holds(network: LanguageModelSettings, precision: Any) -> None:
+    settings = replace(EMBEDDED, steps=8, network=network, precision=precision, max_tokens=512)
+    compare(measured(settings, CPU), planned(settings, 1))
+
+
+def measured_in_all(place: ProcessContext, base: Path) -> dict[str, dict[str, int]]:
+    return {case: measured(settings_of(case, base, place), place) for case in BASE_CASES}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", [2, 4])
+def test_the_plan_of_several_processes_is_what_the_first_holds(world: int, base: Path) -> None:
+    found = in_processes(world, measured_in_all, base)
+    for case in BASE_CASES:
+        plan = planned(settings_of(case, base, CPU), world)
+        compare(found[0][case], plan)
+        assert all(part[case][name] <= plan[name] for part in found for name in EXACT)
+        whole = planned(settings_of(case, base, CPU), 1)["weights"]
+        assert sum(part[case]["weights"] for part in found) == whole
+
+
+def test_the_plan_of_a_large_network_needs_no_weights(tmp_path: Path) -> None:
+    """Of Qwen3-8B only the configuration is there."""
+    write_qwen3_8b(tmp_path)
+    settings = replace(TINY, base=str(tmp_path), precision="bfloat16", recomputes=True)
+    alone, shared = (memory_bytes(settings, tokenizer(), 20_000, 8_000, world) for world in (1, 8))
+    assert alone["num_weights"] == alone["num_trained"] == 8_190_735_360
+    assert alone["weights"] == 4 * alone["num_weights"] == 8 * shared["weights"]
+    assert shared["each_process"] < 80e9
+    lora = memory_bytes(replace(settings, lora=LoraSettings(16, 32)), tokenizer(), 20_000, 8_000, 8)
+    assert lora["num_trained"] == 43_646_976
+    assert lora["each_process"] < shared["each_process"]
+    assert alone["gathered"] == 0
+
+
+def write_qwen3_8b(folder: Path) -> None:
+    Qwen3Config(
+        vocab_size=151_936,
+        hidden_size=4096,
+        num_hidden_layers=36,
+        num_attention_heads=32,
+        num_key_value_heads=8,
+        head_dim=128,
+        intermediate_size=12_288,
+        max_position_embeddings=40_960,
+        tie_word_embeddings=False,
+        architectures=["Qwen3ForCausalLM"],
+    ).save_pretrained(folder)

@@ -4,6 +4,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -26,11 +27,13 @@ from models.semantic_reasoner.training.hf_folder import write_model
 from models.semantic_reasoner.training.network import new_network
 from models.semantic_reasoner.training.settings import LoraSettings, ReasonerTrainingSettings, StageShares
 from models.semantic_reasoner.training.token_dataset import KINDS
+from models.training.distributed import ProcessContext
 from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.job import preprocess
 from pipelines.settings import SECTIONS
 from pipelines.train.estimate import training_plan
+from pipelines.train.ray_train import run_on_ray
 from pipelines.train.reasoner import CHECKPOINT, ReasonerMonitoring, ReasonerTrainingJob
 from stable_data.embedded_world.edit_table import write_edits
 from stable_data.errors import ConfigError
@@ -247,6 +250,75 @@ def test_one_process_goes_on_where_two_stopped(run: Path, out: Path, tmp_path: P
     assert all(here[name].allclose(value, atol=2e-3) for name, value in there.items())
 
 
+def kill_a_worker(out: Path, killed: list[int]) -> None:
+    """Kills a process of Ray Train as soon as there is a checkpoint, as a system without memory would."""
+    deadline = time.monotonic() + 240
+    while time.monotonic() < deadline:
+        if list((out / CHECKPOINT).glob("[0-9]*")):
+            names = {int(path.parent.name): path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline")}
+            if found := [number for number, name in names.items() if name.startswith(b"ray::") and b"RayTrainWorker" in name]:
+                killed.append(found[-1])
+                os.kill(found[-1], signal.SIGKILL)
+                return
+        time.sleep(0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.ray
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
+def test_after_the_loss_of_a_process_the_run_ends_with_the_weights_of_one_without(
+    run: Path, out: Path, tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings, watch = replace(SETTINGS, steps=150), replace(WATCH, validate_every=1000, save_minutes=1e-9)
+    other = Path(shutil.copytree(cache, tmp_path / "other"))
+    job(run, other, settings, watch=watch).run(2)
+    killed: list[int] = []
+    thread = threading.Thread(target=kill_a_worker, args=(out, killed))
+    thread.start()
+    assert "150 of 150 steps" in job(run, out, settings, watch=watch).run(2)
+    thread.join()
+    assert len(killed) == 1
+    said = [line for line in capsys.readouterr().err.splitlines() if "was lost" in line]
+    assert len(said) == 1
+    assert "restart 1 of 3 from the last checkpoint" in said[0]
+    file = "weights/model.safetensors"
+    assert (out / file).read_bytes() == (other / file).read_bytes()
+
+
+class FailingWork:
+    """Fails in the second process until it was started often enough, in its own way."""
+
+    def __init__(self, folder: Path, way: str, times: int) -> None:
+        self._folder, self._way, self._times = folder, way, times
+
+    def __call__(self, place: ProcessContext) -> None:
+        """The part of one process."""
+        before = len(list(self._folder.glob("start-*")))
+        torch.distributed.barrier()
+        if place.rank == 1:
+            (self._folder / f"start-{before}").touch()
+            if before < self._times and self._way == "killed":
+                os.kill(os.getpid(), signal.SIGKILL)
+            if before < self._times:
+                raise ConfigError("this cannot be done", "config_invalid")
+        torch.distributed.barrier()
+
+
+@pytest.mark.slow
+@pytest.mark.ray
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
+@pytest.mark.parametrize(("way", "code", "starts"), [("killed", "ray_failed", 4), ("raises", "config_invalid", 1)])
+def test_a_process_that_always_fails_ends_the_run(
+    way: str, code: str, starts: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        run_on_ray(FailingWork(tmp_path, way, times=9), tmp_path, 2, None)
+    assert caught.value.code == code
+    assert "\n" not in str(caught.value)
+    assert len(list(tmp_path.glob("start-*"))) == starts
+    assert capsys.readouterr().err.count("was lost") == starts - 1
+
+
 def test_other_settings_and_data_are_refused_and_named(run: Path, out: Path, tmp_path: Path) -> None:
     job(run, out, minutes=1e-9).run()
     with pytest.raises(ConfigError, match=r"weight_decay: 0.05 -> 0.5"):
@@ -434,7 +506,7 @@ def test_memory_is_shared_and_lora_trains_little(run: Path, out: Path, base: Pat
     little = training_plan(job(run, out, lora), 0)["memory_bytes"]
     assert whole["weights"] == alone["weights"] / 2
     assert whole["gathered"] > alone["gathered"] == 0
-    assert little["num_weights"] == alone["num_weights"]
+    assert little["num_weights"] == alone["num_weights"] + little["num_trained"]
     job(run, out, lora, minutes=1e-9).run()
     assert little["num_trained"] == num_saved_weights(out)
     again = training_plan(job(run, out, replace(SETTINGS, base=str(base), recomputes=True)), 0)["memory_bytes"]

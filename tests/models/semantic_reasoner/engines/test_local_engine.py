@@ -1,5 +1,6 @@
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,19 +57,53 @@ def test_slots_give_the_logits_of_whole_sequences(network: Qwen3ForCausalLM) -> 
     whole = [network(torch.tensor([a + b])).logits[0] for a, b in zip(told, more, strict=True)]
     network.set_attn_implementation(ATTENTION)
     decoder, slots, at = Decoder(network, 3, pad=0), [0, 1], [0, 0, 0, 0]
-    logits = decoder.admit([told[0], told[1]])
+    decoder.admit(told[0])
+    decoder.admit(told[1])
     for turn in range(6):
         for slot, k in enumerate(slots):
-            torch.testing.assert_close(logits[slot], whole[k][len(told[k]) - 1 + at[k]], atol=2e-5, rtol=1e-4)
+            torch.testing.assert_close(decoder.logits[slot], whole[k][len(told[k]) - 1 + at[k]], atol=2e-5, rtol=1e-4)
         if turn in (1, 2):  # one ends, another begins: one as long as a growth of the cache asks for
             decoder.release(0)
             slots[0] = slots[-1]
             slots[-1:] = [turn + 1]
-            decoder.admit([told[turn + 1]])
+            decoder.admit(told[turn + 1])
         tokens = [more[k][at[k]] for k in slots]
         for k in slots:
             at[k] += 1
-        logits = decoder.step(tokens)
+        decoder.step(tokens)
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_logits_do_not_depend_on_the_batch_to_the_last_bit(network: Qwen3ForCausalLM, num_threads: int) -> None:
+    """A sequence alone, and one among others that come, go, are longer and push it to another slot."""
+    draw = torch.Generator().manual_seed(1)
+    told, more = (torch.randint(5, 300, (size,), generator=draw).tolist() for size in (70, 30))
+    others = [torch.randint(5, 300, (size,), generator=draw).tolist() for size in range(3, 400, 20)]
+    network.set_attn_implementation(ATTENTION)
+    before = torch.get_num_threads()
+    torch.set_num_threads(num_threads)
+    try:
+        for is_plain in (True, False):  # whether the network's own modules are left out
+            alone, among = Decoder(network, 64, pad=0), Decoder(network, 64, pad=0)
+            if not is_plain:
+                alone._step = among._step = None
+            for prompt in others[:9]:
+                among.admit(prompt)
+            alone.admit(told)
+            among.admit(told)
+            slot = 9
+            for turn, token in enumerate(more):
+                assert torch.equal(alone.logits[0], among.logits[slot])
+                if turn < 9:
+                    among.admit(others[9 + turn])
+                elif turn < 18:  # the last one, which may be ours, moves to the place of the first
+                    slot = 0 if among.release(0) == slot else slot
+                alone.step([token])
+                tokens = [7 + k for k in range(len(among.lengths))]
+                tokens[slot] = token
+                among.step(tokens)
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_only_a_plain_qwen3_is_stepped_without_its_modules(network: Qwen3ForCausalLM) -> None:
@@ -93,10 +128,13 @@ def test_steps_without_modules_are_those_of_the_modules(network: Qwen3ForCausalL
     theirs._step = None
     told = [[7, 8, 9, 200], [30], [11, 12]]
     for decoder in (ours, theirs):
-        decoder.admit(told)
+        for prompt in told:
+            decoder.admit(prompt)
     for step in range(5):
         tokens = [20 + step, 30 + step, 40 + step]
-        found, wanted = ours.step(tokens), theirs.step(tokens)
+        ours.step(tokens)
+        theirs.step(tokens)
+        found, wanted = ours.logits[:3], theirs.logits[:3]
         torch.testing.assert_close(found, wanted, atol=1e-5 if dtype == torch.float32 else 0.05, rtol=1e-4)
         assert wanted.std() > 0.1
 
@@ -121,12 +159,40 @@ def test_an_untrained_model_says_only_what_the_form_allows(
 def test_a_reply_depends_on_its_seed_and_not_on_its_neighbours(
     network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast
 ) -> None:
-    network.double()  # so that rounding, which does depend on them, cannot tip a draw
     asked = [request(seed, f"Put the {'red ' * (seed % 3)}mug on the table.") for seed in range(9)]
     together = LocalEngine(network, tokenizer, "tiny", SHORT, num_slots=4).complete(asked)
     assert LocalEngine(network, tokenizer, "tiny", SHORT, num_slots=9).complete(asked[::-1])[::-1] == together
     assert [LocalEngine(network, tokenizer, "tiny", SHORT).complete([r])[0] for r in asked[:3]] == together[:3]
     assert len({c.text for c in LocalEngine(network, tokenizer, "tiny", SHORT).complete([request(s) for s in range(6)])}) > 1
+
+
+def test_threads_share_a_running_batch_and_get_what_each_would_get_alone(
+    network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast
+) -> None:
+    asked = [request(seed) for seed in range(12)]
+    alone = LocalEngine(network, tokenizer, "tiny", SHORT)
+    one_by_one = [alone.complete([r])[0] for r in asked]
+    assert alone.num_tokens == alone.num_steps
+    engine = LocalEngine(network, tokenizer, "tiny", SHORT, num_slots=8)
+    with ThreadPoolExecutor(12) as pool:
+        assert list(pool.map(lambda r: engine.complete([r])[0], asked)) == one_by_one
+    assert 2 < engine.num_tokens / engine.num_steps <= 8
+
+
+def test_an_error_of_a_shared_batch_reaches_every_thread_and_the_engine_goes_on(
+    network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = LocalEngine(network, tokenizer, "tiny", SHORT)
+
+    def fails(*_: object) -> None:
+        raise MemoryError("full")
+
+    with monkeypatch.context() as patch, ThreadPoolExecutor(2) as pool:
+        patch.setattr(engine, "_draw", fails)
+        for future in [pool.submit(engine.complete, [request(seed)]) for seed in range(2)]:
+            with pytest.raises(MemoryError, match="full"):
+                future.result()
+    assert engine.complete([request(0)])[0].reply_tokens > 0
 
 
 ASKS = (*(RequiredObject(k, ("mug", "teacup")) for k in "ab"), RequiredObject("c", ("pen",)))
