@@ -71,7 +71,8 @@ def attend(query: Tensor, keys: Tensor, values: Tensor, seen: Tensor | list[int]
         (B, H, C).
     """
     # Query heads that share a key head become queries of one head, so that no key is repeated.
-    grouped = query.unflatten(1, (keys.shape[1], -1))
+    batch, heads, width = query.shape
+    grouped = query.view(batch, keys.shape[1], heads // keys.shape[1], width)
     if isinstance(seen, Tensor):
         return scaled_dot_product_attention(grouped, keys, values, attn_mask=seen, scale=scaling).flatten(1, 2)
     attended = torch.zeros_like(grouped)
@@ -217,7 +218,8 @@ class Decoder:
         else:
             # Sequences that are shorter than the longest one do not attend to the rest of their slots.
             hides = torch.arange(cache.width, device=device)[None] > positions[:, None]
-            mask = torch.zeros(hides.shape, dtype=self._model.dtype, device=device).masked_fill_(hides, -torch.inf)[:, None, None]
+            mask = torch.zeros(hides.shape, dtype=self._model.dtype, device=device).masked_fill_(hides, -torch.inf)
+            mask = mask[:, None, None]
             if self._step is not None:
                 hidden = self._step(read, positions, mask, cache)
             else:

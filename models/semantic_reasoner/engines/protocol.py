@@ -86,7 +86,7 @@ def is_too_long(num_prompt: int, longest: int) -> Completion:
 
 
 class Engine(Protocol):
-    """A language model or a service that completes chats.
+    """A language model or a service that completes chats. Several threads may call it.
 
     Attributes:
         name: Name of the engine and its model, such as ``embedded`` or ``openai:gpt-4o``; part of cache keys and provenance.
@@ -99,6 +99,21 @@ class Engine(Protocol):
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
         """Returns one completion for each request, in their order."""
         ...
+
+
+@runtime_checkable
+class ClosableEngine(Protocol):
+    """An engine with processes or memory of its own."""
+
+    def close(self) -> None:
+        """Ends them; further requests fail."""
+        ...
+
+
+def close_engine(engine: Engine) -> None:
+    """Ends what an engine has started, if it has."""
+    if isinstance(engine, ClosableEngine):
+        engine.close()
 
 
 @runtime_checkable

@@ -27,7 +27,9 @@ class Qwen3Step:
             :func:`models.semantic_reasoner.engines.batched_decoding.attend`.
     """
 
-    def __init__(self, model: Qwen3ForCausalLM, attend: Callable[[Tensor, Tensor, Tensor, Tensor | list[int], float], Tensor]) -> None:
+    def __init__(
+        self, model: Qwen3ForCausalLM, attend: Callable[[Tensor, Tensor, Tensor, Tensor | list[int], float], Tensor]
+    ) -> None:
         self._attend = attend
         config = model.config
         self._layers = list(model.model.layers)

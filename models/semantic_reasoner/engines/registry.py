@@ -34,7 +34,9 @@ class EngineSettings(Settings):
     """How tokens are drawn."""
 
     num_slots: PositiveCount = 64
-    """Sequences that a model in this process decodes at a time, at most."""
+    """Sequences that a model in this process or in vLLM decodes at a time, at most. A shared model holds as many more requests
+    that wait for a place; further ones wait at the workers.
+    """
 
     cache: str = ""
     """Folder that keeps completions; a run that is resumed reads them from there. Empty keeps none. It is for engines whose
@@ -45,7 +47,7 @@ class EngineSettings(Settings):
     """GPUs that a model in vLLM is split over."""
 
     vllm: str = "{}"
-    """Further arguments of ``vllm.LLM``, a JSON object."""
+    """Further arguments of ``vllm.AsyncEngineArgs``, a JSON object."""
 
     http: HttpSettings = field(default_factory=lambda: HttpSettings("http://127.0.0.1:8000/v1", "default"))
     """The endpoint of the ``openai`` engine."""
@@ -63,6 +65,11 @@ class EngineSettings(Settings):
     def kind(self) -> str:
         """One of :data:`KINDS`."""
         return self.engine.partition(":")[0]
+
+    @property
+    def num_at_once(self) -> int:
+        """Number of requests that are completed at a time, at most."""
+        return self.http.concurrency if self.kind == "openai" else self.num_slots
 
     @property
     def reads_reasons(self) -> bool:
@@ -130,7 +137,8 @@ def _uncached_engine(settings: EngineSettings) -> Engine:
     if settings.kind == "vllm":
         from models.semantic_reasoner.engines.vllm_engine import VllmEngine
 
-        return VllmEngine(what, settings.sampling, settings.num_gpus, **_options(settings.vllm))
+        options = {"max_num_seqs": settings.num_slots, **_options(settings.vllm)}
+        return VllmEngine(what, settings.sampling, settings.num_gpus, **options)
     if settings.kind == "scripted":
         from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
 

@@ -15,7 +15,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, Sampling
+from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, Sampling, close_engine
 from stable_data.errors import Notice, cannot_write
 
 CACHE_VERSION = 1
@@ -171,6 +171,10 @@ class CachedEngine:
         for key, completion in self._ask(list(first), [requests[k] for k in first.values()]):
             found[key] = self.cache.store(key, completion)
         return [_as_duplicate(found[key]) if first.get(key, k) != k else _not_none(found[key]) for k, key in enumerate(keys)]
+
+    def close(self) -> None:
+        """Ends what the engine has started."""
+        close_engine(self.engine)
 
     def _ask(self, keys: list[str], requests: list[Request]) -> Iterator[tuple[str, Completion]]:
         if not requests:
