@@ -1,18 +1,20 @@
 """Derives a task for a scene: draws a kind of task, then its objects, then the words."""
 
 import hashlib
+from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
 from stable_data.errors import SceneError
 from stable_data.instructions import containing, dining, picking, placing, sorting, stacking, tidying, using
 from stable_data.instructions.kind import TaskDraft, TaskKind
-from stable_data.instructions.naming import ObjectNamer
+from stable_data.instructions.naming import SIDE_WORDS, Distinction, ObjectName, ObjectNamer, holds_relation
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.steps import MultiStepKind, steps_of
 from stable_data.instructions.wording.paraphrase import request
 from stable_data.instructions.wording.words import is_plural, sentences, type_name
-from stable_data.scene import Scene, TaskInfo
+from stable_data.scene import RelationKind, Scene, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph
 
 SIMPLE_KINDS: tuple[TaskKind, ...] = (
@@ -44,6 +46,7 @@ def derive_task(scene: Scene, graph: SceneGraph, rng: np.random.Generator) -> Ta
     """Derives a feasible task for a scene from templates.
 
     Draws a kind of task with equal probability among the kinds that are feasible in the scene, then the objects, then the words.
+    Where these state no relation of the start, a sentence before them states one.
     Each statement is true: each name identifies one object, the relations hold, and the goal is not reached yet. Objects
     without a support in the scene graph and objects without a mesh are used only if the scene has no others.
 
@@ -68,7 +71,42 @@ def derive_task(scene: Scene, graph: SceneGraph, rng: np.random.Generator) -> Ta
     draft = next((d for d in drafts if d is not None), None)
     if draft is None:
         return _task_info(_fallback(scene, steady, namer), scene)
-    return _task_info(draft, scene, request(draft.text, draft.theme, rng))
+    text = request(draft.text, draft.theme, rng)
+    if not draft.relations and (told := _situation(draft, context, namer)) is not None:
+        words, draft = told
+        text = f"{words} {text}"
+    return _task_info(draft, scene, text)
+
+
+def _situation(draft: TaskDraft, context: TaskContext, namer: ObjectNamer) -> tuple[str, TaskDraft] | None:
+    """A sentence that states where an object of the task is, and the draft with that relation; None if none can be named.
+
+    The layout of a scene follows its instruction only where the instruction says something of it.
+    """
+    graph = context.graph
+    for one in context.shuffled([name for name in draft.objects if name in context.named]):
+        for other in context.shuffled(sorted({*graph.successors(one), *graph.predecessors(one)} & context.named)):
+            subject, place = (_name_alone(n, namer, context) for n in (one, other))
+            stated = {kind: holds_relation(graph, one, kind, other) for kind in (RelationKind.IN, RelationKind.ON, *SIDE_WORDS)}
+            kind, relation = next(((k, r) for k, r in stated.items() if r is not None), (None, None))
+            if subject is None or place is None or kind is None or relation is None:
+                continue
+            nouns = {*draft.nouns, subject.noun, place.noun}
+            if subject.noun != place.noun and not any(a != b and a.endswith(b) for a, b in permutations(nouns, 2)):
+                verb = context.pick(
+                    ("are", "are now", "are currently") if is_plural(subject.noun) else ("is", "is now", "is currently")
+                )
+                words = sentences(f"{subject.words} {verb} {SIDE_WORDS.get(kind, str(kind))} {place.words}")
+                objects = tuple(dict.fromkeys([*draft.objects, other]))
+                return words, replace(draft, objects=objects, relations=(relation,))
+    return None
+
+
+def _name_alone(instance: str, namer: ObjectNamer, context: TaskContext) -> ObjectName | None:
+    """A name without another object: the noun, else preferably a name that ends with it; None if there is none."""
+    alone = [name for name in namer.names(instance) if name.anchor is None and name.distinction is not Distinction.CELL]
+    bare = [name for name in alone if name.distinction is Distinction.NOUN] or [name for name in alone if name.is_short]
+    return context.pick(bare or alone) if alone else None
 
 
 def _task_info(draft: TaskDraft, scene: Scene, text: str = "") -> TaskInfo:
