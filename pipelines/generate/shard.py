@@ -7,7 +7,7 @@ is the same in every process.
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from time import perf_counter
@@ -127,11 +127,13 @@ class GenerateWork(ShardStep[Task]):
             return
         started = connect(workers)
         try:
-            pool, settings = None, self.settings
-            if settings.engines:
-                pool = engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
-            tally = SharedTally.started()
-            yield replace(self, pool=pool, tally=tally), tally
+            with ExitStack() as stack:
+                pool, settings = None, self.settings
+                if settings.engines:
+                    engines = engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
+                    pool = stack.enter_context(engines)
+                tally = SharedTally.started()
+                yield replace(self, pool=pool, tally=tally), tally
         finally:
             if started:
                 ray.shutdown()

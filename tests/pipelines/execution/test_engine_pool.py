@@ -1,19 +1,23 @@
 """Engines that workers share: placed where their GPUs are, and said in one line where there are none."""
 
 import json
+import subprocess
 import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from threading import Timer
 
 import pytest
 import ray
 
-from models.semantic_reasoner.engines.protocol import Request
-from models.semantic_reasoner.engines.registry import EngineSettings
+from models.semantic_reasoner.engines.protocol import Completion, Request
+from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings, load_engine
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.execution import engine_pool as module
-from pipelines.execution.engine_pool import engine_pool
+from pipelines.execution.engine_pool import PooledEngine, engine_pool
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
@@ -32,6 +36,10 @@ def settings(tmp_path: Path) -> EngineSettings:
     return EngineSettings(f"scripted:{script}")
 
 
+def request(seed: int) -> Request:
+    return Request(({"role": "user", "content": "Lift it."},), ReplyGrammar.of_table(DESK, at_least=4), seed)
+
+
 def free_gpus(expected: float) -> float:
     """GPUs that nobody has, once they are as many as expected or a while has gone by: Ray tells of them a little later."""
     until = time.monotonic() + 30
@@ -43,19 +51,20 @@ def free_gpus(expected: float) -> float:
 @pytest.mark.ray
 def test_engines_take_their_parts_of_a_gpu_and_answer(settings: EngineSettings, local_ray: None) -> None:
     assert free_gpus(1) == 1
-    pool = engine_pool(settings, 2, 0.5, may_grow=False)
-    assert len(pool.actors) == 2
-    assert free_gpus(0) == 0
-    for seed in (0, 1):  # one for each engine
-        request = Request(({"role": "user", "content": "Lift it."},), ReplyGrammar.of_table(DESK), seed)
-        assert [found.text for found in pool.complete([request])] == ["lifted"]
+    with engine_pool(settings, 2, 0.5, may_grow=False) as pool:
+        assert len(pool.actors) == 2
+        assert free_gpus(0) == 0
+        assert [found.text for found in pool.complete([request(0), request(1)])] == ["lifted"] * 2
+        assert [counts.answered for counts in pool.counts()] == [1, 1]
+    assert free_gpus(1) == 1
 
 
 @pytest.mark.ray
 def test_more_engines_than_the_gpus_have_room_for_are_refused(settings: EngineSettings, local_ray: None) -> None:
     for count, gpus, places in ((3, 0.5, 2), (2, 0.6, 1), (11, 0.1, 10), (1, 2.0, 0)):
-        with pytest.raises(ConfigError, match=rf"engines={count} .* has 1, enough for {places} engines; ") as caught:
-            engine_pool(settings, count, gpus, may_grow=False)
+        pool = engine_pool(settings, count, gpus, may_grow=False)
+        with pytest.raises(ConfigError, match=rf"engines={count} .* has 1, enough for {places} engines; ") as caught, pool:
+            pass
         assert caught.value.code == "engine_pool"
         assert "\n" not in str(caught.value)
 
@@ -69,12 +78,118 @@ def test_a_cluster_is_waited_for_and_a_line_says_so(
     ray.get(holder.name.remote())
     frees = Timer(3.0, ray.kill, [holder])  # as where a node comes
     frees.start()
-    pool = engine_pool(settings, 1, 1.0, may_grow=True)
-    frees.join()
-    assert pool.name == "scripted"
+    with engine_pool(settings, 1, 1.0, may_grow=True) as pool:
+        frees.join()
+        assert pool.name == "scripted"
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert said.startswith("1 of 1 engines have not started; each needs 1 GPUs and the cluster has 1 in all; waiting for")
+
+
+@ray.remote(num_cpus=0)
+def ask(engine: PooledEngine, seeds: Sequence[int], begun: Path | None = None) -> list[Completion]:
+    """A worker that asks; it waits for another one, if ``begun`` is a folder, so that both ask at the same time."""
+    if begun is not None:
+        (begun / str(seeds[0])).touch()
+        while len(list(begun.iterdir())) < 2:
+            time.sleep(0.01)
+    return engine.complete([request(seed) for seed in seeds])
+
+
+@pytest.mark.ray
+def test_workers_that_ask_at_the_same_time_share_one_batch(tmp_path: Path, local_ray: None) -> None:
+    if not (EMBEDDED / "model.safetensors").is_file():
+        pytest.skip("the weights of the embedded reasoner are not in this checkout")
+    settings = EngineSettings(num_slots=8)
+    alone = load_engine(settings).complete([request(seed) for seed in range(6)])
+    with engine_pool(settings, 1, 0.0, may_grow=False) as pool:
+        found = ray.get([ask.remote(pool, seeds, tmp_path) for seeds in ([0, 1, 2], [3, 4, 5])])
+        (counts,) = pool.counts()
+    assert [*found[0], *found[1]] == alone
+    assert counts.answered == 6
+    assert counts.num_tokens > 3 * counts.num_steps  # more sequences a step than one worker has asked for
+
+
+@pytest.fixture
+def slow_engines(settings: EngineSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> EngineSettings:
+    """Engines that take a while for a reply, have a process of their own, and leave a file when they are closed."""
+
+    class SlowEngine:
+        """Answers with the seed."""
+
+        name, repeats = "slow", False
+
+        def __init__(self) -> None:
+            self.child = subprocess.Popen(["sleep", "600"])
+            (tmp_path / f"started_{self.child.pid}").touch()
+
+        def complete(self, requests: Sequence[Request]) -> list[Completion]:
+            time.sleep(0.1)
+            return [Completion(str(r.seed)) for r in requests]
+
+        def close(self) -> None:
+            self.child.kill()
+            self.child.wait()
+            (tmp_path / f"closed_{self.child.pid}").touch()
+
+    class SlowActor(module._EngineActor):
+        """Defined here, so that it is sent by value."""
+
+        def __init__(self, settings: EngineSettings) -> None:
+            super().__init__(settings)
+            self._engine = SlowEngine()
+
+    monkeypatch.setattr(module, "_EngineActor", SlowActor)
+    return replace(settings, num_slots=2)
+
+
+@pytest.mark.ray
+def test_an_actor_holds_no_more_requests_than_it_may(slow_engines: EngineSettings, local_ray: None) -> None:
+    with engine_pool(slow_engines, 1, 0.0, may_grow=False) as pool:
+        found = ray.get([ask.remote(pool, range(6 * k, 6 * k + 6)) for k in range(3)])
+        (counts,) = pool.counts()
+    assert [int(c.text) for some in found for c in some] == list(range(18))
+    assert counts.answered == 18
+    assert counts.most_held == 4  # two in the batch, and two that wait for it
+
+
+@pytest.mark.ray
+def test_a_request_goes_to_the_actor_that_holds_the_fewest(slow_engines: EngineSettings, local_ray: None) -> None:
+    with engine_pool(slow_engines, 2, 0.0, may_grow=False) as pool:
+        busy = [pool.actors[0].complete.remote(request(seed)) for seed in range(3)]
+        ray.get(ask.remote(pool, range(3)))
+        assert ray.get(busy[0]).text == "0"
+        ray.get(busy)
+        assert [counts.answered for counts in pool.counts()] == [3, 3]
+
+
+@pytest.mark.ray
+def test_a_killed_actor_is_restarted_and_every_request_is_answered_once(slow_engines: EngineSettings, local_ray: None) -> None:
+    with engine_pool(slow_engines, 1, 0.0, may_grow=False) as pool:
+        asked = ask.remote(pool, range(12))
+        while pool.counts()[0].answered < 4:
+            time.sleep(0.02)
+        ray.kill(pool.actors[0], no_restart=False)
+        assert [c.text for c in ray.get(asked)] == [str(seed) for seed in range(12)]
+        assert pool.counts()[0].answered <= 8  # the first four were not asked again
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize("error", [None, RuntimeError, KeyboardInterrupt])
+def test_engines_end_with_the_job_however_it_ends(
+    slow_engines: EngineSettings, tmp_path: Path, local_ray: None, error: type[BaseException] | None
+) -> None:
+    with suppress(RuntimeError, KeyboardInterrupt), engine_pool(slow_engines, 2, 0.5, may_grow=False) as pool:
+        open_ = ask.remote(pool, range(6))
+        if error is not None:
+            raise error
+        ray.get(open_)
+    children = [int(file.name.partition("_")[2]) for file in tmp_path.glob("closed_*")]
+    assert len(children) == len(list(tmp_path.glob("started_*"))) == 2
+    assert not any(Path(f"/proc/{pid}").exists() for pid in children)
+    assert free_gpus(1) == 1
+    with pytest.raises(ray.exceptions.RayError):
+        pool.counts()
 
 
 @pytest.mark.ray

@@ -197,12 +197,12 @@ def test_a_shard_over_which_workers_died_reaches_nothing_that_workers_share(
     settings: GenerateSettings, dataset: Path, tmp_path: Path, local_ray: None
 ) -> None:
     def done(out: str, isolated: bool) -> tuple[int, int]:
-        pool = engine_pool(settings.engine, 1, 0.0, may_grow=False)
-        work = GenerateWork((str(dataset),), settings, pool=pool, tally=SharedTally.started())
-        call = ray.remote(lambda write, task, isolated: write(task, isolated=isolated))
-        write, task = ShardWriter(str(tmp_path / out), (work,)), ShardTask(0, Shard("0" * 16, TASKS))
-        found: tuple[int, int] = ray.get(call.remote(write, task, isolated))
-        return found
+        with engine_pool(settings.engine, 1, 0.0, may_grow=False) as pool:
+            work = GenerateWork((str(dataset),), settings, pool=pool, tally=SharedTally.started())
+            call = ray.remote(lambda write, task, isolated: write(task, isolated=isolated))
+            write, task = ShardWriter(str(tmp_path / out), (work,)), ShardTask(0, Shard("0" * 16, TASKS))
+            found: tuple[int, int] = ray.get(call.remote(write, task, isolated))
+            return found
 
     assert done("alone", True) == done("together", False)
     assert content(tmp_path / "alone") == content(tmp_path / "together")

@@ -315,7 +315,7 @@ def test_a_process_that_always_fails_ends_the_run(
         run_on_ray(FailingWork(tmp_path, way, times=9), tmp_path, 2, None)
     assert caught.value.code == code
     assert "\n" not in str(caught.value)
-    assert len(list(tmp_path.glob("start-*"))) == starts
+    assert len(list(tmp_path.glob("start-*"))) == starts, caught.value
     assert capsys.readouterr().err.count("was lost") == starts - 1
 
 
