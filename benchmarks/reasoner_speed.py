@@ -6,6 +6,8 @@ instructions and tables of its test scenes are laid out in three stages. The mod
 - scenes: staged layouts a minute at several batch sizes, without checks and retries;
 - generate: the same questions to the same model by the transformers function ``generate``, one after the other, without a
   grammar, against the engine with all of them at once; requests a second, and tokens a second, since replies differ in length;
+- workers: eight workers that ask one engine, each three times for eight replies; tokens a second if their requests join one
+  running batch, divided by those if the engine answers the batch of one worker at a time;
 - grammar: seconds a token with the grammar of replies, divided by those without, reading of the questions excluded.
 
 Run with ``OMP_NUM_THREADS`` equal to the number of cores.
@@ -13,8 +15,10 @@ Run with ``OMP_NUM_THREADS`` equal to the number of cores.
 
 import json
 import os
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -25,8 +29,9 @@ import typer
 from transformers import AutoModelForCausalLM, AutoTokenizer
 
 from benchmarks.reasoner import held_out
+from models.semantic_reasoner.engines.incremental_batches import collect_answers
 from models.semantic_reasoner.engines.local_engine import LocalEngine
-from models.semantic_reasoner.engines.protocol import Request, Sampling
+from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling
 from models.semantic_reasoner.engines.registry import EMBEDDED
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
@@ -37,6 +42,7 @@ from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.scene import Scene, Stage
 
 SAMPLING = Sampling(max_tokens=1024)
+_WORKERS, _ASKS, _BATCH = 8, 3, 8
 
 
 def scenes_a_minute(engine: LocalEngine, scenes: Sequence[Scene], at_once: int) -> float:
@@ -77,6 +83,37 @@ def by_generate(folder: Path, asked: Sequence[Request]) -> tuple[float, int]:
         )
         tokens += completions.shape[1] - ids["input_ids"].shape[1]
     return time.perf_counter() - began, tokens
+
+
+def shared_ratio(engine: LocalEngine, asked: Sequence[Request], rounds: int) -> tuple[float, float]:
+    """Measures a batch that all workers share against batches of one worker each.
+
+    Returns:
+        The ratio of tokens a second, and the sequences of a step of the shared batch.
+    """
+    requests = [replace(asked[k % len(asked)], seed=k) for k in range(_WORKERS * _ASKS * _BATCH)]
+    batches = [requests[first : first + _BATCH] for first in range(0, len(requests), _BATCH)]
+    lock = threading.Lock()
+
+    def in_turn(batch: list[Request]) -> list[Completion]:
+        with lock:
+            return collect_answers(engine.converse(batch), len(batch))
+
+    def seconds(complete: Callable[[list[Request]], list[Completion]]) -> tuple[float, list[list[Completion]]]:
+        began = time.perf_counter()
+        with ThreadPoolExecutor(_WORKERS) as workers:
+            found = list(workers.map(lambda w: [complete(batch) for batch in batches[w::_WORKERS]], range(_WORKERS)))
+        return time.perf_counter() - began, [completions for some in found for completions in some]
+
+    ratios, sequences = [], []
+    for _ in range(rounds):
+        apart, expected = seconds(in_turn)
+        steps, tokens = engine.num_steps, engine.num_tokens
+        together, found = seconds(engine.complete)
+        assert found == expected  # so the tokens are the same too
+        ratios.append(apart / together)
+        sequences.append((engine.num_tokens - tokens) / (engine.num_steps - steps))
+    return median(ratios), median(sequences)
 
 
 def grammar_share(engine: LocalEngine, free: LocalEngine, asked: Sequence[Request], rounds: int) -> float:
@@ -125,6 +162,8 @@ def main(
     figures["generate_tokens_a_second"] = round(their_tokens / their_seconds)
     figures["requests_ratio"] = round(their_seconds / seconds, 2)
     figures["tokens_ratio"] = round(figures["tokens_a_second"] / max(1, figures["generate_tokens_a_second"]), 2)
+    ratio, sequences = shared_ratio(engine, asked, rounds)
+    figures["shared_tokens_ratio"], figures["shared_sequences_a_step"] = round(ratio, 2), round(sequences, 1)
     figures["grammar_overhead_percent"] = round(100 * grammar_share(engine, free, asked, rounds), 1)
     for key, value in figures.items():
         print(f"{key:28}{value:>10}")

@@ -73,7 +73,9 @@ class GenerateSettings(Settings):
     """Seed of draws and choices; a scene's seed follows from it and from the scene's name."""
 
     engines: Count = 0
-    """Language models that the workers share, each a Ray actor; 0 gives every worker its own."""
+    """Language models that the workers share, each a Ray actor; 0 gives every worker its own. Requests of all workers join one
+    running batch. The job starts these models and ends them.
+    """
 
     engine_gpus: NonNegative = 0.0
     """GPUs of each shared language model: a part of one, or a whole number."""
@@ -134,5 +136,5 @@ class GenerateSettings(Settings):
         own = {k: v for k, v in asdict(self).items() if k not in aside}
         licences = self.retrieval.licences
         own["retrieval"]["licences"] = None if licences is None else sorted(licences)  # JSON has no sets
-        # A shared engine forms other batches than a worker's own engine, which can change rounding.
+        # A worker's own engine answers in another order, which forms other batches of the corrector and can change rounding.
         return own | {"shares_engines": self.engines > 0}

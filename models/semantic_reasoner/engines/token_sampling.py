@@ -30,9 +30,9 @@ class TokenSampler:
 
     def may_end(self, allowed: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
         """Returns which sequences may either end their list or continue it, (B,), from the bit masks of allowed tokens."""
-        ends = np.any(allowed & self._closing_bits, axis=1)
-        continues = np.any(allowed & ~self._closing_bits, axis=1)
-        return np.logical_and(ends, continues)
+        closes = allowed & self._closing_bits
+        found: npt.NDArray[np.bool_] = closes.any(1) & (closes != allowed).any(1)
+        return found
 
     @torch.inference_mode()
     def draw(

@@ -24,6 +24,7 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.generation_tasks import TaskSource
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
+from stable_data.storage.run_folder import RunFolder
 
 DESK = Tabletop("office_table", (1.2, 0.6))
 ONE = TaskSource("tasks", [LayoutTask("task_0", "Lift it.", DESK)])
@@ -86,14 +87,16 @@ def test_a_cluster_is_waited_for_and_a_line_says_so(
     assert said.startswith("1 of 1 engines have not started; each needs 1 GPUs and the cluster has 1 in all; waiting for")
 
 
-@ray.remote(num_cpus=0)
-def ask(engine: PooledEngine, seeds: Sequence[int], begun: Path | None = None) -> list[Completion]:
-    """A worker that asks; it waits for another one, if ``begun`` is a folder, so that both ask at the same time."""
+def asked_by_a_worker(engine: PooledEngine, seeds: Sequence[int], begun: Path | None = None) -> list[Completion]:
+    """If ``begun`` is a folder, the worker waits for another one, so that both ask at the same time."""
     if begun is not None:
         (begun / str(seeds[0])).touch()
         while len(list(begun.iterdir())) < 2:
             time.sleep(0.01)
     return engine.complete([request(seed) for seed in seeds])
+
+
+ask = ray.remote(num_cpus=0)(asked_by_a_worker)
 
 
 @pytest.mark.slow  # the engine's process imports torch
@@ -109,6 +112,20 @@ def test_workers_that_ask_at_the_same_time_share_one_batch(tmp_path: Path, local
     assert [*found[0], *found[1]] == alone
     assert counts.answered == 6
     assert counts.num_tokens > 3 * counts.num_steps  # more sequences a step than one worker has asked for
+
+
+@pytest.mark.slow
+def test_shared_engines_give_the_same_rows_as_an_engine_of_each_worker(dataset: Path, tmp_path: Path) -> None:
+    said = ("Put the mug on the book.", "Place a pen beside the notebook.", "Move the bottle left of the mug.")
+    source = TaskSource("tasks", [LayoutTask(f"task_{k}", said[k % 3], DESK) for k in range(6)])
+    settings = GenerateSettings(weights="none", num_pictures=0, scenes_per_shard=3, settle=False, accept="")
+    for engines in (0, 2):
+        generate(source, str(tmp_path / str(engines)), replace(settings, engines=engines), WorkerPool(2), [str(dataset)])
+    runs = [RunFolder(str(tmp_path / str(engines))) for engines in (0, 2)]
+    for table in ("scenes", "failures", "turns"):  # in other shards, as other settings
+        apart, shared = (sorted(map(str, run.table(table).to_pylist())) for run in runs)
+        assert apart == shared
+    assert runs[1].num_rows("turns") > 6
 
 
 @pytest.fixture
