@@ -62,6 +62,11 @@ def is_hollow(category: str) -> bool:
     return category in _POOLS["container"] and category not in _POOLS["carrier"]
 
 
+def is_electric(category: str) -> bool:
+    """Returns whether an object of a category runs on electricity."""
+    return category in _POOLS["device"]
+
+
 @dataclass(frozen=True)
 class NounPools:
     """The nouns by pool.

@@ -18,6 +18,7 @@ from models.instruction_reader.reading import InstructionReading
 from models.instruction_reader.reference import reference_of_reading
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
+from models.semantic_reasoner.language.hazards import hazard_of
 from models.semantic_reasoner.text.prompt import ANY_TABLE
 from stable_data.errors import Notice
 from stable_data.instructions.wording.vocabulary import nouns_of
@@ -51,7 +52,7 @@ class InterpretedInstruction:
         reference: What a scene must have so that the instruction makes sense in it; None if it mentions no known object.
         stated: The same with the relations that contradict others, which no scene can fulfil.
         wording: The instruction with nouns that the engine knows.
-        notices: ``word_read_as``, ``word_unknown``, ``language_unknown`` or ``contradiction``.
+        notices: ``word_read_as``, ``word_unknown``, ``language_unknown``, ``contradiction`` or ``dangerous``.
     """
 
     instruction: str
@@ -100,7 +101,7 @@ class InstructionInterpreter:
         reading, notices = self._with_similar_nouns(self._reader.read(instruction, is_edit))
         reference, stated = (reference_of_reading(reading, "instruction", both) for both in (False, True))
         wording = self._reworded(instruction, reading)
-        notices += tuple(_contradictions(reading))
+        notices += (*_contradictions(reading), *_dangers(instruction, reading))
         return InterpretedInstruction(instruction, reading, reference, stated, wording, notices)
 
     def table_type(self, table_type: str) -> tuple[str, tuple[Notice, ...]]:
@@ -219,6 +220,12 @@ def _contradictions(reading: InstructionReading) -> Iterator[Notice]:
         kind = {"left": "left of", "front": "in front of"}.get(r.kind, r.kind)
         message = f"that {_shown(one)} is {kind} {_shown(other)} contradicts other words, so it is not used; state one of them"
         yield Notice("instruction", STEP, "contradiction", f"instruction: {message}")
+
+
+def _dangers(instruction: str, reading: InstructionReading) -> Iterator[Notice]:
+    if (words := hazard_of(instruction, reading)) is not None:
+        message = f"{_shown(words)} is dangerous; its start scene is made, but let no robot carry it out"
+        yield Notice("instruction", STEP, "dangerous", f"instruction: {message}")
 
 
 def _own_noun(category: str) -> str:
