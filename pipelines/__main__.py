@@ -383,12 +383,13 @@ def train_reasoner(
     workers: Trainers = 0,
     address: Address = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print examples, tokens, steps, memory and time, and stop.")
+        bool, typer.Option("--dry-run", help="Print examples, tokens, steps, time and the memory of each process, and stop.")
     ] = False,
 ) -> None:
-    """Train the Semantic Reasoner on the samples and edits of a run. Run again to continue after a stop.
+    """Train the Semantic Reasoner on the samples and edits of a run. Run again to continue after a stop, with any --workers.
 
-    OUT/weights is a plain Hugging Face folder. Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
+    OUT/weights is a plain Hugging Face folder. Workers that die are started again from the checkpoint, up to three times.
+    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
     """
     from models.semantic_reasoner.training.settings import ReasonerTrainingSettings, training_preset
     from pipelines.settings import resolve_settings

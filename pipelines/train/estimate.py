@@ -165,13 +165,14 @@ def _activations(network: Any, settings: ReasonerTrainingSettings, tokens: int, 
 
 def _gathered(network: Any, settings: ReasonerTrainingSettings) -> int:
     """The bytes of whole weights and gradients in use at a time: embedding and head, a layer, and the next one on its way."""
-    layer = list(network.model.layers[0].parameters())
+    layer, head = list(network.model.layers[0].parameters()), network.lm_head.weight
     inside = {id(p) for p in network.model.layers.parameters()}
     rest = [p for p in network.parameters() if id(p) not in inside]
     size = _LOW if settings.precision == "bfloat16" else _FLOAT
     # A layer and the next, which arrives in one piece and is then taken apart; gradients, and those that are being added up.
     of_layer = 3 * size * _count(layer) + (size + _FLOAT) * _count(p for p in layer if p.requires_grad)
-    return of_layer + _FLOAT * (_count(rest) + _count(p for p in rest if p.requires_grad))
+    # The gradient of separate embeddings comes last, when the activations are gone.
+    return of_layer + _FLOAT * (_count(rest) + (head.numel() if head.requires_grad else 0))
 
 
 def _count(parameters: Iterable[torch.Tensor]) -> int:

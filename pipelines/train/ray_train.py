@@ -97,7 +97,7 @@ def _causes(error: BaseException) -> Iterator[BaseException]:
             continue
         seen.add(id(found))
         yield found
-        of_ray = [getattr(found, name, None) for name in ("cause", "health_check_failure")]
+        of_ray = [getattr(found, name, None) for name in ("cause", "health_check_failure", "controller_failure")]
         workers = found.worker_failures.values() if isinstance(found, WorkerGroupError) else ()
         waiting += [cause for cause in (*workers, *of_ray, found.__cause__) if isinstance(cause, BaseException)]
 

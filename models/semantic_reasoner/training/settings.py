@@ -164,7 +164,9 @@ class ReasonerTrainingSettings(Settings):
     """Whether the prompt also holds the rest of the task info."""
 
     precision: Precision = "bfloat16"
-    """Number format of matrix products; weights, norms, gradients and averages are float32."""
+    """Number format of matrix products, in several processes also of the layers while they are gathered; trained weights, their
+    gradients and averages are float32.
+    """
 
     storage: Precision = "float32"
     """Number format of the saved weights."""

@@ -11,10 +11,10 @@ from typing import Any
 
 import torch
 import torch.distributed as dist
-import torch.multiprocessing as mp
 from safetensors.torch import save_file
 from torch import Tensor
 from torch.distributed.tensor import DTensor
+from torch.multiprocessing.spawn import spawn
 from transformers import Qwen3Config, Qwen3ForCausalLM
 
 from models.semantic_reasoner.training.batch_sampler import batch_of
@@ -66,15 +66,14 @@ def of_base(settings: ReasonerTrainingSettings, base: Path, place: ProcessContex
 def in_processes(world: int, work: Callable[..., Any], *arguments: Any) -> list[Any]:
     """Runs a function, with its place as the first argument, in processes that form a group; returns the results as JSON."""
     with tempfile.TemporaryDirectory() as folder:
-        mp.spawn(_process, (world, Path(folder), work, arguments), nprocs=world)
+        spawn(_process, (world, Path(folder), work, arguments), nprocs=world)  # type: ignore[no-untyped-call]
         return [json.loads((Path(folder) / f"{rank}.json").read_text("utf-8")) for rank in range(world)]
 
 
 def _process(rank: int, world: int, folder: Path, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     torch.set_num_threads(1)
-    dist.init_process_group(
-        "gloo", f"file://{folder}/group", timedelta(seconds=120), rank=rank, world_size=world
-    )  # a process that hangs must end
+    patience = timedelta(seconds=120)  # after that, a process that hangs ends
+    dist.init_process_group("gloo", f"file://{folder}/group", patience, rank=rank, world_size=world)
     found = work(ProcessContext(torch.device("cpu"), rank, world), *arguments)
     (folder / f"{rank}.json").write_text(json.dumps(found), "utf-8")
     dist.barrier()
