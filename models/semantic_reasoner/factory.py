@@ -1,5 +1,6 @@
 """Makes a reasoner from its settings: the engine, the checks, and the interpreter of instructions."""
 
+import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -82,7 +83,7 @@ def load_reasoner(
         interpret = InstructionInterpreter(statistics, load_default())
         check = ReplyCheck(statistics, interpret, settings.checks)
     is_closed = engine.kind == "embedded"  # it knows only the words of its training
-    dialect = prompt_style_of(settings.dialect_with(engine), _text(settings.wording), interpret, is_closed)
+    dialect = prompt_style_of(settings.dialect_with(engine), _text(settings.wording), interpret, is_closed, _requires(engine))
     tries = settings.tries_with(engine)
     plan_edit = None
     if is_closed and statistics is not None and interpret is not None:
@@ -130,6 +131,16 @@ def proposal_config(engine: EngineSettings, settings: ReasonerSettings | None = 
     if statistics is not None:
         found["reader"] = reader_fingerprint()
     return found
+
+
+def _requires(engine: EngineSettings) -> bool:
+    """Whether the engine's model was trained on questions that state what is required."""
+    from models.semantic_reasoner.training.hf_folder import NOTES  # it imports transformers, which endpoints do not need
+
+    notes = None if engine.folder is None else engine.folder / NOTES
+    if notes is None or not notes.is_file():
+        return False
+    return bool(json.loads(notes.read_text("utf-8")).get("settings", {}).get("required_share", 0))
 
 
 def _statistics(engine: EngineSettings, settings: ReasonerSettings) -> CategoryStatistics | None:

@@ -46,18 +46,28 @@ class StagedPromptStyle:
         interpret: Interprets instructions, so that an answer must contain the required objects; None requires nothing.
         rewords: Whether the engine knows only some words, so that a prompt has the interpreter's wording and a known table.
         system: The system message; by default the one on which models are trained.
+        requires: Whether the model was trained on questions that state the required objects and relations.
     """
 
-    def __init__(self, interpret: InstructionInterpreter | None = None, rewords: bool = False, system: str = SYSTEM) -> None:
-        self._interpret, self._rewords, self._system = interpret, rewords, system
+    def __init__(
+        self,
+        interpret: InstructionInterpreter | None = None,
+        rewords: bool = False,
+        system: str = SYSTEM,
+        requires: bool = False,
+    ) -> None:
+        self._interpret, self._rewords, self._system, self._requires = interpret, rewords, system, requires
 
     def messages(self, question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
         """Returns the chat that asks for a stage, a whole layout or an edit."""
+        instruction = question.instruction
         if self._interpret is not None and self._rewords:
             check_instruction(question.instruction)
             wording = self._interpret(question.instruction, question.edits).wording
             table_type, _ = self._interpret.table_type(question.table.table_type)
             question = replace(question, instruction=wording, table=replace(question.table, table_type=table_type))
+        if self._interpret is not None and self._requires and question.wanted in (Stage.TASK, "whole"):
+            question = replace(question, required=self._interpret(instruction).phrases)
         return messages(question, refused, self._system)
 
     def form(self, question: ReasonerQuestion) -> ReplyGrammar:
@@ -142,7 +152,11 @@ def _prompt_fields(task: TaskInfo) -> tuple[str, str, tuple[str, ...], tuple[str
 
 
 def prompt_style_of(
-    name: str, wording: str = "", interpret: InstructionInterpreter | None = None, rewords: bool = False
+    name: str,
+    wording: str = "",
+    interpret: InstructionInterpreter | None = None,
+    rewords: bool = False,
+    requires: bool = False,
 ) -> PromptStyle:
     """Returns a prompt style by name.
 
@@ -151,14 +165,15 @@ def prompt_style_of(
         wording: Text of MesaTask's question; empty uses the default text.
         interpret: Interprets instructions; not used by ``mesatask``.
         rewords: See :class:`StagedPromptStyle`.
+        requires: See :class:`StagedPromptStyle`; a question in the style ``zero_shot`` always states what is required.
 
     Raises:
         ConfigError: The name is unknown.
     """
     if name == "stages":
-        return StagedPromptStyle(interpret, rewords)
+        return StagedPromptStyle(interpret, rewords, requires=requires)
     if name == "zero_shot":
-        return StagedPromptStyle(interpret, rewords, ZERO_SHOT_SYSTEM)
+        return StagedPromptStyle(interpret, rewords, ZERO_SHOT_SYSTEM, requires=True)
     if name == "mesatask":
         return MesaTaskPromptStyle(wording)
     raise ConfigError(f"dialect is {name!r}, expected stages, zero_shot or mesatask", "config_invalid")

@@ -59,6 +59,8 @@ _ROW_WIDTH = 0.25  # members of a row leave its line by at most this share of a 
 _FACINGS = ("front", "front_right", "right", "back_right", "back", "back_left", "left", "front_left")
 _COLUMNS = ("left", "middle", "right")
 _ROWS = ("front", "middle", "back")
+CELLS = tuple(f"{row}_{column}" for row, column in itertools.product(_ROWS, _COLUMNS))
+"""The ninths of a table."""
 
 
 class _Layout:

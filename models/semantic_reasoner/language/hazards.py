@@ -32,9 +32,9 @@ def hazard_of(instruction: str, reading: InstructionReading) -> str | None:
         reading: Its reading.
     """
     text = instruction.lower().replace("’", "'")
-    for found in _HARM.finditer(text):
-        if not _NOT.search(text[: found.start()]):
-            return found[0]
+    for harm in _HARM.finditer(text):
+        if not _NOT.search(text[: harm.start()]):
+            return harm[0]
     for one in reading.objects:
         for start, end in one.mentions if any(map(is_electric, one.categories)) else ():
             before = text[:start]

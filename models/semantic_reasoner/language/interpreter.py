@@ -19,7 +19,7 @@ from models.instruction_reader.reference import reference_of_reading
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.hazards import hazard_of
-from models.semantic_reasoner.text.prompt import ANY_TABLE
+from models.semantic_reasoner.text.prompt import ANY_TABLE, required_phrases
 from stable_data.errors import Notice
 from stable_data.instructions.wording.vocabulary import nouns_of
 from stable_data.instructions.wording.words import is_plural, plural, singular_noun, type_words
@@ -52,6 +52,7 @@ class InterpretedInstruction:
         reference: What a scene must have so that the instruction makes sense in it; None if it mentions no known object.
         stated: The same with the relations that contradict others, which no scene can fulfil.
         wording: The instruction with nouns that the engine knows.
+        phrases: What a layout must have in canonical form, see :class:`models.semantic_reasoner.text.prompt.ReasonerQuestion`.
         notices: ``word_read_as``, ``word_unknown``, ``language_unknown``, ``contradiction`` or ``dangerous``.
     """
 
@@ -60,6 +61,7 @@ class InterpretedInstruction:
     reference: AlignmentReference | None
     stated: AlignmentReference | None
     wording: str
+    phrases: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
 
 
@@ -97,12 +99,13 @@ class InstructionInterpreter:
         if self._is_foreign(instruction):
             message = f"most words of {_shown(instruction)} are unknown, expected English; write it in English"
             notice = Notice("instruction", STEP, "language_unknown", f"instruction: {message}")
-            return InterpretedInstruction(instruction, InstructionReading(()), None, None, instruction, (notice,))
+            return InterpretedInstruction(instruction, InstructionReading(()), None, None, instruction, (), (notice,))
         reading, notices = self._with_similar_nouns(self._reader.read(instruction, is_edit))
         reference, stated = (reference_of_reading(reading, "instruction", both) for both in (False, True))
         wording = self._reworded(instruction, reading)
         notices += (*_contradictions(reading), *_dangers(instruction, reading))
-        return InterpretedInstruction(instruction, reading, reference, stated, wording, notices)
+        phrases = () if reference is None else self._phrases(reference)
+        return InterpretedInstruction(instruction, reading, reference, stated, wording, phrases, notices)
 
     def table_type(self, table_type: str) -> tuple[str, tuple[Notice, ...]]:
         """Returns a kind of table if it is known, else the kind for any table, so that the engine sees only its size.
@@ -165,6 +168,19 @@ class InstructionInterpreter:
         return list(self._names.items())[best] if similarity[best] >= NEAR else None
 
     # --- the engine's words ---
+
+    def _phrases(self, reference: AlignmentReference) -> tuple[str, ...]:
+        """The required objects, each under the likeliest of its categories, and their relations; not what may be of any kind."""
+        names: dict[str, str] = {}
+        for r in reference.required:
+            if r.categories:
+                category = max(r.categories, key=self._count)  # the first one of equally frequent ones
+                names[r.instance] = f"{category}_{sum(n.rpartition('_')[0] == category for n in names.values())}"
+        return required_phrases(names, [r for r in reference.entailed if set(members(r)) <= names.keys()])
+
+    def _count(self, category: str) -> int:
+        known = self._statistics.categories.get(category)
+        return 0 if known is None else known.count
 
     def _reworded(self, instruction: str, reading: InstructionReading) -> str:
         """The instruction with a noun of the engine in place of each noun that it does not know."""

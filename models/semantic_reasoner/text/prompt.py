@@ -6,13 +6,13 @@ a chain of thought, as in the paper's Sec. "Semantic Reasoner". The fixed parts 
 make one token.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from models.semantic_reasoner.text.reply_json import DECIMALS, LayoutObject, render_objects, sanitise_words
 from stable_data.errors import SceneError
-from stable_data.scene import MAX_INSTRUCTION, Stage, Tabletop, TaskInfo
+from stable_data.scene import MAX_INSTRUCTION, Relation, Stage, Tabletop, TaskInfo
 
 PROMPT_VERSION = 1
 """Raised whenever a fixed part changes, since models are trained on one version."""
@@ -71,6 +71,8 @@ class ReasonerQuestion:
         wanted: A stage, the whole layout or an edit.
         layout: The layout so far.
         details: The task info, if the prompt holds all of it and the model was trained on that.
+        required: What the answer must have, in canonical form, if the model was trained on that: names such as ``mug_0``, then
+            relations such as ``mug_0 on plate_0``.
     """
 
     instruction: str
@@ -78,6 +80,7 @@ class ReasonerQuestion:
     wanted: Wanted
     layout: tuple[LayoutObject, ...] = ()
     details: TaskInfo | None = None
+    required: tuple[str, ...] = ()
 
     @property
     def edits(self) -> bool:
@@ -116,9 +119,25 @@ def user_message(question: ReasonerQuestion) -> str:
         parts += [ZONE, f"[{x_min},{x_max},{y_min},{y_max}]"]
     if question.details is not None and (details := sanitise_words(details_of(question.details))):
         parts += [DETAILS, details]
+    elif question.required:
+        parts += [DETAILS, "; ".join(question.required)]
     if question.layout:
         parts += [LAYOUT, render_objects(question.layout)]
     return "".join([*parts, WANTED[question.wanted]])
+
+
+def required_phrases(names: Mapping[str, str], relations: Iterable[Relation]) -> tuple[str, ...]:
+    """Returns required objects and relations in canonical form.
+
+    Args:
+        names: The name in the answer of each required object.
+        relations: Relations between them, or of one of them to its place.
+    """
+
+    def target(r: Relation) -> str:
+        return " and ".join(names.get(name, name.replace("_", " ")) for name in r.target.split(", "))
+
+    return (*names.values(), *(f"{names[r.subject]} {str(r.kind).removeprefix('is ')} {target(r)}" for r in relations))
 
 
 def check_instruction(words: str) -> str:

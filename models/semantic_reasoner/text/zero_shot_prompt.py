@@ -54,6 +54,8 @@ THE START OF THE TASK
 about does not hold yet: for "Put the cup that is left of the laptop on the tray", the cup is left of the laptop and not on the tray.
 - Each object that the instruction names is there, in the number that it names, also the goal (the tray). A plural without a number is at \
 least two.
+- A line "Details", if there is one, is what a reader found in the instruction: names to use for objects that are there, then relations \
+that hold at the start, such as "mug_0 on plate_0".
 - Left, right, in front and behind are seen by the viewer and compare centres: left has the smaller x, in front the smaller y. The \
 difference in this direction is clearly larger than the one across. "The left", "the back" or "the middle" of the table are thirds of \
 the table.

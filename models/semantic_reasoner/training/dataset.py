@@ -107,7 +107,7 @@ class ExampleSource:
             ConfigError: The table cannot be read, or the split ``train`` has no example (``set_empty``).
         """
         s = self.settings
-        shaping = [s.max_tokens, s.with_details, self._asks_whole, *_prompt_identity()]
+        shaping = [s.max_tokens, s.with_details, s.required_share, self._asks_whole, *_prompt_identity()]
         if split == "train":
             shaping += [s.any_table_share, s.part_share, s.seed]
         key = content_id(_CACHE_VERSION, self.fingerprint(), self.every, fingerprint_of(tokenizer), split, shaping)
@@ -128,7 +128,7 @@ class ExampleSource:
         rows: Iterable[Row] = self._rows(self.uri, "samples", split)
         if split == "train" and self.settings.part_share:
             rows = map(self._maybe_cropped, rows)
-        examples: Iterable[TrainingExample] = (example_of(row, self.settings.with_details) for row in rows)
+        examples: Iterable[TrainingExample] = (example_of(row, self.settings.with_details, self._draws(row)) for row in rows)
         if self._asks_whole:
             examples = add_whole_layouts(examples)
         if self.edits is not None:
@@ -159,6 +159,14 @@ class ExampleSource:
         # Drawn from a hash of the example, so that the order of the table has no effect.
         digest = content_id(self.settings.seed, example.scene_id, str(example.question.wanted), example.question.instruction)
         return int(digest, 16) / 16.0 ** len(digest) < self.settings.any_table_share
+
+    def _draws(self, row: Row) -> np.random.Generator | None:
+        """Draws what the question of a row states as required; None for a question that states nothing."""
+        if not self.settings.required_share:
+            return None
+        digest = content_id(self.settings.seed, "required", row["scene_id"], (row["task"] or {}).get("task", ""))
+        rng = np.random.default_rng(int(digest, 16))
+        return rng if rng.random() < self.settings.required_share else None
 
     def _maybe_cropped(self, row: Row) -> Row:
         """The row, or a part of its table, which has no table type; all stages of a scene have the same part."""

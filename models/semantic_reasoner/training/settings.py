@@ -160,6 +160,11 @@ class ReasonerTrainingSettings(Settings):
     fill a small one.
     """
 
+    required_share: Share = 0.0
+    """Share of the examples of O^t and of whole layouts that state the required objects and relations in canonical form, as the
+    reading of an instruction gives them. A model that was trained on some is asked so.
+    """
+
     with_details: bool = False
     """Whether the prompt also holds the rest of the task info."""
 

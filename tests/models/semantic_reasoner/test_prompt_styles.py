@@ -11,6 +11,7 @@ from models.semantic_reasoner.text.reply_json import LayoutObject, render_object
 from stable_data.errors import ConfigError, SceneError
 from stable_data.scene import Relation, RelationKind, Stage, Tabletop, TaskInfo
 from stable_data.task_info import task_info_of
+from tests.models.semantic_reasoner.language.known_categories import interpreter
 
 VANITY = Tabletop("bathroom_vanity", (1.2, 0.6), (0.2, 0.45, 0.1, 0.3))
 TASK = TaskInfo(
@@ -86,6 +87,18 @@ def test_only_our_own_words_bind_the_answer() -> None:
     assert StagedPromptStyle().messages(ASK) == messages(ASK)
     edit = replace(ASK, wanted="edit", layout=(PEN,))
     assert StagedPromptStyle().form(edit).names == ("pen_0",)
+
+
+def test_what_was_read_is_stated_where_a_model_knows_the_form() -> None:
+    ask = ReasonerQuestion("The mug that is left of the plate goes onto the tray.", VANITY, Stage.TASK)
+    for style, is_stated in (
+        (StagedPromptStyle(interpreter()), False),
+        (StagedPromptStyle(interpreter(), requires=True), True),
+        (prompt_style_of("zero_shot", interpret=interpreter()), True),
+    ):
+        told = style.messages(ask)[-1]["content"]
+        assert ("\nDetails: mug_0; plate_0; serving_tray_0; mug_0 left of plate_0\n" in told) == is_stated
+        assert "Details" not in style.messages(replace(ask, wanted=Stage.SECONDARY))[-1]["content"]
 
 
 def test_dialects_by_name() -> None:

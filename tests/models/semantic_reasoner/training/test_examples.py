@@ -1,7 +1,9 @@
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from models.semantic_reasoner.text.prompt import ANY_TABLE, ReasonerQuestion
@@ -95,3 +97,23 @@ def test_an_edit_says_what_goes_first() -> None:
     assert list(json.loads(edit.answer)) == ["remove", "objects"]
     reply = parse_reply(edit.answer)
     assert (reply.removed, reply.objects) == ((thing(0).instance,), (thing(1),))
+
+
+def test_what_is_required_is_said_in_the_names_of_the_answer(rows: list[Row]) -> None:
+    row = next(row for row in rows if row["stage"] == "task" and len(row["task"]["task_objects"]) > 1)
+    assert "Details" not in example_of(row).prompt[-1]["content"]
+    said = set()
+    for seed in range(20):
+        example = example_of(row, rng=np.random.default_rng(seed))
+        required = example.question.required
+        names = [phrase for phrase in required if " " not in phrase]
+        assert set(names) <= {o.instance for o in example.objects}
+        assert len(names) == len(row["task"]["task_objects"])
+        assert "Details: " + "; ".join(required) in example.prompt[-1]["content"]
+        for phrase in required[len(names) :]:
+            assert phrase.split(" ")[0] in names
+        said.add(required)
+    assert len(said) > 3  # other orders, other relations
+    last = replace(example, question=replace(example.question, wanted=Stage.SECONDARY, required=()))
+    (whole,) = (e for e in add_whole_layouts([last]) if e.question.wanted == "whole")
+    assert whole.question.required == example.required
