@@ -6,7 +6,7 @@ instructions and tables of its test scenes are laid out in three stages. The mod
 - scenes: staged layouts a minute at several batch sizes, without checks and retries;
 - generate: the same questions to the same model by the transformers function ``generate``, one after the other, without a
   grammar, against the engine with all of them at once; requests a second, and tokens a second, since replies differ in length;
-- workers: eight workers that ask one engine, each three times for eight replies; tokens a second if their requests join one
+- workers: eight workers that ask one engine, each twice for four replies; tokens a second if their requests join one
   running batch, divided by those if the engine answers the batch of one worker at a time;
 - grammar: seconds a token with the grammar of replies, divided by those without, reading of the questions excluded.
 
@@ -42,7 +42,7 @@ from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.scene import Scene, Stage
 
 SAMPLING = Sampling(max_tokens=1024)
-_WORKERS, _ASKS, _BATCH = 8, 3, 8
+_WORKERS, _ASKS, _BATCH = 8, 2, 4
 
 
 def scenes_a_minute(engine: LocalEngine, scenes: Sequence[Scene], at_once: int) -> float:
