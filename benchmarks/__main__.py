@@ -55,6 +55,8 @@ def main() -> None:
             "generation": ([], ["--scenes", "4", "--serial-scenes", "2", "--scripted", "4"]),
             "alternation": ([run], ["--where", "", "--scenes", "3", "--workers", "0"]),
             "generalisation": ([data], ["--scenes", "3", "--cases", "3", "--workers", "0"]),
+            # Without a generated run: what scenes of training reach, whose pairs of categories are all known.
+            "taste": ([run, run, "--generated-split", "train"], []),
             "chaos": ([], ["--scenes", "16", "--kills", "3", "--per-shard", "2"]),
             "synth": (["--scenes", "200"], ["--scenes", "20"]),
         }
