@@ -264,6 +264,7 @@ def kill_a_worker(out: Path, killed: list[int]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.ray
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
 def test_after_the_loss_of_a_process_the_run_ends_with_the_weights_of_one_without(
@@ -305,6 +306,7 @@ class FailingWork:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.ray
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
 @pytest.mark.parametrize(("way", "code", "starts"), [("killed", "ray_failed", 4), ("raises", "config_invalid", 1)])

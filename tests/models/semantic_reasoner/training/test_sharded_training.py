@@ -162,6 +162,7 @@ def test_one_two_and_four_processes_train_alike_and_go_on_from_four(base: Path, 
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_each_process_writes_a_part(base: Path, tmp_path: Path) -> None:
     in_processes(4, run_one_and_save, base, tmp_path / "kept")
     (folder,) = (tmp_path / "kept").iterdir()
