@@ -9,7 +9,7 @@ import numpy as np
 from stable_data.errors import SceneError
 from stable_data.instructions import containing, dining, picking, placing, sorting, stacking, tidying, using
 from stable_data.instructions.kind import TaskDraft, TaskKind
-from stable_data.instructions.naming import SIDE_WORDS, Distinction, ObjectName, ObjectNamer, holds_relation
+from stable_data.instructions.naming import SIDE_WORDS, Distinction, ObjectName, ObjectNamer, holds_relation, mentions
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.steps import MultiStepKind, steps_of
 from stable_data.instructions.wording.paraphrase import request
@@ -84,12 +84,14 @@ def _situation(draft: TaskDraft, context: TaskContext, namer: ObjectNamer) -> tu
     The layout of a scene follows its instruction only where the instruction says something of it.
     """
     graph = context.graph
-    for one in context.shuffled([name for name in draft.objects if name in context.named]):
+    said = {m.instance: m.name for m in mentions(draft.text, namer) if m.name.anchor is None}
+    for one in context.shuffled([name for name in draft.objects if name in said]):
         for other in context.shuffled(sorted({*graph.successors(one), *graph.predecessors(one)} & context.named)):
-            subject, place = (_name_alone(n, namer, context) for n in (one, other))
+            subject = said[one]  # with another name it would seem to be another object
+            place = said.get(other) or (None if other in draft.objects else _name_alone(other, namer, context))
             stated = {kind: holds_relation(graph, one, kind, other) for kind in (RelationKind.IN, RelationKind.ON, *SIDE_WORDS)}
             kind, relation = next(((k, r) for k, r in stated.items() if r is not None), (None, None))
-            if subject is None or place is None or kind is None or relation is None:
+            if place is None or kind is None or relation is None:
                 continue
             nouns = {*draft.nouns, subject.noun, place.noun}
             if subject.noun != place.noun and not any(a != b and a.endswith(b) for a, b in permutations(nouns, 2)):

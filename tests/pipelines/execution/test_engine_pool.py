@@ -3,7 +3,7 @@
 import json
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -87,16 +87,11 @@ def test_a_cluster_is_waited_for_and_a_line_says_so(
     assert said.startswith("1 of 1 engines have not started; each needs 1 GPUs and the cluster has 1 in all; waiting for")
 
 
-def asked_by_a_worker(engine: PooledEngine, seeds: Sequence[int], begun: Path | None = None) -> list[Completion]:
-    """If ``begun`` is a folder, the worker waits for another one, so that both ask at the same time."""
-    if begun is not None:
-        (begun / str(seeds[0])).touch()
-        while len(list(begun.iterdir())) < 2:
-            time.sleep(0.01)
-    return engine.complete([request(seed) for seed in seeds])
+def requests_of(seeds: Iterable[int]) -> list[Request]:
+    return [request(seed) for seed in seeds]
 
 
-ask = ray.remote(num_cpus=0)(asked_by_a_worker)
+ask = ray.remote(num_cpus=0)(lambda pool, requests: pool.complete(requests))  # by value: the worker imports no test
 
 
 @pytest.mark.slow  # the engine's process imports torch
@@ -105,9 +100,18 @@ def test_workers_that_ask_at_the_same_time_share_one_batch(tmp_path: Path, local
     if not (EMBEDDED / "model.safetensors").is_file():
         pytest.skip("the weights of the embedded reasoner are not in this checkout")
     settings = EngineSettings(num_slots=8)
-    alone = load_engine(settings).complete([request(seed) for seed in range(6)])
+    alone = load_engine(settings).complete(requests_of(range(6)))
+
+    def ask_together(pool: PooledEngine, requests: list[Request]) -> list[Completion]:
+        """Waits for the other worker."""
+        (tmp_path / str(requests[0].seed)).touch()
+        while len(list(tmp_path.iterdir())) < 2:
+            time.sleep(0.01)
+        return pool.complete(requests)
+
+    together = ray.remote(num_cpus=0)(ask_together)
     with engine_pool(settings, 1, 0.0, may_grow=False) as pool:
-        found = ray.get([ask.remote(pool, seeds, tmp_path) for seeds in ([0, 1, 2], [3, 4, 5])])
+        found = ray.get([together.remote(pool, requests_of(seeds)) for seeds in ([0, 1, 2], [3, 4, 5])])
         (counts,) = pool.counts()
     assert [*found[0], *found[1]] == alone
     assert counts.answered == 6
@@ -133,7 +137,7 @@ def slow_engines(settings: EngineSettings, tmp_path: Path, monkeypatch: pytest.M
     """Engines that take a while for a reply, have a process of their own, and leave a file when they are closed."""
 
     class SlowEngine:
-        """Answers with the seed."""
+        """Answers with the seed; from seed 100 on once there is a file."""
 
         name, repeats = "slow", False
 
@@ -143,6 +147,8 @@ def slow_engines(settings: EngineSettings, tmp_path: Path, monkeypatch: pytest.M
 
         def complete(self, requests: Sequence[Request]) -> list[Completion]:
             time.sleep(0.1)
+            while requests[0].seed >= 100 and not (tmp_path / "go").exists():
+                time.sleep(0.01)
             return [Completion(str(r.seed)) for r in requests]
 
         def close(self) -> None:
@@ -164,7 +170,7 @@ def slow_engines(settings: EngineSettings, tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.ray
 def test_an_actor_holds_no_more_requests_than_it_may(slow_engines: EngineSettings, local_ray: None) -> None:
     with engine_pool(slow_engines, 1, 0.0, may_grow=False) as pool:
-        found = ray.get([ask.remote(pool, range(6 * k, 6 * k + 6)) for k in range(3)])
+        found = ray.get([ask.remote(pool, requests_of(range(6 * k, 6 * k + 6))) for k in range(3)])
         (counts,) = pool.counts()
     assert [int(c.text) for some in found for c in some] == list(range(18))
     assert counts.answered == 18
@@ -172,19 +178,23 @@ def test_an_actor_holds_no_more_requests_than_it_may(slow_engines: EngineSetting
 
 
 @pytest.mark.ray
-def test_a_request_goes_to_the_actor_that_holds_the_fewest(slow_engines: EngineSettings, local_ray: None) -> None:
+def test_a_request_goes_to_the_actor_that_holds_the_fewest(
+    slow_engines: EngineSettings, tmp_path: Path, local_ray: None
+) -> None:
     with engine_pool(slow_engines, 2, 0.0, may_grow=False) as pool:
-        busy = [pool.actors[0].complete.remote(request(seed)) for seed in range(3)]
-        ray.get(ask.remote(pool, range(3)))
-        assert ray.get(busy[0]).text == "0"
-        ray.get(busy)
-        assert [counts.answered for counts in pool.counts()] == [3, 3]
+        busy = [pool.actors[0].complete.remote(request(seed)) for seed in range(100, 103)]
+        while ray.get(pool.actors[0].num_free.remote()) > 1:
+            time.sleep(0.01)
+        pool.complete(requests_of(range(3)))
+        assert [counts.answered for counts in pool.counts()] == [0, 3]
+        (tmp_path / "go").touch()
+        assert [c.text for c in ray.get(busy)] == ["100", "101", "102"]
 
 
 @pytest.mark.ray
 def test_a_killed_actor_is_restarted_and_every_request_is_answered_once(slow_engines: EngineSettings, local_ray: None) -> None:
     with engine_pool(slow_engines, 1, 0.0, may_grow=False) as pool:
-        asked = ask.remote(pool, range(12))
+        asked = ask.remote(pool, requests_of(range(12)))
         while pool.counts()[0].answered < 4:
             time.sleep(0.02)
         ray.kill(pool.actors[0], no_restart=False)
@@ -198,7 +208,7 @@ def test_engines_end_with_the_job_however_it_ends(
     slow_engines: EngineSettings, tmp_path: Path, local_ray: None, error: type[BaseException]
 ) -> None:
     with suppress(RuntimeError, KeyboardInterrupt), engine_pool(slow_engines, 2, 0.5, may_grow=False) as pool:
-        ask.remote(pool, range(6))
+        ask.remote(pool, requests_of(range(6)))
         raise error
     children = [int(file.name.partition("_")[2]) for file in tmp_path.glob("closed_*")]
     assert len(children) == len(list(tmp_path.glob("started_*"))) == 2
