@@ -2,7 +2,6 @@
 
 import hashlib
 from dataclasses import replace
-from itertools import permutations
 
 import numpy as np
 
@@ -93,8 +92,8 @@ def _situation(draft: TaskDraft, context: TaskContext, namer: ObjectNamer) -> tu
             kind, relation = next(((k, r) for k, r in stated.items() if r is not None), (None, None))
             if place is None or kind is None or relation is None:
                 continue
-            nouns = {*draft.nouns, subject.noun, place.noun}
-            if subject.noun != place.noun and not any(a != b and a.endswith(b) for a, b in permutations(nouns, 2)):
+            nouns = {subject.noun} if other in draft.objects else {*draft.nouns, subject.noun}
+            if not any(noun.endswith(place.noun) or place.noun.endswith(noun) for noun in nouns):
                 verb = context.pick(
                     ("are", "are now", "are currently") if is_plural(subject.noun) else ("is", "is now", "is currently")
                 )
