@@ -13,6 +13,7 @@ import numpy as np
 import shapely
 
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
+from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.edit_planning.mention_resolution import MentionResolver
 from models.semantic_reasoner.language.category_statistics import LEVELS, CategoryStatistics
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
@@ -97,12 +98,11 @@ class EditPlanner:
             case "replace":
                 for new, old in zip(subjects, targets, strict=False):
                     plan.put_in_place(new, old)
-            case "style":
-                for name in subjects:
-                    plan.restyle(name, look.words)
-            case "look":
-                for name in subjects:
-                    plan.restyle(name, " ".join(look.words.split()[:-1]))
+            case "style" | "look":
+                words = look.words if kind == "style" else " ".join(look.words.split()[:-1])
+                others = [name for name in subjects if not plan.has_look(name, words)]
+                for name in others or subjects:  # of several, those that look so already stay
+                    plan.restyle(name, words)
             case "swap" if subjects and targets and subjects[0] < targets[0]:
                 plan.exchange(subjects[0], targets[0])
             case _:
@@ -171,6 +171,10 @@ def _moves_later(objects: Sequence[MentionedObject], subject: int, target: int, 
     return first[1] < first[0]
 
 
+def _look_words(look: str) -> list[str]:
+    return [word for word in look.split() if word not in _NO_LOOK]
+
+
 class _Plan:
     """A layout while an edit changes it."""
 
@@ -211,11 +215,15 @@ class _Plan:
         self._new.add(name)
         return name
 
+    def has_look(self, name: str, look: str) -> bool:
+        words = _look_words(look)
+        return bool(words) and set(words) <= set(split_words(self._entries[name].description))
+
     def restyle(self, name: str, look: str) -> None:
         if name not in self.objects:
             return  # it goes
         entry = self._entries[name]
-        words = [word for word in look.split() if word not in _NO_LOOK]
+        words = _look_words(look)
         factor = next((_SIZE_WORDS[word] for word in words if word in _SIZE_WORDS), 1.0)
         w, d, h = (round(side * factor, 1) for side in entry.size_cm)
         x, y, z = entry.position_cm

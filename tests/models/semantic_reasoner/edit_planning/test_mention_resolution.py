@@ -95,3 +95,45 @@ def test_fewer_than_are_mentioned_are_said() -> None:
 def test_the_gap_of_boxes() -> None:
     assert gap_between(LAYOUT[0], LAYOUT[1]) == pytest.approx(0.42)
     assert gap_between(LAYOUT[1], LAYOUT[2]) == 0.0
+
+
+def test_categories_that_the_reader_does_not_know_are_found_by_their_own_nouns() -> None:
+    ball, ketchup = box("racquetball_0", 0.1, 0.1, words="racquetball (scanned)"), box("ketchup_0", 0.3, 0.1)
+    spray = box("spray_bottle_0", 0.5, 0.1)
+    layout = (ball, ketchup, spray)
+
+    def found(one: MentionedObject) -> tuple[str, ...]:
+        return MentionResolver("", InstructionReading((one,)), layout, TABLE, LEXICON).resolve([0], {0})[0]
+
+    assert found(mentioned("ball", "ball")) == ("racquetball_0",)
+    assert found(mentioned("ketchup bottle", "sauce_bottle")) == ("ketchup_0",)
+    assert found(mentioned("spray bottle")) == ("spray_bottle_0",)
+
+
+def test_a_thing_and_what_carries_it_are_meant_together() -> None:
+    mug, tray = mentioned("blue mug", "mug"), mentioned("tray", "serving_tray", name=1)
+    layout = (*LAYOUT, box("serving_tray_1", 0.2, 0.5))
+    reading = InstructionReading((mug, tray))
+    resolver = MentionResolver("the blue mug, tray and all", reading, layout, TABLE, LEXICON)
+    assert resolver.resolve([0, 1], {0, 1}) == {0: ("mug_1",), 1: ("serving_tray_0",)}
+    onto = InstructionReading((mug, tray), goal=(MentionedRelation(0, "on", 1),))
+    with pytest.raises(SceneError) as caught:  # the mug is on one of the trays already, so another one is meant, or not
+        MentionResolver("", onto, layout, TABLE, LEXICON).resolve([0, 1], {0})
+    assert caught.value.code == AMBIGUOUS
+
+
+def test_of_what_an_edit_only_points_at_fewer_may_be_there() -> None:
+    several = InstructionReading((mentioned("candles", "candle"),) * 3)
+    resolver = MentionResolver("", several, LAYOUT, TABLE, LEXICON)
+    assert resolver.resolve([0], set())[0] == ("candle_0", "candle_1")
+    with pytest.raises(SceneError) as caught:
+        resolver.resolve([0], {0, 1, 2})
+    assert caught.value.code == MISSING
+
+
+def test_unknown_things_around_the_table_are_not_looked_for() -> None:
+    resolver = MentionResolver(
+        "", InstructionReading((mentioned("washbasin"), mentioned("mug", "mug"))), LAYOUT, TABLE, LEXICON
+    )
+    assert resolver.is_unknown(0)
+    assert not resolver.is_unknown(1)

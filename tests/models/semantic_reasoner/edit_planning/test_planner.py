@@ -70,6 +70,20 @@ def test_others_of_the_same_kind_are_a_new_look() -> None:
     assert all("white" in o.description for o in found.objects)
 
 
+def test_those_that_look_so_already_stay() -> None:
+    (changed,) = planned("Replace all the mugs with red ones.").objects
+    assert changed.instance == "mug_1"
+
+
+def test_an_object_goes_where_another_one_moves_to() -> None:
+    found = {
+        o.instance: o.position_cm
+        for o in planned("Put the red mug on the plate, and move the plate to the front left corner.").objects
+    }
+    assert found["plate_0"][0] < 40.0
+    assert abs(found["mug_0"][0] - found["plate_0"][0]) < 6.0
+
+
 def test_several_that_fit_are_asked_back() -> None:
     with pytest.raises(SceneError, match="mug_0, mug_1") as caught:
         plan("Remove the mug.")
