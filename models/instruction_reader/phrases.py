@@ -64,5 +64,8 @@ CLOSINGS = _ALL.pop("closings")
 MODIFIERS = _ALL.pop("modifiers")
 """Additions after a noun that state its relation to another object."""
 
+DETAILS = _ALL.pop("details")
+"""Words after a noun that describe its object, and mention no other one."""
+
 PHRASES: Mapping[str, tuple[str, ...]] = MappingProxyType(_ALL)
 """Phrases by the name of their slot; those of relations are also the phrases of ``<r>``."""

@@ -11,6 +11,7 @@ from models.instruction_reader.phrases import (
     ADJECTIVES,
     CLOSINGS,
     COUNT_WORDS,
+    DETAILS,
     DETERMINERS,
     MODIFIERS,
     OPENINGS,
@@ -34,6 +35,7 @@ _OPEN, _CLOSE = 0xE000, "\uf000"  # private characters around a mention; the fir
 _JOINS = 0.4  # share of sentences of two frames
 _SHARES_OBJECT = 0.5  # share of these in which both frames have an object in common
 _MODIFIES = 0.15  # share of sentences with an addition after a noun
+_DETAILS = 0.05  # share of nouns with a description after them
 _DETERMINES = 0.2  # share of "the" before a noun that becomes another determiner
 _DESCRIBES = (0.55, 0.37, 0.08)  # shares of objects with 0, 1, 2 adjectives
 _OPENS, _CLOSES = 0.15, 0.15  # shares of sentences with an opening, a closing
@@ -50,6 +52,7 @@ _MANY = frozenset(
     }
 )  # fmt: skip
 """Words of mentions that mean several objects."""
+_ENDS_NOUN = re.compile(r"(?=[ .,;:?!]|$)(?! (?:of|and|or)\b)")
 _FIXED = re.compile(r"\b(?:the|my|your|our|his|her|their|these|those|all|both|of the|other|same|last|first|only)$")
 
 
@@ -210,6 +213,8 @@ class SentenceMaker:
             for m in SLOT.finditer(text):
                 pieces.append(text[end : m.start()])
                 pieces.append(self._fill(m, number, relation, draft.counts, nouns, adjectives, said, "".join(pieces), rng))
+                if m["name"] and m["kind"] == "" and _ENDS_NOUN.match(text, m.end()) and rng.random() < _DETAILS:
+                    pieces.append(f" {rng.choice(DETAILS)}")
                 end = m.end()
             parts.append("".join(pieces) + text[end:])
         text = _joined(parts, rng)

@@ -19,6 +19,7 @@ from models.instruction_reader.sentences import LabelledSentence, ObjectLabels, 
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
 from models.training.checkpoint import load_checkpoint, save_checkpoint
 from models.training.distributed import CPU, ProcessContext
+from models.training.heap import trim_heap
 from stable_data.random_seeds import named_seed
 
 HELD_OUT = 25
@@ -230,6 +231,7 @@ class ReaderTrainer:
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), s.clip)
         self._optimizer.step()
         self.step += 1
+        trim_heap(self.step)
         return {name: float(part.detach()) for name, part in losses.items()}
 
     def losses(self, batch: Sequence[LabelledSentence], masked: float = 0.0) -> dict[str, Tensor]:

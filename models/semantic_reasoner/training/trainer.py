@@ -5,12 +5,10 @@ an uninterrupted one. Each process computes the same list of batches and takes i
 does not depend on the number of processes.
 """
 
-import ctypes
 import itertools
 import math
 import os
 import shutil
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,6 +26,7 @@ from models.semantic_reasoner.training.settings import ReasonerTrainingSettings
 from models.semantic_reasoner.training.sharding import gather_tensor, make_loss
 from models.semantic_reasoner.training.token_dataset import KINDS, TokenDataset
 from models.training.distributed import CPU, ProcessContext
+from models.training.heap import trim_heap
 from models.training.sharded_checkpoint import load_tensors, read_values, save_sharded
 from stable_data.errors import ConfigError
 
@@ -62,16 +61,6 @@ class StepMetrics:
     norm: float
     stops: bool
     saves: bool
-
-
-_TRIM_STEPS = 32  # between two calls of _trim_heap
-
-
-def _trim_heap() -> None:
-    """Returns free memory to the system: batches of many shapes fragment the heap of glibc, 6 GB in twenty minutes."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if trim is not None:
-        trim(0)
 
 
 class ReasonerTrainer:
@@ -144,8 +133,7 @@ class ReasonerTrainer:
         self._sum_over_processes(figures)
         self.step += 1
         self.tokens += count
-        if self.step % _TRIM_STEPS == 0:
-            _trim_heap()
+        trim_heap(self.step)
         total, stops, saves = figures.tolist()
         return StepMetrics(total, float(norm), stops > 0, saves > 0)
 
