@@ -101,7 +101,8 @@ def compare(case: Handwritten, reading: InstructionReading) -> ReadingVerdict:
         if {one, other} <= known.keys()  # the labels say nothing of unknown objects
         and not any((back.get(one), wish, back.get(other)) in held and _agrees(kind, wish) for wish in _KINDS)
     ]
-    spoken = [set(o.words.split()) for o in reading.unknown]
+    said = [(o.words, *(case.instruction[slice(*place)] for place in o.mentions)) for o in reading.unknown]
+    spoken = [{word for words in one for word in words.lower().split()} for one in said]  # also with typing errors
     return ReadingVerdict(
         case,
         tuple(str(r) for r in case.reference.required if r.instance not in matches),

@@ -100,7 +100,7 @@ class InstructionInterpreter:
             message = f"most words of {_shown(instruction)} are unknown, expected English; write it in English"
             notice = Notice("instruction", STEP, "language_unknown", f"instruction: {message}")
             return InterpretedInstruction(instruction, InstructionReading(()), None, None, instruction, (), (notice,))
-        reading, notices = self._with_similar_nouns(self._reader.read(instruction, is_edit))
+        reading, notices = self._with_similar_nouns(self._reader.read(instruction, is_edit), instruction)
         reference, stated = (reference_of_reading(reading, "instruction", both) for both in (False, True))
         wording = self._reworded(instruction, reading)
         notices += (*_contradictions(reading), *_dangers(instruction, reading))
@@ -131,15 +131,18 @@ class InstructionInterpreter:
             return True  # a script without spaces between words gives few words
         return len(unknown) >= _MIN_FOREIGN and len(unknown) > LANGUAGE * len(words)
 
-    def _with_similar_nouns(self, reading: InstructionReading) -> tuple[InstructionReading, tuple[Notice, ...]]:
+    def _with_similar_nouns(
+        self, reading: InstructionReading, instruction: str
+    ) -> tuple[InstructionReading, tuple[Notice, ...]]:
         """The reading in which unknown objects have the category of a similar noun if there is one, and notices."""
         objects, notices = [], []
         for o in reading.objects:
+            shown = _shown(instruction[slice(*o.mentions[0])] if o.mentions else o.words)  # also with its typing errors
             if not o.categories and (similar := self._similar(o.words)) is not None:
                 noun, o = similar[0], replace(o, categories=similar[1])
-                notices.append(("word_read_as", f"{_shown(o.words)} is unknown, read as {noun}"))
+                notices.append(("word_read_as", f"{shown} is unknown, read as {noun}"))
             elif not o.categories:
-                message = f"{_shown(o.words)} is unknown and no known object is similar; name a known object"
+                message = f"{shown} is unknown and no known object is similar; name a known object"
                 notices.append(("word_unknown", message))
             objects.append(o)
         found = dict.fromkeys(Notice("instruction", STEP, code, f"instruction: {message}") for code, message in notices)
