@@ -63,15 +63,18 @@ class Spelling:
             known: Further words that stay as they are, such as the whole words of a tokenizer.
         """
         counts: Counter[str] = Counter()
+        known = frozenset(known)
         for frame in frames:
             counts.update(split_words(frame.text))
+        # Frames have typing errors too: a rare word that the tokenizer does not know may be one.
+        counts = Counter({word: n for word, n in counts.items() if n >= _SEVERAL or word in known})
         for phrases in PHRASES.values():
             counts.update(word for phrase in phrases for word in split_words(phrase))
         for names in nouns.nouns.values():
             counts.update(10 * [word for name in names for one in (name, plural(name)) for word in split_words(one)])
         for name in (*ADJECTIVES, *nouns.unknown, *nouns.elsewhere):
             counts.update(split_words(name))
-        return cls({word: n for word, n in counts.items() if word.isalpha()}, frozenset(known))
+        return cls({word: n for word, n in counts.items() if word.isalpha()}, known)
 
     @cached_property
     def words(self) -> frozenset[str]:
