@@ -7,6 +7,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from models.instruction_reader.averaging import average_readers
 from models.instruction_reader.frames import read_frames
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.network import START, ReaderNetwork, WordTokens
@@ -180,3 +181,11 @@ def test_a_training_continues_from_weights_that_are_there(tmp_path: Path, model:
     done = CliRunner().invoke(app, [*job, "--out", str(tmp_path / "second"), "--set", f"initial={path}"])
     assert done.exit_code == 0, done.output
     assert (tmp_path / "second" / "weights" / "instruction_reader.safetensors").is_file()
+
+
+def test_the_mean_of_equal_readers_is_the_reader_and_of_two_lies_between() -> None:
+    one, same, other = new_reader(0), new_reader(0), new_reader(1)
+    was = one.network.tags.weight.detach().clone()
+    assert torch.allclose(average_readers([one, same], [3.0, 1.0]).network.tags.weight, was)
+    middle = average_readers([one, other], [1.0, 1.0]).network.tags.weight
+    assert torch.allclose(middle, (was + other.network.tags.weight) / 2)

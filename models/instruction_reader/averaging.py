@@ -1,0 +1,45 @@
+"""Averages the weights of readers that were trained one from another: the mean reads constructions that none was taught better.
+
+``python -m models.instruction_reader.averaging OUT FILE SHARE FILE SHARE ...``
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+
+from models.instruction_reader.weights import ReaderModel, load_reader, save_reader
+
+
+def average_readers(readers: Sequence[ReaderModel], shares: Sequence[float]) -> ReaderModel:
+    """Returns the first reader with the weighted mean of all weights.
+
+    Args:
+        readers: Readers of one architecture.
+        shares: The share of each; they are divided by their sum.
+    """
+    states = [reader.network.state_dict() for reader in readers]
+    total = sum(shares)
+
+    def mean(name: str) -> torch.Tensor:
+        first: torch.Tensor = states[0][name]
+        if not first.is_floating_point():
+            return first
+        parts = [share / total * state[name] for share, state in zip(shares, states, strict=True)]
+        return torch.stack(parts).sum(0)
+
+    readers[0].network.load_state_dict({name: mean(name) for name in states[0]})
+    return readers[0]
+
+
+def main(out: str, *rest: str) -> None:
+    """Writes the mean of reader weights; the notes of the file are those of the first one."""
+    files, shares = rest[::2], [float(share) for share in rest[1::2]]
+    reader = average_readers([load_reader(Path(file), trains=True) for file in files], shares)
+    notes: Mapping[str, str] = {**reader.notes, "mean_of": " ".join(rest[1::2])}
+    save_reader(Path(out), reader, notes)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
