@@ -91,6 +91,7 @@ def run_in_two(place: ProcessContext, base: Path, folder: Path) -> dict[str, Any
     }
 
 
+@pytest.mark.slow  # starts three processes, which a busy machine may end late
 def test_two_processes_give_what_one_gives_and_one_goes_on(base: Path, tmp_path: Path) -> None:
     first, second = in_processes(2, run_in_two, base, tmp_path)
     assert first == second  # the losses are those of all processes
