@@ -10,14 +10,18 @@ from pathlib import Path
 import torch
 
 from models.instruction_reader.weights import ReaderModel, load_reader, save_reader
+from stable_data.errors import ConfigError
 
 
 def average_readers(readers: Sequence[ReaderModel], shares: Sequence[float]) -> ReaderModel:
-    """Returns the first reader with the weighted mean of all weights.
+    """Gives the first reader the weighted mean of all weights, and returns it.
 
     Args:
-        readers: Readers of one architecture.
-        shares: The share of each; they are divided by their sum.
+        readers: Readers of one architecture; the first one is changed.
+        shares: The share of each, not all 0; they are divided by their sum.
+
+    Raises:
+        ValueError: There are not as many shares as readers.
     """
     states = [reader.network.state_dict() for reader in readers]
     total = sum(shares)
@@ -34,7 +38,13 @@ def average_readers(readers: Sequence[ReaderModel], shares: Sequence[float]) -> 
 
 
 def main(out: str, *rest: str) -> None:
-    """Writes the mean of reader weights; the notes of the file are those of the first one."""
+    """Writes the mean of reader weights; the notes of the file are those of the first one.
+
+    Raises:
+        ConfigError: A file has no share, or it cannot be read.
+    """
+    if not rest or len(rest) % 2:
+        raise ConfigError("expected OUT, then a file and its share for each reader", "config_invalid")
     files, shares = rest[::2], [float(share) for share in rest[1::2]]
     reader = average_readers([load_reader(Path(file), trains=True) for file in files], shares)
     notes: Mapping[str, str] = {**reader.notes, "mean_of": " ".join(rest[1::2])}

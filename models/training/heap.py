@@ -7,7 +7,7 @@ _STEPS = 32  # between two calls of malloc_trim
 
 
 def trim_heap(step: int) -> None:
-    """Returns free memory to the system every few steps: batches of many shapes fragment the heap of glibc, 6 GB in an hour.
+    """Returns free memory to the system every few steps: batches of many shapes fragment the heap of glibc, 6 GB in twenty minutes.
 
     Args:
         step: Number of the training's step.
