@@ -2,13 +2,14 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import inf
 
 import numpy as np
 
 from models.instruction_reader.lexicon import Lexicon
-from models.instruction_reader.reading import InstructionReading, MentionedObject
+from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
 from models.instruction_reader.sentences import split_words
 from stable_data.errors import SceneError
 from stable_data.instructions.wording.words import singular, type_words
@@ -30,6 +31,12 @@ _ONE_OR_MANY = frozenset({"dice"})
 _DEFINITE = frozenset({"the", "that", "this", "those", "these"})
 """Words before a mention of an object that must be there."""
 
+_OWN = frozenset({"my", "our", "your", "his", "her", "their"})
+"""Words before a mention of an object that is probably there."""
+
+_COLLECTIONS = frozenset({"stack", "pile", "row", "line", "heap", "bunch", "set", "group"})
+"""Nouns before ``of`` and all objects of a kind."""
+
 _LETTERS = 4  # of a word that is looked for in descriptions
 
 _NEW = frozenset({"replace", "style"})  # kinds of relations whose subject, or whose target, is not in the layout
@@ -50,10 +57,18 @@ _EXTREMES: Mapping[str, Callable[[SceneObject], float]] = {
 
 
 _PICKED_OUT = re.compile(
-    r"(?:,? (?:that|which)(?: is|'s))?(?: the)? (?:farthest|furthest|nearest|closest)"
-    r"(?: to| on| at)?(?: the)? (left|right|front|back|me|away)\b"
+    r"(?:,? (?:that|which)(?: is|'s))?(?: lying| sitting| standing| resting)?"
+    r"(?:(?: the)? (?:farthest|furthest|nearest|closest)(?: to| on| at)?(?: the)? (?P<side>left|right|front|back|me|away)\b"
+    r"| (?:on|at)(?: the)?(?: very)? (?P<end>top|bottom)\b(?! of (?!(?:the|that|this) (?:pile|stack|heap))))"
 )
 """Words after a mention that pick it out of several, with the side."""
+
+_SIDE_WORDS = {"left": ({"left"}, {"right"}), "front": ({"front", "before"}, {"behind", "beyond", "back"})}
+"""Words that state the relations ``left`` and ``front``, and words that state the same with its objects exchanged."""
+
+_EXCHANGED = {"left": "right", "front": "behind"}
+
+_ACROSS = re.compile(r"\b(?:other|opposite|far) side of\b")
 
 _BEFORE = 2  # words before a mention that may be superlatives
 
@@ -90,7 +105,7 @@ class MentionResolver:
         self, text: str, reading: InstructionReading, layout: Sequence[SceneObject], table: Tabletop, lexicon: Lexicon
     ) -> None:
         self._text, self._reading, self._layout, self._table, self._lexicon = text, reading, layout, table, lexicon
-        self._objects = {o.instance: o for o in layout}
+        self._said, self._objects = split_words(text), {o.instance: o for o in layout}
         found: dict[int, list[int]] = {}
         for number, one in enumerate(reading.objects):
             if number not in self.new:
@@ -101,18 +116,44 @@ class MentionResolver:
     @cached_property
     def new(self) -> frozenset[int]:
         """Numbers of the mentioned objects that are not in the layout: new ones, and the words of a new look."""
-        added = {k for k, o in enumerate(self._reading.objects) if o.change == "add"}
+        added = {k for k, o in enumerate(self._reading.objects) if o.change == "add" and not self._is_there(o)}
         for r in self._reading.goal:
             if r.kind in _NEW:
                 added.add(r.subject if r.kind == "replace" else r.target)
-            elif self._is_absent(r.subject):
-                added.add(r.subject)
+            elif self._is_absent(mover := r.target if self._is_said_of_target(r) else r.subject):
+                added.add(mover)
         return frozenset(added | {k for k, o in enumerate(self._reading.objects) if o.goal_region and self._is_absent(k)})
 
     def _is_absent(self, number: int) -> bool:
         """Whether an object has a place but is not in the layout, as in "a candle beside the mug": it comes."""
         one = self._reading.objects[number]
         return bool(one.categories) and not (self._of_category(one) or self._words_before(one) & _DEFINITE)
+
+    def _is_there(self, one: MentionedObject) -> bool:
+        """Whether an object that comes is one of the layout, as in "bring the jar nearer"."""
+        return bool(self._words_before(one) & (_DEFINITE | _OWN) and self._of_category(one))
+
+    def _is_said_of_target(self, r: MentionedRelation) -> bool:
+        """Whether the words state a relation of its target: "the mug behind the plate" is read as the plate in front of it."""
+        if r.kind not in _SIDE_WORDS:
+            return False
+        own, exchanged = (bool(words & set(self._said)) for words in _SIDE_WORDS[r.kind])
+        if own != exchanged:
+            return exchanged
+        first = [min((start for start, _ in self._reading.objects[k].mentions), default=inf) for k in (r.subject, r.target)]
+        return first[1] < first[0]
+
+    def with_mover_first(self, r: MentionedRelation) -> MentionedRelation:
+        """Returns a relation after the task with the object that moves as its subject.
+
+        Its kind may then be ``right``, ``behind``, or ``across`` if the object goes to the other side of the target.
+        """
+        if r.kind == "near" and r.subject not in self.new and _ACROSS.search(self._text.lower()):
+            return replace(r, kind="across")
+        is_one_new = (r.subject in self.new) != (r.target in self.new)
+        if r.kind in _EXCHANGED and (r.target in self.new if is_one_new else self._is_said_of_target(r)):
+            return replace(r, subject=r.target, kind=_EXCHANGED[r.kind], target=r.subject)
+        return r
 
     def _words_before(self, one: MentionedObject) -> set[str]:
         return {split_words(self._text[:start])[-1] for start, _ in one.mentions if split_words(self._text[:start])}
@@ -147,14 +188,17 @@ class MentionResolver:
                 if not group.is_any:
                     several = ", ".join(names)
                     raise SceneError(f"{group.first.words!r} may be {several}; say which of them is meant", AMBIGUOUS)
-                names = names[:count]
+                full = {r.target for r in self._on_in}
+                names = sorted(names, key=lambda name: name in full)[:count]
             found |= dict.fromkeys(group.numbers, tuple(names))
         return found
 
     def _group(self, numbers: tuple[int, ...]) -> MentionedGroup:
         one = self._reading.objects[numbers[0]]
         before = self._words_before(one)
-        is_open = one.is_one_of_many or bool(before & _ALL) or one.words.split()[-1] in _ONE_OR_MANY
+        head, *rest = one.words.split()
+        is_all = bool(before & _ALL) or (head in _COLLECTIONS and rest[:1] == ["of"])
+        is_open = one.is_one_of_many or is_all or one.words.split()[-1] in _ONE_OR_MANY
         return MentionedGroup(numbers, one, is_open, bool(before & _ANY))
 
     def _fitting(self) -> list[list[str]]:
@@ -210,7 +254,8 @@ class MentionResolver:
             before = split_words(self._text[:start])[-_BEFORE:]
             found += [word for word in before if word in _EXTREMES and word.endswith(("st", "er"))]
             if (m := _PICKED_OUT.match(self._text[end:].lower())) is not None:
-                found.append({"me": "front", "away": "back"}.get(m[1], m[1]))
+                side = m["side"] or m["end"]
+                found.append({"me": "front", "away": "back"}.get(side, side))
         return found
 
     def _described(self, group: MentionedGroup, names: list[str]) -> list[str]:

@@ -8,31 +8,48 @@ finds the exact ones. An instruction that states no change gives no plan.
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 import shapely
 
-from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
+from models.instruction_reader.reading import MentionedObject, MentionedRelation
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.edit_planning.mention_resolution import MentionResolver
 from models.semantic_reasoner.language.category_statistics import LEVELS, CategoryStatistics
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
-from models.semantic_reasoner.replies.places import Place, half_extent, places_beside, places_on_or_in, table_spots
+from models.semantic_reasoner.replies.places import (
+    Place,
+    half_extent,
+    places_beside,
+    places_between,
+    places_on_or_in,
+    table_spots,
+)
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.instructions.wording.words import type_words
 from stable_data.scene import Relation, RelationKind, Vec3
-from stable_data.scene_graph.relations import cell_of, yawed_rectangle
+from stable_data.scene_graph.relations import cell_of, direction_of, yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import carriers_of
-from stable_data.scene_graph.support_tree import SupportTree
+from stable_data.scene_graph.support_tree import SupportTree, ancestors
 
-_SIDES = (RelationKind.RIGHT_OF, RelationKind.LEFT_OF, RelationKind.IN_FRONT_OF, RelationKind.BEHIND)
+_KINDS = {
+    "right": RelationKind.RIGHT_OF,
+    "left": RelationKind.LEFT_OF,
+    "front": RelationKind.IN_FRONT_OF,
+    "behind": RelationKind.BEHIND,
+}
+"""The directions by their names in goals; those of a thing that is only near another one are tried in this order."""
 _TOUCHES = 0.002  # metres by which boxes may overlap in height without sharing a place
 _SMALLER, _LARGER = 0.8, 1.25  # factors of the sizes of objects that become smaller or larger
 _SIZE_WORDS = {
     **dict.fromkeys(("smaller", "shorter", "tiny", "mini", "small", "little"), _SMALLER),
     **dict.fromkeys(("bigger", "larger", "taller", "huge", "giant", "big", "large", "oversized"), _LARGER),
 }
+Moves: TypeAlias = Mapping[str, Mapping[str, Sequence[str]]]
+"""The wanted relations of each object that moves: instance -> kind -> the instances of their targets, or a cell."""
+
 _LOOK = "look"
 """Kind of a relation whose target has the words of a new look before its noun."""
 
@@ -65,8 +82,8 @@ class EditPlanner:
         resolver = MentionResolver(
             question.instruction, reading, list(plan.objects.values()), question.table, self._interpret.lexicon
         )
-        goals = [r for r in reading.goal if not {r.subject, r.target} <= resolver.new or r.kind == "style"]
         acted = {k for k, o in enumerate(objects) if o.change or o.goal_region}
+        goals = [resolver.with_mover_first(r) for r in reading.goal]
         goals = list(_without_surroundings(goals, resolver, acted))
         needed = acted | {n for r in goals for n in (r.subject, r.target)}
         if not needed:
@@ -81,7 +98,8 @@ class EditPlanner:
         for k, o in enumerate(objects):
             for name in meanings.get(k, ()) if o.change == "remove" else ():
                 plan.remove(name)
-        for name, wanted in _targets_first(_moves(reading, goals, meanings, resolver.new, plan.placed)):
+        moves = _moves(objects, goals, meanings, plan.placed)
+        for name, wanted in _targets_first({n: w for n, w in moves.items() if not plan.comes_along(n, w, moves)}):
             plan.move(name, wanted)
         return plan.reply()
 
@@ -127,48 +145,32 @@ def _as_style(r: MentionedRelation, objects: Sequence[MentionedObject]) -> Menti
 
 
 def _moves(
-    reading: InstructionReading,
+    objects: Sequence[MentionedObject],
     goals: Sequence[MentionedRelation],
     meanings: Mapping[int, Sequence[str]],
-    new: frozenset[int],
     placed: Set[str],
-) -> dict[str, list[tuple[str, Sequence[str]]]]:
-    """The wanted relations of each object that moves: their kinds and the instances of their targets."""
-    objects = reading.objects
-    moves: dict[str, list[tuple[str, Sequence[str]]]] = {}
+) -> Moves:
+    moves: dict[str, dict[str, list[str]]] = {}
     for r in goals:
-        subject, target, kind = r.subject, r.target, r.kind
-        if kind in ("replace", "style", _LOOK, "swap"):
-            continue
-        if kind in ("left", "front") and _moves_later(objects, subject, target, new):
-            subject, target, kind = target, subject, {"left": "right", "front": "behind"}[kind]
-        for name in meanings.get(subject, ()):
-            moves.setdefault(name, []).append((kind, meanings.get(target, ())))
+        if r.kind not in ("replace", "style", _LOOK, "swap"):
+            for name in meanings.get(r.subject, ()):
+                moves.setdefault(name, {}).setdefault(r.kind, []).extend(meanings.get(r.target, ()))
     for name, o in ((name, o) for k, o in enumerate(objects) for name in meanings.get(k, ())):
         if o.goal_region and name not in moves:
-            moves[name] = [("at", (o.goal_region,))]
+            moves[name] = {"at": [o.goal_region]}
         elif o.change in ("away", "add") and name not in moves and name not in placed:
-            moves[name] = [("away", ())]
+            moves[name] = {"away": []}
     return moves
 
 
-def _targets_first(
-    moves: Mapping[str, list[tuple[str, Sequence[str]]]],
-) -> Iterator[tuple[str, list[tuple[str, Sequence[str]]]]]:
+def _targets_first(moves: Moves) -> Iterator[tuple[str, Mapping[str, Sequence[str]]]]:
     """The moves in an order in which an object moves after those that it goes to."""
     left = dict(moves)
     while left:
-        name = next((n for n, wanted in left.items() if not any(t in left for _, names in wanted for t in names if t != n)), "")
+        targets = {n: {t for names in wanted.values() for t in names} - {n} for n, wanted in left.items()}
+        name = next((n for n in left if not targets[n] & left.keys()), "")
         name = name or next(iter(left))  # they go to each other
         yield name, left.pop(name)
-
-
-def _moves_later(objects: Sequence[MentionedObject], subject: int, target: int, new: frozenset[int]) -> bool:
-    """Whether the target of a directional relation is the object that moves: it is new, or it is mentioned first."""
-    if (subject in new) != (target in new):
-        return target in new
-    first = [min((start for start, _ in objects[k].mentions), default=math.inf) for k in (subject, target)]
-    return first[1] < first[0]
 
 
 def _look_words(look: str) -> list[str]:
@@ -247,42 +249,51 @@ class _Plan:
         x, y, _ = was.position
         self._put(new, (x, y, was.bottom + self.objects[new].size[2] / 2))
 
-    def move(self, name: str, wanted: Sequence[tuple[str, Sequence[str]]]) -> None:
+    def comes_along(self, name: str, wanted: Mapping[str, Sequence[str]], moves: Moves) -> bool:
+        """Whether an object is on or in another one that moves to the same place, and so needs no move of its own."""
+        carriers = carriers_of(list(self.objects.values()), self._table)
+        return name in self.objects and any(moves.get(other) == wanted for other in ancestors(carriers, name))
+
+    def move(self, name: str, wanted: Mapping[str, Sequence[str]]) -> None:
         """Moves an object to a free place for which the first of the wanted relations holds, and the others if possible."""
         if name not in self.objects:
             return  # it goes
         carriers = carriers_of(list(self.objects.values()), self._table)
-        kinds = sorted(wanted, key=lambda one: one[0] == "near")
-        candidates = list(self._places(name, kinds[0], carriers))
+        first, *rest = sorted(wanted, key=lambda kind: kind == "near")
+        candidates = list(self._places(name, first, wanted[first], carriers))
         if not candidates:
             return
-        rest = kinds[1:]
-        scored = [(self._is_taken(name, place, kinds[0], carriers), self._misses(name, place, rest)) for place in candidates]
-        best = min(range(len(candidates)), key=lambda k: (scored[k][0], scored[k][1], k))
-        self._put(name, candidates[best])
+        below = set(wanted[first]) if first in ("in", "on") else set()
+        others = [self.objects[t] for kind in rest for t in wanted[kind] if t in self.objects]
+        heights = list(dict.fromkeys(z for _, _, z in candidates))  # the likeliest first
+        scored = [
+            (
+                self._is_taken(name, place, below, carriers),
+                heights.index(place[2]),
+                round(sum(math.dist(place[:2], t.position[:2]) for t in others), 2),
+            )
+            for place in candidates
+        ]
+        self._put(name, candidates[min(range(len(candidates)), key=lambda k: (scored[k], k))])
 
     def _places(
-        self, name: str, wanted: tuple[str, Sequence[str]], carriers: dict[str, str | None]
+        self, name: str, kind: str, targets: Sequence[str], carriers: dict[str, str | None]
     ) -> Iterator[tuple[float, float, float]]:
-        kind, targets = wanted
         there = [t for t in targets if t in self.objects and t != name]
         if kind == "at":
             yield from (place for cell in targets for place in self._in_cell(name, cell))
         elif kind == "between" and len(there) > 1:
-            low = max(0.0, min(self.objects[t].bottom for t in there))
-            middle = np.mean([self.objects[t].position[:2] for t in there], axis=0)
-            yield float(middle[0]), float(middle[1]), low + self.objects[name].size[2] / 2
+            between = Relation(name, RelationKind.BETWEEN, ", ".join(there[:2]))
+            yield from self._of_mover(name, places_between(between, self.objects, carriers))
         elif kind in ("in", "on"):
             for target in there:
                 relation = RelationKind.IN if kind == "in" else RelationKind.ON
                 yield from self._of_mover(name, places_on_or_in(self.objects[name], self.objects[target], relation))
         elif there:
-            sides = {
-                "left": (RelationKind.LEFT_OF,),
-                "right": (RelationKind.RIGHT_OF,),
-                "front": (RelationKind.IN_FRONT_OF,),
-                "behind": (RelationKind.BEHIND,),
-            }.get(kind, _SIDES)
+            sides = (_KINDS[kind],) if kind in _KINDS else tuple(_KINDS.values())
+            if kind == "across":
+                now = direction_of(*np.subtract(self.objects[there[0]].position, self.objects[name].position)[:2])
+                sides = sides if now is None else (now,)
             for side in sides:
                 beside = places_beside(Relation(name, side, there[0]), self.objects, carriers)
                 yield from self._of_mover(name, beside)
@@ -294,9 +305,12 @@ class _Plan:
         return (place for mover, place in places if mover == name)
 
     def _in_cell(self, name: str, cell: str) -> Iterator[tuple[float, float, float]]:
+        """Places in a cell of the table, those in its middle first."""
         o, size = self.objects[name], np.array(self._table.size_xy)
         half = half_extent(o)
-        for spot in table_spots(size):
+        inside = [spot for spot in table_spots(size) if cell_of(spot, self._table.size_xy) == cell]
+        middle = np.mean(inside, axis=0)
+        for spot in sorted(inside, key=lambda spot: math.dist(spot, middle)):
             x, y = np.clip(np.array(spot), half, np.maximum(half, size - half))
             if cell_of((float(x), float(y)), self._table.size_xy) == cell:
                 yield float(x), float(y), o.size[2] / 2
@@ -312,14 +326,13 @@ class _Plan:
                 yield x, y, o.size[2] / 2
 
     def _is_taken(
-        self, name: str, place: tuple[float, float, float], wanted: tuple[str, Sequence[str]], carriers: dict[str, str | None]
+        self, name: str, place: tuple[float, float, float], below: Set[str], carriers: dict[str, str | None]
     ) -> float:
         """How much of an object's outline would be off the table or share its place with other objects, square metres."""
         moved = replace(self.objects[name], position=place)
         outline = shapely.Polygon(yawed_rectangle(moved))
         width, depth = self._table.size_xy
         lost = outline.area - outline.intersection(shapely.box(0, 0, width, depth)).area
-        below = set(wanted[1]) if wanted[0] in ("in", "on") else set()
         own = SupportTree(carriers).with_descendants({name})
         for other, o in self.objects.items():
             if other in own or other in below or other in self._new - self.placed:
@@ -327,11 +340,6 @@ class _Plan:
             if moved.bottom < o.top - _TOUCHES and o.bottom < moved.top - _TOUCHES:
                 lost += outline.intersection(shapely.Polygon(yawed_rectangle(o))).area
         return round(float(lost), 5)
-
-    def _misses(self, name: str, place: tuple[float, float, float], wanted: Sequence[tuple[str, Sequence[str]]]) -> float:
-        """How far a place is from the targets of further relations, metres."""
-        targets = [self.objects[t] for _, names in wanted for t in names if t in self.objects]
-        return round(sum(math.dist(place[:2], t.position[:2]) for t in targets), 2)
 
     def _put(self, name: str, place: tuple[float, float, float]) -> None:
         x, y, z = (round(100 * float(value), 1) + 0.0 for value in place)

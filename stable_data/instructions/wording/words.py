@@ -2,8 +2,10 @@
 
 import re
 from collections.abc import Sequence
+from functools import cache
 
 _IRREGULAR = {"knife": "knives", "loaf": "loaves", "mouse": "mice", "dice": "dice", "die": "dice", "shelf": "shelves"}
+_SINGULAR = {many: one for one, many in _IRREGULAR.items() if many != one}
 _NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten"}
 
 
@@ -19,8 +21,19 @@ def type_name(category: str) -> str:
 
 
 def singular(words: tuple[str, ...]) -> tuple[str, ...]:
-    """Removes the plural s of each word, so that ``mugs`` equals ``mug``; the result is not always an English word."""
-    return tuple(w[:-1] if w.endswith("s") and not w.endswith("ss") and len(w) > 3 else w for w in words)
+    """Removes the plural ending of each word, so that ``berries`` equals ``berry``; the result is not always an English word."""
+    return tuple(map(_stem, words))
+
+
+@cache
+def _stem(word: str) -> str:
+    if word in _SINGULAR:
+        return _SINGULAR[word]
+    if len(word) > 3 and word.endswith("s") and not word.endswith("ss"):
+        word = word[:-1]
+    if len(word) > 3 and word.endswith("ie"):
+        return word[:-2] + "y"
+    return word[:-1] if re.search(r"(?:ch|sh|x|ss|z)e$", word) else word  # of the plural ending es
 
 
 def singular_noun(noun: str) -> str:
