@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pipelines.execution.item_progress import ItemProgress
 from stable_data.assets.store import AssetStore
 from stable_data.errors import Notice
-from stable_data.instructions import derive_task, task_rng
+from stable_data.instructions.deriving import derive_task, task_rng
 from stable_data.instructions.task_info import TaskWriter, model_task, resolve_task_objects
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.dataset_split import SplitShares, split_of

@@ -14,7 +14,7 @@ from stable_data.embedded_world.placing import compose
 from stable_data.embedded_world.scenes import FEWEST, MOST, draw_scene_number, draw_table, plan_of, scene_id_of, table_type_of
 from stable_data.embedded_world.settling import instance_names
 from stable_data.errors import SceneError
-from stable_data.instructions import derive_task
+from stable_data.instructions.deriving import derive_task
 from stable_data.scene import Scene
 from stable_data.scene_graph.relations import scene_graph, supports
 

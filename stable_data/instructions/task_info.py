@@ -18,11 +18,11 @@ import numpy as np
 
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import Notice, SceneError, cannot_write
-from stable_data.instructions import derive_task, task_rng, type_name, type_words
 from stable_data.instructions.claims import OUTERMOST, StatedRelation, emptied_numbers, number_mentions, read_claims
+from stable_data.instructions.deriving import derive_task, task_rng
 from stable_data.instructions.naming import ObjectMention, ObjectNamer, involved_instances, mentions
 from stable_data.instructions.situation import OPPOSITE
-from stable_data.instructions.wording.words import singular
+from stable_data.instructions.wording.words import singular, type_name, type_words
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, SceneObject, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph, relations_of
 from stable_data.task_info import task_info_of, validate_task_info

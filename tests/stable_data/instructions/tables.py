@@ -198,7 +198,7 @@ TABLES = (DINING, DESK, SHELF, KITCHEN, VANITY, PLAYROOM, STACKS)
 
 def told_somewhere(kind_name: str) -> list[tuple[Table, TaskDraft]]:
     """What a kind of task tells of these tables, over several draws."""
-    from stable_data.instructions import KINDS
+    from stable_data.instructions.deriving import KINDS
 
     kind = next(k for k in KINDS if k.name == kind_name)
     draws = ((t, kind.draft(t.situation(np.random.default_rng(seed)), t.namer)) for t in TABLES for seed in range(8))

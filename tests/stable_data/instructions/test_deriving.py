@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from stable_data.errors import SceneError
-from stable_data.instructions import derive_task, task_rng, type_words
+from stable_data.instructions.deriving import derive_task, task_rng
 from stable_data.instructions.naming import ObjectNamer, holds_relation, mentions
 from stable_data.instructions.task_info import resolve_task_objects
+from stable_data.instructions.wording.words import type_words
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Scene, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph, relations_of, scene_graph

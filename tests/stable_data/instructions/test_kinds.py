@@ -6,8 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from stable_data.instructions import KINDS, NUM_PATTERNS
-from stable_data.instructions.deriving import SIMPLE_KINDS
+from stable_data.instructions.deriving import KINDS, NUM_PATTERNS, SIMPLE_KINDS
 from stable_data.instructions.kind import SEVERAL, SINGLE, TaskKind, members
 from stable_data.instructions.naming import mentions
 from stable_data.instructions.situation import TaskContext

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from stable_data.errors import ConfigError
-from stable_data.instructions import derive_task, task_rng
+from stable_data.instructions.deriving import derive_task, task_rng
 from stable_data.instructions.task_info import model_task, resolve_task_objects
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop, TaskInfo, Vec3

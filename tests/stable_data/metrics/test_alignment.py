@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from stable_data.embedded_world.scenes import make_scene
 from stable_data.errors import SceneError
-from stable_data.instructions import derive_task
+from stable_data.instructions.deriving import derive_task
 from stable_data.metrics import alignment
 from stable_data.metrics.alignment import Alignment, AlignmentReference, align, reference_of
 from stable_data.metrics.alignment_summary import summarise_alignment

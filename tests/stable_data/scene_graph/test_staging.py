@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.errors import SceneError
-from stable_data.instructions import derive_task, task_rng
+from stable_data.instructions.deriving import derive_task, task_rng
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import TABLE, Scene, SceneObject, Stage, Tabletop, TaskInfo, Vec3
 from stable_data.scene_graph.relations import scene_graph, supports

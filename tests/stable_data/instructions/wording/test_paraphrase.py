@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stable_data.instructions import KINDS
+from stable_data.instructions.deriving import KINDS
 from stable_data.instructions.wording.paraphrase import SYNONYMS, is_clause, request, reword
 
 
