@@ -64,6 +64,7 @@ class EditResult:
         carried: Instances that moved with their support.
         removed: Removed instances.
         need_asset: Instances that need an asset: new ones, and those with another description.
+        wanted: Relations that shall hold afterwards; they are among those of the scene.
     """
 
     scene: Scene
@@ -72,6 +73,7 @@ class EditResult:
     carried: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
     need_asset: tuple[str, ...] = ()
+    wanted: tuple[Relation, ...] = ()
 
     @property
     def untouched(self) -> frozenset[str]:
@@ -131,13 +133,15 @@ class _EditApplication:
             return EditResult(self.scene)
         changed = tuple(o.instance for o in remaining if o.instance in touched and o.instance in self.listed)
         after = self._with_supports((*remaining, *new), {*changed, *(o.instance for o in new)})
+        wanted = tuple(self._in_scene(r) for r in self.reply.relations)
         return EditResult(
-            replace(self.scene, objects=after, relations=self._relations(touched)),
+            replace(self.scene, objects=after, relations=(*wanted, *self._relations(touched))),
             added=tuple(o.instance for o in new),
             changed=changed,
             carried=tuple(o.instance for o in remaining if o.instance in touched and o.instance not in self.listed),
             removed=tuple(o.instance for o in self.scene.objects if o.instance in self.removed),
             need_asset=(*(name for name in changed if self._is_reworded(self.listed[name])), *(o.instance for o in new)),
+            wanted=wanted,
         )
 
     def _after(self, o: SceneObject) -> SceneObject:
@@ -199,6 +203,7 @@ class _EditApplication:
             if o.instance not in self.instances:
                 here = (*self.scene.objects, *found)
                 found.append(replace(o.to_scene_object(), instance=_instance(o.category, here)))
+                self.instances[o.instance] = found[-1].instance
         return tuple(found)
 
     def _with_supports(self, objects: tuple[SceneObject, ...], moved: set[str]) -> tuple[SceneObject, ...]:
@@ -208,6 +213,10 @@ class _EditApplication:
         contacts = {o.instance: (o.support,) for o in objects if o.instance in same and o.support is not None}
         carriers = supports(replace(self.scene, objects=objects, relations=()), contacts)
         return tuple(o if o.instance in same else replace(o, support=carriers[o.instance]) for o in objects)
+
+    def _in_scene(self, r: Relation) -> Relation:
+        """A relation of the reply with the scene's instances."""
+        return replace(r, subject=self.instances[r.subject], target=self.instances.get(r.target, r.target))
 
     def _relations(self, touched: set[str]) -> tuple[Relation, ...]:
         """The requested relations of the scene, without those of objects that the edit moves, changes or removes."""

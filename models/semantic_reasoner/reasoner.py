@@ -148,7 +148,7 @@ class SemanticReasoner:
         tells_reasons: Whether a retry shows the refused answers and the reasons, which large models can use; else a retry asks
             the same question with another seed.
         interpret: Interprets instructions; its notices are those of the proposals. None gives no notices.
-        plan_edit: Returns the reply to an edit without the engine; the engine is asked if it returns None. None asks always.
+        plan_edit: Returns the reply to an edit without the engine. None asks the engine.
         dialect: The style of the prompts; by default this project's own.
     """
 
@@ -160,7 +160,7 @@ class SemanticReasoner:
         tells_reasons: bool = False,
         interpret: InstructionInterpreter | None = None,
         dialect: PromptStyle | None = None,
-        plan_edit: Callable[[ReasonerQuestion], LayoutReply | None] | None = None,
+        plan_edit: Callable[[ReasonerQuestion], LayoutReply] | None = None,
     ) -> None:
         self._tries, self._task_tries = (tries, tries) if isinstance(tries, int) else tries
         if min(self._tries, self._task_tries) < 1:
@@ -246,10 +246,9 @@ class SemanticReasoner:
             return None
         try:
             check_instruction(pending.question.instruction)
-            reply = self._plan_edit(pending.question)
+            return pending.proposal(self._plan_edit(pending.question))
         except SceneError as error:
             return pending.proposal(failure=str(error), code=error.code)
-        return None if reply is None else pending.proposal(reply)
 
     def _request(self, pending: _PendingQuestion) -> Request:
         question = pending.question

@@ -30,7 +30,8 @@ from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
 from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.related_scene import relate_scene
-from stable_data.scene import Scene, SceneObject
+from stable_data.scene import Relation, RelationKind, Scene, SceneObject
+from stable_data.scene_graph.relations import cell_of
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.scene_graph.support_tree import SupportTree
 from stable_data.storage import schemas
@@ -132,6 +133,10 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
                 message = f"{edit.edit_id}: {done.reason}"
                 failure = Notice(edit.edit_id, "certify", str(done.status), message)
                 return rows | {"failures": [notice_row(failure)], "warnings": _notice_rows(edit, notices)}
+            if missed := _missed(replied.wanted, done):
+                message = f"{edit.edit_id}: {', '.join(map(str, missed))} cannot hold in a clean layout"
+                failure = Notice(edit.edit_id, "certify", "relation_missed", message)
+                return rows | {"failures": [notice_row(failure)], "warnings": _notice_rows(edit, notices)}
             shape_of = {o.instance: shape for o, shape in zip(scene.objects, shapes, strict=True)}
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             audit, card = done.audit, done.card_after
@@ -229,6 +234,15 @@ def _opened(work: EditWork) -> _Opened:
 def _is_poor(done: Correction) -> bool:
     """Whether an object found no place."""
     return done.certified is None or bool(done.dropped)
+
+
+def _missed(wanted: Sequence[Relation], done: Correction) -> list[Relation]:
+    """The wanted relations that do not hold in a corrected scene."""
+    assert done.certified is not None
+    assert done.kept is not None
+    size = done.certified.table.size_xy
+    cells = {Relation(o.instance, RelationKind.IS_AT, cell_of(o.position, size)) for o in done.certified.objects}
+    return [r for r in wanted if r in done.kept.asked_missing or (r.kind is RelationKind.IS_AT and r not in cells)]
 
 
 def _at_fault(scene: Scene, audit: Audit) -> frozenset[str]:

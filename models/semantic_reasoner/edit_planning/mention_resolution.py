@@ -63,6 +63,8 @@ _PICKED_OUT = re.compile(
 )
 """Words after a mention that pick it out of several, with the side."""
 
+_HANDED = re.compile(r"\b(left|right)[- ]hand\s*$")
+
 _SIDE_WORDS = {"left": ({"left"}, {"right"}), "front": ({"front", "before"}, {"behind", "beyond", "back"})}
 """Words that state the relations ``left`` and ``front``, and words that state the same with its objects exchanged."""
 
@@ -253,6 +255,8 @@ class MentionResolver:
         for start, end in one.mentions:
             before = split_words(self._text[:start])[-_BEFORE:]
             found += [word for word in before if word in _EXTREMES and word.endswith(("st", "er"))]
+            if (m := _HANDED.search(self._text[:start].lower())) is not None:
+                found.append(m[1])
             if (m := _PICKED_OUT.match(self._text[end:].lower())) is not None:
                 side = m["side"] or m["end"]
                 found.append({"me": "front", "away": "back"}.get(side, side))

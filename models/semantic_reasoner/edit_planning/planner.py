@@ -28,20 +28,27 @@ from models.semantic_reasoner.replies.places import (
 )
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from stable_data.errors import SceneError
 from stable_data.instructions.wording.words import type_words
+from stable_data.metrics.alignment import members
 from stable_data.scene import Relation, RelationKind, Vec3
 from stable_data.scene_graph.relations import cell_of, direction_of, yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import carriers_of
-from stable_data.scene_graph.support_tree import SupportTree, ancestors
+from stable_data.scene_graph.support_tree import SupportTree
 
-_KINDS = {
+_SIDES = {
     "right": RelationKind.RIGHT_OF,
     "left": RelationKind.LEFT_OF,
     "front": RelationKind.IN_FRONT_OF,
     "behind": RelationKind.BEHIND,
 }
 """The directions by their names in goals; those of a thing that is only near another one are tried in this order."""
+
+_RELATIONS = {**_SIDES, "on": RelationKind.ON, "in": RelationKind.IN, "at": RelationKind.IS_AT}
+"""The relations of a scene graph by their names in goals."""
+
 _TOUCHES = 0.002  # metres by which boxes may overlap in height without sharing a place
+_SHOWN = 60  # characters of an instruction in a message
 _SMALLER, _LARGER = 0.8, 1.25  # factors of the sizes of objects that become smaller or larger
 _SIZE_WORDS = {
     **dict.fromkeys(("smaller", "shorter", "tiny", "mini", "small", "little"), _SMALLER),
@@ -70,11 +77,12 @@ class EditPlanner:
     def __init__(self, interpret: InstructionInterpreter, statistics: CategoryStatistics) -> None:
         self._interpret, self._statistics = interpret, statistics
 
-    def __call__(self, question: ReasonerQuestion) -> LayoutReply | None:
-        """Returns the reply to an edit, or None if its instruction states no change that is understood.
+    def __call__(self, question: ReasonerQuestion) -> LayoutReply:
+        """Returns the reply to an edit.
 
         Raises:
-            SceneError: An object that the edit needs is not in the layout (``object_missing``), or several fit (``ambiguous``).
+            SceneError: The instruction states no change that is understood (``edit_unread``), an object that the edit needs is
+                not in the layout (``object_missing``), or several fit (``ambiguous``).
         """
         meant = self._interpret(question.instruction, is_edit=True)
         plan = _Plan(question, self._statistics)
@@ -87,7 +95,8 @@ class EditPlanner:
         goals = list(_without_surroundings(goals, resolver, acted))
         needed = acted | {n for r in goals for n in (r.subject, r.target)}
         if not needed:
-            return None
+            message = f"no change is understood in {question.instruction[:_SHOWN]!r}"
+            raise SceneError(f"{message}; say what goes, comes, moves, is replaced or gets another look", "edit_unread")
         meanings = resolver.resolve(needed, acted | {r.subject for r in goals})
         goals = [_as_style(r, objects) for r in goals]
         for k in resolver.new:
@@ -186,14 +195,18 @@ class _Plan:
         self._entries = {o.instance: o for o in question.layout}
         self.removed: list[str] = []
         self.placed: set[str] = set()
+        self._wanted: list[Relation] = []
         self._new: set[str] = set()
 
-    def reply(self) -> LayoutReply | None:
-        """The reply; None if nothing changes."""
+    def reply(self) -> LayoutReply:
         was = {o.instance: o for o in self._question.layout}
         there = [o for name, o in self._entries.items() if name not in self.removed]
         changed = tuple(o for o in there if was.get(o.instance) != o)
-        return LayoutReply(changed, tuple(self.removed)) if changed or self.removed else None
+        return LayoutReply(changed, tuple(self.removed), tuple(r for r in self._wanted if self._entails(r)))
+
+    def _entails(self, r: Relation) -> bool:
+        """Whether a relation is still about objects of the layout."""
+        return set(members(r)) <= self.objects.keys()
 
     def remove(self, name: str) -> None:
         if name not in self.removed:
@@ -252,17 +265,22 @@ class _Plan:
     def comes_along(self, name: str, wanted: Mapping[str, Sequence[str]], moves: Moves) -> bool:
         """Whether an object is on or in another one that moves to the same place, and so needs no move of its own."""
         carriers = carriers_of(list(self.objects.values()), self._table)
-        return name in self.objects and any(moves.get(other) == wanted for other in ancestors(carriers, name))
+        return name in self.objects and any(moves.get(other) == wanted for other in SupportTree(carriers).ancestors(name))
 
     def move(self, name: str, wanted: Mapping[str, Sequence[str]]) -> None:
         """Moves an object to a free place for which the first of the wanted relations holds, and the others if possible."""
         if name not in self.objects:
             return  # it goes
         carriers = carriers_of(list(self.objects.values()), self._table)
+        self._wanted += (
+            Relation(name, _RELATIONS[kind], t[0]) for kind, t in wanted.items() if kind in _RELATIONS and len(t) == 1
+        )
         first, *rest = sorted(wanted, key=lambda kind: kind == "near")
         candidates = list(self._places(name, first, wanted[first], carriers))
         if not candidates:
             return
+        if first in ("in", "on") and not rest and not set(wanted[first]).isdisjoint(SupportTree(carriers).ancestors(name)):
+            return  # it is there already
         below = set(wanted[first]) if first in ("in", "on") else set()
         others = [self.objects[t] for kind in rest for t in wanted[kind] if t in self.objects]
         heights = list(dict.fromkeys(z for _, _, z in candidates))  # the likeliest first
@@ -290,7 +308,7 @@ class _Plan:
                 relation = RelationKind.IN if kind == "in" else RelationKind.ON
                 yield from self._of_mover(name, places_on_or_in(self.objects[name], self.objects[target], relation))
         elif there:
-            sides = (_KINDS[kind],) if kind in _KINDS else tuple(_KINDS.values())
+            sides = (_SIDES[kind],) if kind in _SIDES else tuple(_SIDES.values())
             if kind == "across":
                 now = direction_of(*np.subtract(self.objects[there[0]].position, self.objects[name].position)[:2])
                 sides = sides if now is None else (now,)
@@ -333,6 +351,8 @@ class _Plan:
         outline = shapely.Polygon(yawed_rectangle(moved))
         width, depth = self._table.size_xy
         lost = outline.area - outline.intersection(shapely.box(0, 0, width, depth)).area
+        if (zone := self._table.restricted_zone) is not None:
+            lost += outline.intersection(shapely.box(zone[0], zone[2], zone[1], zone[3])).area
         own = SupportTree(carriers).with_descendants({name})
         for other, o in self.objects.items():
             if other in own or other in below or other in self._new - self.placed:

@@ -15,7 +15,7 @@ from typing import Any
 
 from stable_data.errors import SceneError
 from stable_data.json_text import json_value
-from stable_data.scene import SceneObject, Stage, Vec3
+from stable_data.scene import Relation, SceneObject, Stage, Vec3
 from stable_data.storage.json_schemas import LEAST_SIDE_CM, LONGEST_CM, MOST_ENTRIES
 
 DECIMALS = 1
@@ -175,10 +175,12 @@ class LayoutReply:
     Attributes:
         objects: New and changed objects, in the order of the text.
         removed: Removed instances; empty except for edits.
+        relations: Relations that shall hold after an edit, with the names of the layout; the JSON text has none.
     """
 
     objects: tuple[LayoutObject, ...]
     removed: tuple[str, ...] = ()
+    relations: tuple[Relation, ...] = ()
 
 
 def parse_reply(text: str) -> LayoutReply:

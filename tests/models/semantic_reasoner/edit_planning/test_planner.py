@@ -1,5 +1,7 @@
 """Edits that are planned from their instructions, read by the shipped reader."""
 
+from dataclasses import replace
+
 import pytest
 
 from models.semantic_reasoner.edit_planning.planner import EditPlanner
@@ -7,6 +9,7 @@ from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.errors import SceneError
+from stable_data.scene import Relation, RelationKind, Tabletop
 from tests.models.semantic_reasoner.language.known_categories import STATISTICS, ask, interpreter, thing
 
 RED, BLUE = (
@@ -17,14 +20,8 @@ PLATE, TRAY = thing("plate_0", 60, 30), thing("serving_tray_0", 95, 42)
 LAYOUT = (RED, BLUE, PLATE, TRAY)
 
 
-def plan(instruction: str) -> LayoutReply | None:
-    return EditPlanner(interpreter(), STATISTICS)(ask(instruction, "edit", LAYOUT))
-
-
 def planned(instruction: str) -> LayoutReply:
-    found = plan(instruction)
-    assert found is not None
-    return found
+    return EditPlanner(interpreter(), STATISTICS)(ask(instruction, "edit", LAYOUT))
 
 
 def test_an_object_goes() -> None:
@@ -86,15 +83,17 @@ def test_an_object_goes_where_another_one_moves_to() -> None:
 
 def test_several_that_fit_are_asked_back() -> None:
     with pytest.raises(SceneError, match="mug_0, mug_1") as caught:
-        plan("Remove the mug.")
+        planned("Remove the mug.")
     assert caught.value.code == "ambiguous"
 
 
-def test_no_change_is_no_plan() -> None:
-    assert plan("What a lovely day it is.") is None
+def test_an_instruction_that_changes_nothing_is_refused() -> None:
+    with pytest.raises(SceneError, match="no change is understood") as caught:
+        planned("What a lovely day it is.")
+    assert caught.value.code == "edit_unread"
 
 
-def test_the_reasoner_asks_its_engine_only_where_there_is_no_plan() -> None:
+def test_the_reasoner_with_a_planner_does_not_ask_its_engine() -> None:
     class NoEngine:
         def complete(self, _: object) -> list[object]:
             raise AssertionError("the engine is asked")
@@ -106,5 +105,49 @@ def test_the_reasoner_asks_its_engine_only_where_there_is_no_plan() -> None:
     )
     assert clear.reply == LayoutReply((), ("mug_0",))
     assert (several.reply, several.code) == (None, "ambiguous")
-    with pytest.raises(AssertionError, match="the engine is asked"):
-        reasoner.propose([ask("What a lovely day it is.", "edit", LAYOUT)], [0])
+
+
+def test_the_wanted_relations_are_stated() -> None:
+    assert planned("Put the blue mug on the plate.").relations == (Relation("mug_1", RelationKind.ON, "plate_0"),)
+    found = planned("Add an apple to the right of the plate.")
+    assert found.relations == (Relation("apple_0", RelationKind.RIGHT_OF, "plate_0"),)
+    assert planned("Move the blue mug to the back left corner.").relations == (
+        Relation("mug_1", RelationKind.IS_AT, "back_left"),
+    )
+
+
+def test_the_thing_that_is_said_to_be_beside_another_one_moves() -> None:
+    (moved,) = planned("See the plate? The blue mug should stand in front of it.").objects
+    assert moved.instance == "mug_1"
+    (moved,) = planned("Behind the plate is where the blue mug should go.").objects
+    assert moved.instance == "mug_1"
+
+
+def test_a_new_thing_stands_on_a_new_thing() -> None:
+    found = planned("Add a serving tray in the back left corner with an apple on it.")
+    tray, apple = (next(o for o in found.objects if o.category == c) for c in ("serving_tray", "apple"))
+    assert apple.position_cm[2] > tray.position_cm[2]
+    assert apple.position_cm[:2] == pytest.approx(tray.position_cm[:2], abs=10)
+
+
+def test_what_a_moved_thing_carries_comes_along() -> None:
+    on_tray = replace(RED, position_cm=(95.0, 42.0, TRAY.size_cm[2] + 4.8))
+    found = EditPlanner(interpreter(), STATISTICS)(
+        ask("Move the red mug, tray and all, to the front left corner.", "edit", (on_tray, BLUE, PLATE, TRAY))
+    )
+    assert [o.instance for o in found.objects] == ["serving_tray_0"]
+
+
+def test_a_thing_comes_between_two_others() -> None:
+    (new,) = planned("Add an apple between the red mug and the plate.").objects
+    assert RED.position_cm[0] < new.position_cm[0] < PLATE.position_cm[0]
+
+
+def test_a_place_avoids_the_restricted_zone() -> None:
+    table = Tabletop("bathroom_vanity", (1.2, 0.6), (0.4, 0.8, 0.0, 0.3))
+    question = replace(
+        ask("Add an apple in front of the plate.", "edit", (replace(PLATE, position_cm=(78.0, 45.0, 1.0)),)), table=table
+    )
+    (new,) = EditPlanner(interpreter(), STATISTICS)(question).objects
+    x, y, _ = new.position_cm
+    assert not (36 < x < 84 and y < 34)
