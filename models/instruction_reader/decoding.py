@@ -38,6 +38,8 @@ _CENTRE = frozenset({"centre", "center", "middle", "central"})
 _AT_EDGE = frozenset({"corner", "edge", "end", "left", "right", "side"})  # words after "near" and "far" that mean a row
 
 _CELL_GAP = 3  # words between two that mean one cell, as in "the middle of the front edge"
+_CLAUSE = 6  # most words between two of one clause that may mean one cell
+_STOPS = frozenset(".;!?")
 
 _SAME = 0.5
 _PART = 0.5
@@ -120,22 +122,35 @@ def _of_spoken_cells(scores: Scores, words: Sequence[str]) -> Scores:
 
 
 def _spoken_cells(words: Sequence[str]) -> set[str]:
-    """The cells that words of rows and columns mean; words that stand close together mean one cell."""
+    """The cells that words of rows and columns mean; words that stand close together mean one cell.
+
+    Words of one clause that stand apart ("on the right, all the way at the back") may mean one cell or several.
+    """
     found: set[str] = set()
     row = column = ""
     last = -1
-    for k, word in enumerate([*words, "", "", "", "left"]):  # the last one closes the run before it
+    for k, word in enumerate(words):
         if word not in _ROWS and word not in _COLUMNS and word not in _CENTRE:
             continue
         if word in ("near", "far") and not (k + 1 < len(words) and words[k + 1] in _AT_EDGE):
             continue
-        is_far = k - last > _CELL_GAP or (word in _ROWS and row not in ("", "middle")) or (word in _COLUMNS and column)
-        if last >= 0 and is_far:
-            found.add(f"{row or 'middle'}_{column or 'middle'}")
-            row = column = ""
+        other = (word in _ROWS and row not in ("", "middle", _ROWS[word])) or (
+            word in _COLUMNS and column not in ("", _COLUMNS[word])
+        )
+        between = words[last + 1 : k]
+        if last >= 0 and (other or len(between) >= _CELL_GAP):
+            found.add(_cell(row, column))
+            if other or len(between) > _CLAUSE or not _STOPS.isdisjoint(between):
+                row = column = ""
+            elif _cell(_ROWS.get(word, row), _COLUMNS.get(word, column)) != _cell(row, column):
+                found.add(_cell(_ROWS.get(word, ""), _COLUMNS.get(word, "")))
         row, column = _ROWS.get(word, row), _COLUMNS.get(word, column)
         last = k
-    return found
+    return found | {_cell(row, column)} if last >= 0 else found
+
+
+def _cell(row: str, column: str) -> str:
+    return f"{row or 'middle'}_{column or 'middle'}"
 
 
 def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...]]:

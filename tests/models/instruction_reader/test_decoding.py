@@ -123,11 +123,25 @@ def test_regions_and_unknown_objects() -> None:
 
 @pytest.mark.parametrize(
     ("words", "cell"),
-    [("in the back left corner", "back_left"), ("at the middle of the front edge", "front_middle"), ("near it", ""), ("", "")],
+    [
+        ("in the back left corner", "back_left"),
+        ("at the middle of the front edge", "front_middle"),
+        ("in the far right corner at the back", "back_right"),
+        ("on the right . it goes to the back", "middle_right"),
+        ("near it", ""),
+        ("", ""),
+    ],
 )
 def test_a_cell_is_one_that_the_words_mean(words: str, cell: str) -> None:
     found = read("violin", "mug", said={1: ("region", CELLS.index("middle_right"))}, more=words)
     assert found.objects[1].region == cell
+
+
+def test_words_of_one_clause_may_mean_one_cell() -> None:
+    found = read(
+        "violin", "mug", said={1: ("region", CELLS.index("back_right"))}, more="on the right , all the way at the back"
+    )
+    assert found.objects[1].region == "back_right"
 
 
 def test_no_mention_is_no_object() -> None:
