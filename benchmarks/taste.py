@@ -50,7 +50,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.cli import with_clear_errors
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import FloatArray, RelationKind, Scene, SceneObject
-from stable_data.scene_graph.relations import cell_of, yawed_rectangle
+from stable_data.scene_graph.relations import CELLS, cell_of, yawed_rectangle
 from stable_data.simulation.render import Picture, contact_sheet, object_colour, render_scene
 from stable_data.storage.row_groups import SPLITS
 from stable_data.storage.run_folder import RunFolder
@@ -197,15 +197,12 @@ class SceneTaste:
 
     def cells(self) -> Values:
         """Number of the ninth of the table that each thing is in."""
-        return [float(_CELLS.index(cell_of(o.position, self.scene.table.size_xy))) for o in self.on_table]
+        return [float(CELLS.index(cell_of(o.position, self.scene.table.size_xy))) for o in self.on_table]
 
     def size(self) -> Values:
         """Logarithm of each volume relative to its category in training."""
         known = self.training.log_volume
         return [_log_volume(o) - known[o.category] for o in self.scene.objects if o.category in known]
-
-
-_CELLS = tuple(cell_of((x, y), (3, 3)) for y in (0.5, 1.5, 2.5) for x in (0.5, 1.5, 2.5))
 
 
 @dataclass(frozen=True, slots=True)

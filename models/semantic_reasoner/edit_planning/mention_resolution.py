@@ -63,6 +63,9 @@ _PICKED_OUT = re.compile(
 )
 """Words after a mention that pick it out of several, with the side."""
 
+_WITH = re.compile(r"\b(?:with|and)(?: its| the| their)?(?: own)?\s*$")
+"""Words before a carrier that goes along with what is on it."""
+
 _HANDED = re.compile(r"\b(left|right)[- ]hand\s*$")
 
 _SIDE_WORDS = {"left": ({"left"}, {"right"}), "front": ({"front", "before"}, {"behind", "beyond", "back"})}
@@ -194,6 +197,15 @@ class MentionResolver:
                 names = sorted(names, key=lambda name: name in full)[:count]
             found |= dict.fromkeys(group.numbers, tuple(names))
         return found
+
+    def comes_along(self, carrier: str) -> bool:
+        """Whether the words say that an object goes where the one on it goes: "the mug with its coaster"."""
+        return any(
+            _WITH.search(self._text[:start].lower())
+            for group in self.groups
+            if carrier in self._of_category(group.first)
+            for start, _ in group.first.mentions
+        )
 
     def _group(self, numbers: tuple[int, ...]) -> MentionedGroup:
         one = self._reading.objects[numbers[0]]

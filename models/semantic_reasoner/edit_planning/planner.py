@@ -107,7 +107,7 @@ class EditPlanner:
         for k, o in enumerate(objects):
             for name in meanings.get(k, ()) if o.change == "remove" else ():
                 plan.remove(name)
-        moves = _moves(objects, goals, meanings, plan.placed)
+        moves = plan.with_carriers(_moves(objects, goals, meanings, plan.placed), resolver)
         for name, wanted in _targets_first({n: w for n, w in moves.items() if not plan.comes_along(n, w, moves)}):
             plan.move(name, wanted)
         return plan.reply()
@@ -261,6 +261,13 @@ class _Plan:
         self.remove(old)
         x, y, _ = was.position
         self._put(new, (x, y, was.bottom + self.objects[new].size[2] / 2))
+
+    def with_carriers(self, moves: Moves, resolver: MentionResolver) -> Moves:
+        """The moves, with a carrier in place of an object that takes it along."""
+        carriers = carriers_of(list(self.objects.values()), self._table)
+        below = {name: carriers.get(name) for name in moves}
+        along = {name: c for name, c in below.items() if c is not None and c not in moves and resolver.comes_along(c)}
+        return {along.get(name, name): wanted for name, wanted in moves.items()}
 
     def comes_along(self, name: str, wanted: Mapping[str, Sequence[str]], moves: Moves) -> bool:
         """Whether an object is on or in another one that moves to the same place, and so needs no move of its own."""

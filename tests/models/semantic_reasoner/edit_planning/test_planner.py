@@ -136,6 +136,14 @@ def test_what_a_moved_thing_carries_comes_along() -> None:
         ask("Move the red mug, tray and all, to the front left corner.", "edit", (on_tray, BLUE, PLATE, TRAY))
     )
     assert [o.instance for o in found.objects] == ["serving_tray_0"]
+    found = EditPlanner(interpreter(), STATISTICS)(
+        ask("Move the red mug together with its tray to the front left corner.", "edit", (on_tray, BLUE, PLATE, TRAY))
+    )
+    assert [o.instance for o in found.objects] == ["serving_tray_0"]
+    found = EditPlanner(interpreter(), STATISTICS)(
+        ask("Move the red mug from the tray to the front left corner.", "edit", (on_tray, BLUE, PLATE, TRAY))
+    )
+    assert [o.instance for o in found.objects] == ["mug_0"]
 
 
 def test_a_thing_comes_between_two_others() -> None:
