@@ -6,8 +6,8 @@ assets drawn from it, with noise of the same kind and boxes up to 20 % off. Both
 is timed separately. Run with ``OMP_NUM_THREADS=1``.
 
 Then objects of the dataset's scenes are searched in its library by their words and boxes, by other words if the annotations have
-some (``captions``), and objects that are on no table. The figures: how often the same asset is found, and how often the floor
-of the score rejects all assets.
+some (``captions``), one object of each category by its noun, and objects that are on no table. The figures: how often the same
+asset is found, and how often the floor of the score rejects all assets.
 """
 
 import argparse
@@ -25,12 +25,14 @@ from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import SceneError
+from stable_data.instructions.wording.words import type_words
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import Scene, SceneObject, Vec3
 
 _NOISE = 0.005  # standard deviation of a feature's components before it is normalised: copies have a cosine of 0.99
 _ROUNDS = 5
+_ANY_SIZE = (0.2, 0.2, 0.2)
 
 _ABSENT = """
 elephant, motorcycle, sofa, airplane, swimming pool, bicycle, grand piano, refrigerator, stethoscope,
@@ -218,9 +220,17 @@ def recall(data: Path, num_objects: int) -> list[Recall]:
             shares = np.array(same, np.float64).reshape(-1, 3).sum(axis=0) / len(objects)
             title = f"{name}{' and category' if is_named else ''}"
             found.append(Recall(title, len(objects), len(same) / len(objects), *np.round(shares, 4).tolist()))
-    size = (0.2, 0.2, 0.2)
+    nouns = sorted({a.category for a in offered.values() if a.category})
+    named = [AssetQuery(f"a {' '.join(type_words(kind))}", _ANY_SIZE, kind) for kind in nouns]
+    matches = [
+        (a.category, kind) for a, kind in zip(retriever.retrieve(named), nouns, strict=True) if isinstance(a, AssetMatch)
+    ]
+    right = sum(category == kind for category, kind in matches)
+    found.append(
+        Recall("each category by its noun", len(nouns), *(round(n / len(nouns), 4) for n in (len(matches), 0, 0, right)))
+    )
     for is_named in (True, False):
-        queries = [AssetQuery(f"a {kind}", size, kind if is_named else None) for kind in ABSENT]
+        queries = [AssetQuery(f"a {kind}", _ANY_SIZE, kind if is_named else None) for kind in ABSENT]
         matched = sum(isinstance(x, AssetMatch) for x in retriever.retrieve(queries)) / len(ABSENT)
         found.append(Recall(f"not there{', with category' if is_named else ''}", len(ABSENT), round(matched, 4), 0.0, 0.0, 0.0))
     return found

@@ -12,15 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stable_data.assets.annotation import category_of
 from stable_data.assets.box_fitting import box_proportions, size_score
 from stable_data.assets.catalog import Asset, AssetLibrary
+from stable_data.assets.noun_fit import NounFit, noun_fit
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows
 from stable_data.scene import FloatArray, IntArray
 
 Tickets = npt.NDArray[np.uint64]
 BoolArray = npt.NDArray[np.bool_]
+FitArray = npt.NDArray[np.int8]
 
 _BLOCK, _MAX_SCORES = 128, 1 << 24  # queries in a block, whose scores fit the processor's cache; scores in memory at once
 _FITTING = math.radians(5.0)  # a misfit up to this counts as a perfect fit
@@ -35,7 +36,7 @@ class RankedAssets:
     """The choices of one library for B queries.
 
     Attributes:
-        asset: Index of the asset, (B,) int64; -1 if no text score reaches the floor.
+        asset: Index of the asset, (B,) int64; -1 if there is no match.
         tilt: Index of its resting tilt, (B,) int64.
         text: Its text score, (B,) float64; that of the nearest asset if there is no match.
         size: Its size score at the tilt that fits best, (B,) float64; 0 if there is no match.
@@ -91,8 +92,10 @@ class AssetScores:
         self._only_leaning = np.array([k > 0 and t.count == 0 for a in self.assets for k, t in enumerate(a.tilts)], np.bool_)
         self._num_tilts = np.array([len(a.tilts) for a in self.assets], np.int64)
         self._first_tilt = np.cumsum(self._num_tilts) - self._num_tilts
-        self._codes = {name: k for k, name in enumerate(sorted({_kind(a.category) for a in self.assets} - {""}))}
-        self._category = np.array([self._codes.get(_kind(a.category), -2) for a in self.assets], np.int64)
+        self._categories = sorted({a.category for a in self.assets})
+        number = {category: k for k, category in enumerate(self._categories)}
+        self._category = np.array([number[a.category] for a in self.assets], np.int64)
+        self._fits: dict[str, FitArray] = {}  # of all categories, by wanted category
         self._tickets = np.array([tie_break_number(a.asset_id) for a in self.assets], np.uint64)
         self._slack = 2.0 * self.features.shape[1] * 2.0**-24  # bound on the rounding error of a float32 product
 
@@ -104,6 +107,8 @@ class AssetScores:
         tickets: Tickets,
         leans: BoolArray,
         without: Sequence[Collection[str]],
+        *,
+        any_noun: bool = True,
     ) -> RankedAssets:
         """Chooses the best asset and its resting tilt for each query.
 
@@ -114,16 +119,17 @@ class AssetScores:
             tickets: Random bits that decide between equals, (B,) uint64.
             leans: Whether the object of the query may lean on its support, (B,).
             without: Ids of excluded assets, for each query.
+            any_noun: Whether an asset may be chosen whose noun does not fit the category, :attr:`NounFit.OTHER`.
         """
         shapes, barred = box_proportions(wanted), self._barred(without)
-        codes = np.array([self._codes.get(_kind(name or ""), -1) for name in categories], np.int64)
         parts = []
         size = max(1, min(_BLOCK, _MAX_SCORES // len(self.assets)))
         for start in range(0, len(features), size):
             block = slice(start, start + size)
             boxes = WantedBoxes(shapes[block], leans[block])
             own = [(k - start, n) for k, n in barred if start <= k < start + size]
-            parts.append(self._choose(features[block], boxes, codes[block], tickets[block], own))
+            fits = self._noun_fits(categories[block])
+            parts.append(self._choose(features[block], boxes, fits, tickets[block], own, any_noun=any_noun))
         columns = zip(*((p.asset, p.tilt, p.text, p.size, p.nearest) for p in parts), strict=True)
         return RankedAssets(*(np.concatenate(column) for column in columns))
 
@@ -134,20 +140,34 @@ class AssetScores:
         number = {asset.asset_id: n for n, asset in enumerate(self.assets)}
         return [(k, number[name]) for k, names in enumerate(without) for name in sorted(names) if name in number]
 
+    def _noun_fits(self, categories: Sequence[str | None]) -> FitArray:
+        """Returns how well the category of each asset fits each wanted one, (B, N)."""
+        for wanted in {name or "" for name in categories} - self._fits.keys():
+            self._fits[wanted] = np.array([noun_fit(category, wanted) for category in self._categories], np.int8)
+        return np.stack([self._fits[name or ""][self._category] for name in categories])
+
     def _choose(
-        self, features: Rows, boxes: WantedBoxes, codes: IntArray, tickets: Tickets, barred: Sequence[tuple[int, int]]
+        self,
+        features: Rows,
+        boxes: WantedBoxes,
+        fits: FitArray,
+        tickets: Tickets,
+        barred: Sequence[tuple[int, int]],
+        *,
+        any_noun: bool,
     ) -> RankedAssets:
         """Chooses for a block of queries; ``barred`` has the excluded pairs."""
         rough = features @ self.features.T  # (B, N)
         for k, n in barred:
             rough[k, n] = _BARRED
-        rows, cols, text = self._candidates(rough, features, boxes)
+        offered = rough if any_noun else np.where(fits > NounFit.OTHER, rough, np.float32(_BARRED))
+        rows, cols, text = self._candidates(offered, fits >= NounFit.KIND, features, boxes)
         size, rows, cols, text = self._best(rows, cols, text, features, boxes)
-        # Among equally good assets those of the requested category are preferred, then the random bits decide.
-        same = self._category[cols] == codes[rows]
-        has_same = np.zeros(len(features), np.bool_)
-        has_same[rows[same]] = True
-        keep = same | ~has_same[rows]
+        # Among equally good assets those whose noun fits best are preferred, then the random bits decide.
+        fit = fits[rows, cols]
+        best_fit = np.zeros(len(features), np.int8)
+        np.maximum.at(best_fit, rows, fit)
+        keep = fit == best_fit[rows]
         rows, cols, text, size = rows[keep], cols[keep], text[keep], size[keep]
         order = np.lexsort((_mixed(self._tickets[cols] ^ tickets[rows]), rows))
         last = order[np.flatnonzero(np.diff(rows[order], append=-1))]
@@ -160,29 +180,42 @@ class AssetScores:
         tilt[rows[last]] = self._tilt(cols[last], boxes.of(rows[last]))
         return RankedAssets(asset, tilt, texts, sizes, nearest)
 
-    def _candidates(self, rough: Rows, features: Rows, boxes: WantedBoxes) -> tuple[IntArray, IntArray, FloatArray]:
-        """Returns pairs of query and asset that can be best or equally good, and their text scores to within the slack."""
+    def _candidates(
+        self, rough: Rows, is_kind: BoolArray, features: Rows, boxes: WantedBoxes
+    ) -> tuple[IntArray, IntArray, FloatArray]:
+        """Returns pairs of query and asset that can be best or equally good, and their text scores to within the slack.
+
+        Args:
+            rough: Rough text scores, (B, N).
+            is_kind: Whether an asset is of the wanted kind, so that the floor does not apply to it, (B, N).
+            features: Unit rows of the queries, (B, D).
+            boxes: The requested boxes.
+        """
         s, slack = self._settings, self._slack
+        passes = rough >= np.float32(s.floor - 2 * slack)
+        # Scores close to a threshold are computed exactly, since the rough ones may be on the wrong side.
+        near = _pairs(passes & (rough < np.float32(s.floor + 2 * slack)))
+        passes[near] = self._text(*near, features) >= s.floor
+        passes |= is_kind & (rough > _BARRED)
         best = rough.argmax(axis=1)
+        lower = np.flatnonzero(~passes[np.arange(len(rough)), best])
+        best[lower] = np.where(passes[lower], rough[lower], np.float32(_BARRED)).argmax(axis=1)
         # The total score of one asset is a lower bound of the best score, and so gives the least useful text score.
         known = s.text_weight * rough[np.arange(len(rough)), best] + s.size_weight * self._sizes(best, boxes)
-        bar = np.maximum((known - s.margin - s.size_weight) / s.text_weight, s.floor) - 2 * slack
-        edge = np.full(len(rough), s.floor + 2 * slack)
+        bar = (known - s.margin - s.size_weight) / s.text_weight - 2 * slack
         k = s.top_k_text if s.top_k_text is not None and s.top_k_text < rough.shape[1] else None
-        if k is not None:
-            kth = np.partition(rough, -k, axis=1)[:, -k]
-            bar, edge = np.maximum(bar, kth - 2 * slack), np.maximum(edge, kth + 2 * slack)
-        rows, cols = np.nonzero(rough >= bar[:, None].astype(np.float32))
+        if k is None:
+            rows, cols = _pairs(passes & (rough >= bar[:, None].astype(np.float32)))
+            return rows, cols, rough[rows, cols].astype(np.float64)
+        kth = np.partition(rough, -k, axis=1)[:, -k]
+        rows, cols = _pairs(rough >= np.maximum(bar, kth - 2 * slack)[:, None].astype(np.float32))
         text = rough[rows, cols].astype(np.float64)
-        # Scores close to a threshold are computed exactly, since the rough ones may be on the wrong side.
-        close = np.flatnonzero(text < edge[rows])
+        close = np.flatnonzero(text < kth[rows] + 2 * slack)
         text[close] = self._text(rows[close], cols[close], features)
-        keep = text >= s.floor
-        if k is not None:
-            order = np.lexsort((cols, -text, rows))
-            rank = np.empty(len(rows), np.int64)
-            rank[order] = np.arange(len(rows)) - np.searchsorted(rows, rows)[order]
-            keep &= rank < k
+        order = np.lexsort((cols, -text, rows))
+        rank = np.empty(len(rows), np.int64)
+        rank[order] = np.arange(len(rows)) - np.searchsorted(rows, rows)[order]
+        keep = passes[rows, cols] & (rank < k)
         return rows[keep], cols[keep], text[keep]
 
     def _best(
@@ -262,6 +295,7 @@ def _may_be_used(asset: Asset, settings: RetrievalSettings) -> bool:
     return asset.is_offered and (settings.licences is None or asset.licence in settings.licences)
 
 
-def _kind(category: str) -> str:
-    """Returns a category in its form for comparison; empty for no category."""
-    return category_of(category) if category.strip() else ""
+def _pairs(mask: BoolArray) -> tuple[IntArray, IntArray]:
+    """Returns the rows and columns of the true entries, as ``np.nonzero`` does, but faster where these are few."""
+    rows, cols = np.divmod(np.flatnonzero(mask), mask.shape[1])
+    return rows, cols

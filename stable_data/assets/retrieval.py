@@ -1,13 +1,15 @@
 """Retrieval: from words and a requested box to an asset, its resting tilt and its scale.
 
 ``score = 0.9 · text + 0.1 · size``: the dot product of unit text features, and the cosine of the proportions of the requested
-box and the asset's box at the resting tilt that fits best. If no text score reaches the floor, there is no match, and the
-answer names the nearest asset. A choice depends on the query, the seed and the libraries, never on other queries of the call.
+box and the asset's box at the resting tilt that fits best. An asset of the wanted category always matches, another one only if
+its text score reaches the floor. If there is no match, the answer names the nearest asset. A choice depends on the query, the
+seed and the libraries, never on other queries of the call.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TypeAlias
 
 import numpy as np
@@ -33,7 +35,8 @@ class AssetQuery:
     Attributes:
         text: Description of the object; if it is empty, the category is used alone.
         size: Box in the yaw frame, metres.
-        category: Category, if known: encoded with the text, and preferred among equally good assets, but not required.
+        category: Category, if known: encoded with the text. Assets whose own category fits it
+            (:class:`~stable_data.assets.noun_fit.NounFit`) are preferred, but not required.
         key: Decides between equally good assets together with the seed. With different keys, such as ``scene_id/instance``,
             equal queries may get different assets; with one key for a scene they get the same asset.
         leans: Whether another object supports it, so that it may lean; otherwise only observed tilts are used.
@@ -111,6 +114,8 @@ Answer: TypeAlias = AssetMatch | UnmatchedQuery
 class Retriever:
     """Finds assets in libraries, which are searched in order; the first match is used.
 
+    An asset of another category than the wanted one is used only if no library has a match that fits the category.
+
     Args:
         libraries: In order of preference, with features of the same encoder.
         encoder: The text encoder.
@@ -178,7 +183,9 @@ class Retriever:
     def _answers(self, queries: Sequence[AssetQuery], rows: dict[str, Rows], seed: int) -> list[Answer]:
         answers: list[Answer] = [_wordless() for _ in queries]
         waiting = [k for k, query in enumerate(queries) if query.sentence()]
-        for name, scores in self._libraries:
+        # First all libraries are searched for assets whose noun fits, then for assets of any noun.
+        for any_noun, (name, scores) in product((False, True), self._libraries):
+            waiting = [k for k in waiting if isinstance(answers[k], UnmatchedQuery) and (queries[k].category or not any_noun)]
             if not waiting:
                 break
             waiting_queries = [queries[k] for k in waiting]
@@ -189,13 +196,13 @@ class Retriever:
                 np.array([tie_break_number(seed, query.key, query.sentence()) for query in waiting_queries], np.uint64),
                 np.array([query.leans for query in waiting_queries], np.bool_),
                 [query.without for query in waiting_queries],
+                any_noun=any_noun,
             )
             for k, answer in zip(waiting, self._read(name, scores, choices, waiting_queries), strict=True):
                 previous = answers[k]
                 is_nearer = not isinstance(previous, UnmatchedQuery) or not previous.nearest
                 if isinstance(answer, AssetMatch) or is_nearer or answer.text_score > previous.text_score:
                     answers[k] = answer
-            waiting = [k for k in waiting if isinstance(answers[k], UnmatchedQuery)]
         return answers
 
     def _read(self, name: str, scores: AssetScores, choices: RankedAssets, queries: Sequence[AssetQuery]) -> list[Answer]:

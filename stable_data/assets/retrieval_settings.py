@@ -17,10 +17,14 @@ class RetrievalSettings:
     """Weight of the size score."""
 
     floor: float = 0.55
-    """Minimum text score of a match; the default was measured with all-MiniLM-L6-v2 (docs/retrieval.md)."""
+    """Minimum text score of a match, unless the asset is of the wanted category; the default was measured with all-MiniLM-L6-v2
+    (docs/retrieval.md).
+    """
 
     margin: float = 0.02
-    """Scores this close to the best are equally good: among them the same category is preferred, then the seed decides."""
+    """Scores this close to the best are equally good: among them the category that fits best is preferred, then the seed
+    decides.
+    """
 
     top_k_text: int | None = None
     """Number of assets with the highest text scores that are compared (20 in MesaTask), or None for all. Assets that may not

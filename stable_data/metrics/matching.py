@@ -18,7 +18,6 @@ than ``MAX_NODES`` nodes is stopped: its relations are unknown, but its matching
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -26,8 +25,8 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 from scipy.sparse import coo_array
 
 from stable_data.errors import SceneError
-from stable_data.instructions.wording.vocabulary import classes_of, nouns_of
-from stable_data.instructions.wording.words import singular, type_words
+from stable_data.instructions.wording.vocabulary import closeness as closeness
+from stable_data.instructions.wording.words import type_words
 from stable_data.scene import FloatArray, SceneObject
 
 MAX_NODES = 1000
@@ -90,24 +89,6 @@ class ObjectMatching:
 
     matches: Mapping[str, str]
     is_best: bool
-
-
-@lru_cache(maxsize=65536)
-def closeness(found: str, wanted: str) -> int:
-    """How well a generated category fits a required one: 2 the same words, 1 one is a name of the other, 0 not at all."""
-    found_words, wanted_words = singular(type_words(found)), singular(type_words(wanted))
-    if not found_words or not wanted_words:
-        return 0
-    if found_words == wanted_words:
-        return 2
-    is_name = any(noun[-len(wanted_words) :] == wanted_words for noun in _names_of(found)) or found_words in _names_of(wanted)
-    found_classes, wanted_classes = classes_of(found), classes_of(wanted)
-    # A category that the vocabulary does not know has no classes, which must not exclude it.
-    return int(is_name and (bool(found_classes & wanted_classes) or not (found_classes and wanted_classes)))
-
-
-def _names_of(category: str) -> list[tuple[str, ...]]:
-    return [singular(type_words(noun)) for noun in nouns_of(category)]
 
 
 def candidates(required: Sequence[RequiredObject], objects: Sequence[SceneObject]) -> dict[str, dict[str, int]]:

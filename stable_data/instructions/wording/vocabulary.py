@@ -241,3 +241,21 @@ def answers_to(category: str, noun: str) -> bool:
     """Whether a noun can mean an object of a category: ``glass`` can mean a ``wine_glass``, ``cup`` a mug."""
     asked = singular_noun(noun)
     return any(singular_noun(own).endswith(asked) for own in nouns_of(category))
+
+
+@lru_cache(maxsize=65536)
+def closeness(found: str, wanted: str) -> int:
+    """How well a category fits a wanted one: 2 the same words, 1 one is a name of the other, 0 not at all."""
+    found_words, wanted_words = singular(type_words(found)), singular(type_words(wanted))
+    if not found_words or not wanted_words:
+        return 0
+    if found_words == wanted_words:
+        return 2
+    is_name = any(noun[-len(wanted_words) :] == wanted_words for noun in _names_of(found)) or found_words in _names_of(wanted)
+    found_classes, wanted_classes = classes_of(found), classes_of(wanted)
+    # A category that the vocabulary does not know has no classes, which must not exclude it.
+    return int(is_name and (bool(found_classes & wanted_classes) or not (found_classes and wanted_classes)))
+
+
+def _names_of(category: str) -> list[tuple[str, ...]]:
+    return [singular(type_words(noun)) for noun in nouns_of(category)]

@@ -3,7 +3,7 @@
 from collections import Counter
 
 from stable_data.embedded_world.families.catalogue import BY_CATEGORY
-from stable_data.metrics.matching import closeness
+from stable_data.instructions.wording.vocabulary import closeness
 from stable_data.scene import RelationKind
 from tests.models.semantic_reasoner.handwritten import read_handwritten
 

@@ -143,6 +143,36 @@ def test_the_first_library_that_has_a_match_serves() -> None:
     assert reverse[1].text_score == answers[2].text_score  # the nearest of all libraries, whatever their order
 
 
+def test_an_asset_of_the_wanted_noun_needs_no_similar_words() -> None:
+    tool = retriever(thing("a", "fruit (scanned)", category="apple"), thing("b", "one red round fruit", category="strawberry"))
+    answer = ask(tool, "something to eat", category="apple")
+    assert isinstance(answer, AssetMatch)
+    assert answer.asset_id == "a"
+    assert answer.text_score < tool.settings.floor
+    assert isinstance(ask(tool, "something to eat", category="pear"), UnmatchedQuery)
+    assert isinstance(ask(tool, "something to eat"), UnmatchedQuery)
+    without = AssetQuery("something to eat", CUBE, "apple", without=frozenset({"a"}))
+    assert isinstance(tool.retrieve([without])[0], UnmatchedQuery)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "served"),
+    [
+        ("pot", "second/cooking_pot"),  # a lid is no pot, however similar its words are
+        ("kitchen_knife", "first/knife"),  # may be one
+        ("plum", "second/plum"),
+        ("peach", "first/"),  # no library has one
+    ],
+)
+def test_another_noun_serves_only_where_no_library_has_the_wanted_one(wanted: str, served: str) -> None:
+    words = wanted.replace("_", " ")
+    first = [thing(f"first/{kind}", f"one {words}", category=kind) for kind in ("pot_lid", "knife", "tomato")]
+    second = [thing(f"second/{kind}", f"one {words} more", category=kind) for kind in ("cooking_pot", "kitchen_knife", "plum")]
+    tool = Retriever([library(*first), library(*second, name="second")], BagOfWords())
+    answer = ask(tool, f"one {words}", category=wanted)
+    assert found(answer).startswith(served)
+
+
 def test_words_are_encoded_once_and_answered_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retrieval, "_MOST_TEXTS", 3)
     encoder = BagOfWords()
@@ -299,7 +329,8 @@ def test_the_best_is_what_a_plain_loop_finds(top_k: int | None) -> None:
     queries = CROWD_QUERIES[::9]
     for query, answer in zip(queries, tool.retrieve(queries), strict=True):
         text = CROWD.features.astype(np.float64) @ Noise()([query.sentence()])[0]
-        allowed = np.argsort(-text, kind="stable")[: top_k or len(text)]
+        fitting = [k for k, a in enumerate(CROWD.assets) if a.category == query.category] or range(len(text))
+        allowed = sorted(fitting, key=lambda k: -text[k])[: top_k or len(text)]
         cosines = [
             max(np.dot(query.size, t.extents) / np.linalg.norm(query.size) / np.linalg.norm(t.extents) for t in a.tilts)
             for a in CROWD.assets

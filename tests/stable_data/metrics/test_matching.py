@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.errors import SceneError
+from stable_data.instructions.wording.vocabulary import closeness
 from stable_data.metrics import matching
-from stable_data.metrics.matching import DesiredRelation, RequiredObject, candidates, closeness, match
+from stable_data.metrics.matching import DesiredRelation, RequiredObject, candidates, match
 from stable_data.scene import SceneObject
 
 

@@ -1,0 +1,30 @@
+"""How well the noun of an asset fits a wanted one."""
+
+from enum import IntEnum
+
+from stable_data.instructions.wording.vocabulary import closeness
+from stable_data.instructions.wording.words import singular, type_words
+
+
+class NounFit(IntEnum):
+    """How well a category fits a wanted one, from worst to best."""
+
+    OTHER = 0
+    """Something else: a ``tablet`` for a ``laptop``."""
+
+    POSSIBLE = 1
+    """The last words are equal, as for a ``knife`` and a ``kitchen_knife``, or one of the categories is unknown."""
+
+    KIND = 2
+    """One is a name of the other: a ``soup_can`` is a ``can``."""
+
+    EQUAL = 3
+    """The same words."""
+
+
+def noun_fit(category: str, wanted: str) -> NounFit:
+    """Returns how well a category fits a wanted one; either may be empty, which means unknown."""
+    own, asked = singular(type_words(category)), singular(type_words(wanted))
+    if close := closeness(category, wanted):
+        return NounFit.EQUAL if close == 2 else NounFit.KIND
+    return NounFit.POSSIBLE if not (own and asked) or own[-1] == asked[-1] else NounFit.OTHER
