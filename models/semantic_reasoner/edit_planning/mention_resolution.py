@@ -343,6 +343,13 @@ class MentionResolver:
                     rest = [name for name in names if name not in left[k]]
                     if j != k and len(rest) >= len(self.groups[j].numbers):
                         left[j] = rest
+        for k, names in enumerate(left):  # "one brush ... another brush": the same objects fit several groups, one each
+            change = self.groups[k].first.change
+            alike = [j for j, others in enumerate(left) if others == names and self.groups[j].first.change == change]
+            if len(alike) > 1 and sum(len(self.groups[j].numbers) for j in alike) == len(names):
+                each = iter(names)
+                for j in alike:
+                    left[j] = [next(each) for _ in self.groups[j].numbers]
         return left
 
 
