@@ -21,6 +21,9 @@ from stable_data.storage.table_rows import notice_row
 Rows: TypeAlias = dict[str, list[schemas.Row]]
 """Rows by table."""
 
+NOT_OF_AN_ITEM = (ConfigError, OSError, MemoryError)
+"""Errors of the run or the machine, not of an item: a retry may succeed."""
+
 I = TypeVar("I")  # noqa: E741 - an item
 
 

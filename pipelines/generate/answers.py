@@ -11,14 +11,10 @@ from models.physics_corrector.certify.correction import CertificationRequest, Co
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
-from pipelines.execution.shard_step import unexpected_failure
+from pipelines.execution.shard_step import NOT_OF_AN_ITEM, unexpected_failure
 from stable_data.assets.assignment import AssignedLayout, assign_assets
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.store import AssetStore
-from stable_data.errors import ConfigError
-
-NOT_OF_A_SCENE = (ConfigError, OSError, MemoryError)
-"""Errors of the run or the machine, not of a scene: a retry may succeed."""
 
 Certify: TypeAlias = Callable[[CertificationRequest], Correction]
 """Certifies one scene, in a separate process if a mesh may crash this one."""
@@ -46,7 +42,7 @@ class LocalCertifier:
         """
         try:
             return self.corrector.certify(request, self.store)
-        except NOT_OF_A_SCENE:
+        except NOT_OF_AN_ITEM:
             raise
         except Exception as error:  # noqa: BLE001 - a scene that breaks the geometry of one library is a row of failures
             return failed_correction(request, unexpected_failure(error))

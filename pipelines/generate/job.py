@@ -12,10 +12,10 @@ from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
-from pipelines.generate.assets import CopyAssets, asset_shards
 from pipelines.generate.report import write_generate_report
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
+from pipelines.sources.asset_copies import CopyAssets, asset_shards
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
 from stable_data.content_id import content_id

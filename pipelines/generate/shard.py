@@ -33,6 +33,7 @@ from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import LocalTally, ProgressReporter, ProgressTally, SharedTally
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connect, time_limited
 from pipelines.execution.shard_step import (
+    NOT_OF_AN_ITEM,
     Rows,
     Shard,
     ShardResult,
@@ -41,7 +42,7 @@ from pipelines.execution.shard_step import (
     rows_or_failure,
     unexpected_failure,
 )
-from pipelines.generate.answers import NOT_OF_A_SCENE, LocalCertifier, LocalRequestHandler, failed_correction
+from pipelines.generate.answers import LocalCertifier, LocalRequestHandler, failed_correction
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import Task
@@ -76,7 +77,7 @@ _DEPTH = 0.8 * TOLERANCE
 _PLACES = 6
 """Number of places that are tried for an unsteady object; half of the time of further tries goes into objects that fail anyway."""
 
-_NOT_OF_A_SCENE = (*NOT_OF_A_SCENE, ray.exceptions.RayError)  # the engines may run on another node
+_NOT_OF_AN_ITEM = (*NOT_OF_AN_ITEM, ray.exceptions.RayError)  # the engines may run on another node
 
 REJECTED = "rejected"
 """Code of a scene that the rule of acceptance rejects."""
@@ -191,14 +192,14 @@ class GenerateWork(ShardStep[Task]):
             for number, found in enumerate(made(tasks, watch)):
                 tell(judge=len(tasks) - number)
                 yield found
-        except _NOT_OF_A_SCENE:
+        except _NOT_OF_AN_ITEM:
             raise
         except Exception:  # noqa: BLE001 - the scene is identified below
             for number, task in enumerate(tasks):
                 tell(propose=len(tasks) - number)
                 try:
                     found = made([task])[0]
-                except _NOT_OF_A_SCENE:
+                except _NOT_OF_AN_ITEM:
                     raise
                 except Exception as error:  # noqa: BLE001 - an unexpected error becomes a row
                     message = f"{task.scene_id}: {unexpected_failure(error)}"
@@ -246,7 +247,7 @@ class GenerateWork(ShardStep[Task]):
         progress = ItemProgress("judge")
         with time_limited(self.settings.seconds_per_item):
             make = partial(self._judged, made, made.scene, progress)
-            judged = rows_or_failure(name, progress, make, of_the_run=_NOT_OF_A_SCENE)
+            judged = rows_or_failure(name, progress, make, of_the_run=_NOT_OF_AN_ITEM)
         return rows | judged | {"warnings": [*rows["warnings"], *judged.get("warnings", [])]}
 
     def _judged(self, made: GenerationResult, scene: Scene, progress: ItemProgress) -> Rows:

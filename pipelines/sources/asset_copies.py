@@ -1,4 +1,4 @@
-"""Copies the assets of generated scenes into their run, which can then be loaded and exported without the libraries."""
+"""Copies the assets of scenes into their run, which can then be loaded and exported without the libraries."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -10,8 +10,7 @@ import pyarrow.compute as pc
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_size import split_groups
-from pipelines.execution.shard_step import ItemStep, Rows, Shard
-from pipelines.generate.answers import NOT_OF_A_SCENE
+from pipelines.execution.shard_step import NOT_OF_AN_ITEM, ItemStep, Rows, Shard
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.preprocess.plan import AssetUseCount, file_digest
 from pipelines.sources.assets import AssetLibraries
@@ -35,7 +34,7 @@ class CopyAssets(ItemStep[AssetUse]):
 
     TABLES: ClassVar = ("warnings", "failures", "meshes", "assets")
     UNIT: ClassVar = "asset"
-    OF_THE_RUN: ClassVar = NOT_OF_A_SCENE
+    OF_THE_RUN: ClassVar = NOT_OF_AN_ITEM
 
     places: tuple[str, ...]
     fingerprint: str

@@ -8,8 +8,7 @@ import pytest
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.resume import OF_DATASET, count_items
-from pipelines.execution.shard_step import Rows, rows_or_failure
-from pipelines.generate.answers import NOT_OF_A_SCENE
+from pipelines.execution.shard_step import NOT_OF_AN_ITEM, Rows, rows_or_failure
 from stable_data.errors import ConfigError, Notice
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
@@ -37,8 +36,8 @@ def test_an_error_of_an_item_from_outside_is_its_row() -> None:
 def test_an_error_that_is_the_runs_is_no_row_and_another_time_there_is_none() -> None:
     make = FailsOnce()
     with pytest.raises(OSError, match="Input/output error"):
-        rows_or_failure("scene_1", ItemProgress("read"), make, of_the_run=NOT_OF_A_SCENE)
-    assert rows_or_failure("scene_1", ItemProgress("read"), make, of_the_run=NOT_OF_A_SCENE) == {"scenes": []}
+        rows_or_failure("scene_1", ItemProgress("read"), make, of_the_run=NOT_OF_AN_ITEM)
+    assert rows_or_failure("scene_1", ItemProgress("read"), make, of_the_run=NOT_OF_AN_ITEM) == {"scenes": []}
 
 
 def run_of(out: Path, scenes: list[str], failures: list[str], of_assets: Sequence[str] = ()) -> RunFolder:
