@@ -56,7 +56,14 @@ def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings:
         manifest: Its manifest, with counts.
         settings: The job's settings.
     """
-    columns = [column for _, column, _, _ in _MEASURES] + ["scene_id", "clean", "stable", "table_type", "move_max_mm"]
+    columns = [column for _, column, _, _ in _MEASURES] + [
+        "scene_id",
+        "clean",
+        "stable",
+        "read_as_labelled",
+        "table_type",
+        "move_max_mm",
+    ]
     scenes, rejected = (_frame(folder, name, columns) for name in ("scenes", "rejected"))
     spent, turns = _spent(folder), _frame(folder, "turns", ["stage", "tries", "prompt_tokens", "reply_tokens", "cost", "code"])
     store = AssetStore(RunAssets(folder, mesh_cache()))
@@ -126,7 +133,11 @@ def _quality(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
     ]
     rows += [
         (label, *(_share(frame[column]) for frame in (scenes, made)))
-        for label, column in (("clean", "clean"), ("stable in MuJoCo", "stable"))
+        for label, column in (
+            ("instructions read as their labels say", "read_as_labelled"),
+            ("clean", "clean"),
+            ("stable in MuJoCo", "stable"),
+        )
     ]
     yield table(("", f"accepted, {scenes.height}", f"all scenes made, {made.height}"), rows)
     yield "<h2>Distributions of the accepted scenes</h2><div class=grid>"

@@ -51,7 +51,7 @@ from stable_data.errors import MeshError, Notice, SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
-from stable_data.metrics.alignment import Alignment, AlignmentReference, align
+from stable_data.metrics.alignment import Alignment, AlignmentReference, align, requires_the_same
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
 from stable_data.metrics.collision import TOLERANCE
@@ -381,7 +381,8 @@ def _with_alignment(
     if reference is None:
         return card, ()
     read = compared(reference)
-    card = replace(card, awt_understood=read.awt, aws_understood=read.aws)
+    is_same = None if task.reference is None else requires_the_same(task.reference, reference)
+    card = replace(card, awt_understood=read.awt, aws_understood=read.aws, read_as_labelled=is_same)
     lost = tuple(f"the instruction mentions {one}, which is missing" for one in dict.fromkeys(map(str, read.missing)))
     if read.broken:
         names = {r.instance: str(r) for r in reference.required}

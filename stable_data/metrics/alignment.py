@@ -29,13 +29,14 @@ one is enough: the instruction states neither the categories nor the number.
 A request without a scene is aligned as a scene without objects: its AwT is 0.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
+from typing import TypeAlias
 
 from stable_data.errors import SceneError
 from stable_data.instructions.claims import is_named, mentions_all
-from stable_data.metrics.matching import DesiredRelation, ObjectMatching, Option, RequiredObject, candidates, match
+from stable_data.metrics.matching import DesiredRelation, ObjectMatching, Option, RequiredObject, candidates, closeness, match
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, TaskInfo
 from stable_data.scene_graph.relations import (
     Contacts,
@@ -232,6 +233,54 @@ def align(
         num_stacked=sum(r.kind is RelationKind.ON and r.target != TABLE for r in layout.on_in),
         num_contained=sum(r.kind is RelationKind.IN for r in layout.on_in),
     )
+
+
+def requires_the_same(one: AlignmentReference, other: AlignmentReference) -> bool:
+    """Whether two references require the same objects and entail the same relations; their instances may have other names.
+
+    Two required objects are the same if their categories agree, or if one of them may have any. The graphs are not compared.
+    """
+    if len(one.required) != len(other.required):
+        return False
+    allowed = {
+        r.instance: {q.instance: 1 for q in other.required if not (r.categories and q.categories) or _agree(r, q)}
+        for r in one.required
+    }
+    there = [_statement(r) for r in other.entailed]
+    desired = [
+        DesiredRelation(
+            1, tuple({a: {b} for a, b in zip(names, others, strict=True)} for same, others in there if same == kind)
+        )
+        for kind, names in map(_statement, one.entailed)
+    ]
+    matches = match(allowed, desired).matches
+    if len(matches) < len(one.required):
+        return False
+    here = {(kind, tuple(matches.get(name, name) for name in names)) for kind, names in map(_statement, one.entailed)}
+    return _with_ends_in_order(here) == _with_ends_in_order(there)
+
+
+def _agree(one: RequiredObject, other: RequiredObject) -> bool:
+    return any(closeness(a, b) or closeness(b, a) for a in one.categories for b in other.categories)
+
+
+_TURNED = {RelationKind.RIGHT_OF: RelationKind.LEFT_OF, RelationKind.BEHIND: RelationKind.IN_FRONT_OF}
+
+Statement: TypeAlias = tuple[str, tuple[str, ...]]
+"""What a relation states, with the cell of the table if it names one, and of which instances."""
+
+
+def _statement(r: Relation) -> Statement:
+    """What a relation states; of two relations that mean the same, such as ``left of`` and ``right of``, only one occurs."""
+    if r.kind in _TURNED:
+        return _TURNED[r.kind], (r.target, r.subject)
+    has_value = r.kind in _UNARY or r.kind is RelationKind.EQUALLY_SPACED
+    return (f"{r.kind} {r.target}" if has_value else r.kind), members(r)
+
+
+def _with_ends_in_order(statements: Iterable[Statement]) -> set[Statement]:
+    """The statements, with the two things that another one is between in alphabetical order."""
+    return {(k, (n[0], *sorted(n[1:])) if k == RelationKind.BETWEEN else n) for k, n in statements}
 
 
 def _broken(

@@ -103,6 +103,12 @@ class MetricCard:
             "share of the relations stated by the instruction, as it was read, that hold in the scene; null where it states none"
         ),
     )
+    read_as_labelled: bool | None = field(
+        default=None,
+        metadata=_about(
+            "whether the instruction, as it was read, requires the objects and relations of its labels; null without labels or reading"
+        ),
+    )
     distractor_rate: float | None = field(
         default=None, metadata=_about("share of objects that are not task objects; null without a task")
     )

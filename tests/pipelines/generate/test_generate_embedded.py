@@ -26,7 +26,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_drawn_tasks_become_scenes_that_stay_where_they_are(made: Path) -> None:
     for row in RunFolder(str(made)).table("scenes").to_pylist():
-        assert (row["clean"], row["stable"], row["awt"]) == (True, True, 1.0)
+        assert (row["clean"], row["stable"], row["awt"], row["read_as_labelled"]) == (True, True, 1.0, True)
         assert row["num_objects"] >= 4
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import permutations
+from random import Random
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from stable_data.embedded_world.scenes import make_scene
 from stable_data.errors import SceneError
 from stable_data.instructions.deriving import derive_task
 from stable_data.metrics import alignment
-from stable_data.metrics.alignment import Alignment, AlignmentReference, align, reference_of
+from stable_data.metrics.alignment import Alignment, AlignmentReference, align, reference_of, requires_the_same
 from stable_data.metrics.alignment_summary import summarise_alignment
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.matching import ObjectMatching, RequiredObject
@@ -258,6 +259,51 @@ def test_what_is_spoken_of_by_its_place_alone_may_be_anything_there_and_one_will
     assert [(a.awt, a.aws) for a in (align(other, unsaid), align(beside, unsaid))] == [(1.0, 1.0), (1.0, 0.0)]
     assert align(with_objects(tray), unsaid).awt == 0.5
     assert align(other, said).awt == 1 / 3
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.sampled_from(TABLES), st.integers(0, 1000), st.randoms(use_true_random=False))
+def test_a_reference_requires_the_same_under_other_names(one: Table, seed: int, random: Random) -> None:
+    reference = reference_of(replace(one.scene, task=derive_task(one.scene, one.graph, np.random.default_rng(seed))))
+    names = {r.instance: f"thing {k}" for k, r in enumerate(random.sample(reference.required, len(reference.required)))}
+    required = [replace(r, instance=names[r.instance]) for r in reference.required]
+    entailed = [_under(r, names) for r in reference.entailed]
+    other = AlignmentReference("other", tuple(required), tuple(random.sample(entailed, len(entailed))))
+    assert requires_the_same(reference, other)
+    assert requires_the_same(other, reference)
+    if entailed:
+        assert not requires_the_same(reference, replace(other, entailed=other.entailed[1:]))
+        assert not requires_the_same(replace(reference, entailed=reference.entailed[1:]), other)
+    assert not requires_the_same(
+        reference, AlignmentReference("other", other.required[1:] or (RequiredObject("x", ("kiwi",)),))
+    )
+
+
+def _under(relation: Relation, names: Mapping[str, str]) -> Relation:
+    """A relation under other names, with its direction turned."""
+    subject = ", ".join(names.get(name, name) for name in relation.subject.split(", "))
+    target = ", ".join(names.get(name, name) for name in relation.target.split(", "))
+    turned = {RelationKind.LEFT_OF: RelationKind.RIGHT_OF, RelationKind.IN_FRONT_OF: RelationKind.BEHIND}
+    if relation.kind in turned:
+        return Relation(target, turned[relation.kind], subject)
+    return replace(relation, subject=subject, target=target)
+
+
+def test_which_of_two_mugs_is_on_the_plate_and_which_beside_it_counts() -> None:
+    def reference(*entailed: Relation) -> AlignmentReference:
+        things = (("a", "mug"), ("b", "mug"), ("c", "plate"), ("d", "tray"))
+        return AlignmentReference("task", tuple(RequiredObject(name, (kind,)) for name, kind in things), entailed)
+
+    on_plate, left = Relation("a", RelationKind.ON, "c"), Relation("a", RelationKind.LEFT_OF, "d")
+    assert requires_the_same(
+        reference(on_plate, left), reference(Relation("b", RelationKind.ON, "c"), Relation("d", RelationKind.RIGHT_OF, "b"))
+    )
+    assert not requires_the_same(reference(on_plate, left), reference(on_plate, replace(left, subject="b")))
+    between = Relation("a", RelationKind.BETWEEN, "c, d")
+    assert requires_the_same(reference(between), reference(replace(between, target="d, c")))
+    assert not requires_the_same(
+        reference(Relation("a", RelationKind.IS_AT, "back_left")), reference(Relation("a", RelationKind.IS_AT, "back_right"))
+    )
 
 
 def test_nothing_entailed_is_not_full_marks() -> None:
