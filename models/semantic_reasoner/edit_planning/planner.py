@@ -16,6 +16,7 @@ import shapely
 from models.instruction_reader.reading import MentionedObject, MentionedRelation
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.edit_planning.mention_resolution import MentionResolver
+from models.semantic_reasoner.edit_planning.turns import yaw_after_turn
 from models.semantic_reasoner.language.category_statistics import LEVELS, CategoryStatistics
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.replies.places import (
@@ -235,9 +236,13 @@ class _Plan:
         return bool(words) and set(words) <= set(split_words(self._entries[name].description))
 
     def restyle(self, name: str, look: str) -> None:
+        """Gives an object another look or size, or turns it on the spot if the words of the look describe a turn."""
         if name not in self.objects:
             return  # it goes
         entry = self._entries[name]
+        if (yaw := yaw_after_turn(split_words(look), entry.z_rotation_deg)) is not None:
+            self._store(replace(entry, z_rotation_deg=yaw))
+            return
         words = _look_words(look)
         factor = next((_SIZE_WORDS[word] for word in words if word in _SIZE_WORDS), 1.0)
         w, d, h = (round(side * factor, 1) for side in entry.size_cm)
