@@ -20,9 +20,40 @@ _FACINGS = {
 
 _BACKWARD = frozenset({"clockwise", "cw"})
 _TURNING = frozenset(
-    "turn turned turns twist degrees degree deg revolution rotated rotate clockwise cw anticlockwise counterclockwise ccw".split()
+    (
+        "turn",
+        "turned",
+        "turns",
+        "twist",
+        "degrees",
+        "degree",
+        "deg",
+        "revolution",
+        "rotated",
+        "rotate",
+        "clockwise",
+        "cw",
+        "anticlockwise",
+        "counterclockwise",
+        "ccw",
+    )
 )
-_AROUND = frozenset("around round about sideways lengthwise crosswise crossways reverse reversed angle angles way".split())
+_AROUND = frozenset(
+    (
+        "around",
+        "round",
+        "about",
+        "sideways",
+        "lengthwise",
+        "crosswise",
+        "crossways",
+        "reverse",
+        "reversed",
+        "angle",
+        "angles",
+        "way",
+    )
+)
 _FACING = frozenset({"face", "faces", "facing", "point", "points", "pointing", "look", "looks", "looking", "towards", "toward"})
 _SHORT = 4  # words of a turn such as "the other way round", which has no word that means a turn alone
 _USUAL = 90  # degrees of a turn of which no more is said
