@@ -49,9 +49,12 @@ class AssetSettings:
 
     Attributes:
         num_points: Surface points of an asset.
+        decomposes: Whether a mesh that comes without convex parts is decomposed; otherwise its row has no parts, and whoever needs
+            them computes them.
     """
 
     num_points: int = 1024
+    decomposes: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +96,8 @@ def preprocess_asset(
     row = _asset_row(use, annotation, asset, settings, embedding)
     progress.step = "parts"
     paint, odd = store.paint(use.asset_id)
-    return AssetRows(row, _mesh_row(use.asset_id, asset, store, paint), grids, asset.notices + odd)
+    mesh = _mesh_row(use.asset_id, asset, store, paint, decomposes=settings.decomposes)
+    return AssetRows(row, mesh, grids, asset.notices + odd)
 
 
 def _asset_row(
@@ -129,13 +133,19 @@ def _asset_row(
     }
 
 
-def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore, paint: Paint) -> schemas.Row:
-    kept = store.stored_parts(asset_id)
-    parts = convex_parts(asset.mesh, given=kept or store.colliders(asset_id), kept=bool(kept))
+def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore, paint: Paint, *, decomposes: bool) -> schemas.Row:
     glb = write_glb(asset.mesh, paint=paint)
-    return {
+    row = dict.fromkeys(schemas.SCHEMAS["meshes"].names) | {
         "asset_id": asset_id,
         "glb": glb,
+        "sha256": hashlib.sha256(glb).hexdigest(),
+    }
+    kept = store.stored_parts(asset_id)
+    given = kept or store.colliders(asset_id)
+    if not (given or decomposes):
+        return row
+    parts = convex_parts(asset.mesh, given=given, kept=bool(kept))
+    return row | {
         "parts": [{"vertices": p.vertices.ravel(), "faces": p.faces.ravel()} for p in parts.parts],
         "parts_method": parts.method,
         "parts_overfill_max": parts.overfill_max,
@@ -143,7 +153,6 @@ def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore, paint: Paint) 
         "parts_uncovered_max": parts.uncovered_max,
         "parts_uncovered_mean": parts.uncovered_mean,
         "hull_distance": parts.hull_distance,
-        "sha256": hashlib.sha256(glb).hexdigest(),
     }
 
 

@@ -307,7 +307,7 @@ SCHEMAS: dict[str, pa.Schema] = {
         [
             _column("asset_id", _text, "identifier of the asset"),
             _column("glb", pa.binary(), "repaired mesh as binary glTF, y up, with at most eight face colours", "mesh units"),
-            _column("parts", pa.list_(PART), "convex decomposition of the mesh, z up", "mesh units"),
+            _column("parts", pa.list_(PART), "convex decomposition of the mesh, z up; null: not computed yet", "mesh units"),
             _column("parts_method", _text, "method of the convex decomposition; hull: one convex hull is used instead"),
             _column("parts_overfill_max", _number, "maximum distance by which the parts extend beyond the mesh", "mesh units"),
             _column(
