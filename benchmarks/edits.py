@@ -1,7 +1,7 @@
 """The quality of edits, in two modes.
 
 ``python -m benchmarks.edits --file FILE.jsonl --scenes FOLDER [--engine embedded] [--json FILE]`` applies edits in free words to
-the scenes of a folder in the MesaTask-10K format, as the edit job does, and judges the edited scenes by what a person expects. A
+the scenes of a folder in the MesaTask-10K format, as the edit job does by default, and judges the edited scenes by what a person expects. A
 line has ``edit_id``, ``scene_id``, ``kind``, ``instruction`` and ``expected``, see :mod:`benchmarks.edit_verdict`. An edit that has
 to ask back (``expected.ambiguous``) is right if it fails with the code ``ambiguous`` and its message names all candidates.
 
@@ -35,6 +35,7 @@ from pipelines.edit.job import edit
 from pipelines.edit.settings import EditSettings
 from pipelines.execution.ray_executor import WorkerPool
 from stable_data.embedded_world.edit_table import write_edits
+from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.storage.row_groups import TableFiles, rows_from_table
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
@@ -106,7 +107,7 @@ def run_free_edits(file: Path, scenes: str, engine: str, json_file: Path | None)
         lines = [{"edit_id": one.edit_id, "scene_id": one.scene_id, "instruction": one.instruction} for one in expected]
         requests.write_text("".join(json.dumps(line) + "\n" for line in lines), "utf-8")
         out = str(Path(folder) / "out")
-        edit(scenes, requests, out, EditSettings(engine=EngineSettings(engine)), WorkerPool(), report=False)
+        edit(scenes, requests, out, EditSettings(engine=EngineSettings(engine)), WorkerPool(), [EMBEDDED], report=False)
         rows = judge_edits(expected, RunFolder(out))
     seconds = time.perf_counter() - began
     for row in rows:

@@ -51,6 +51,15 @@ Assets = Annotated[
         "is made if it is missing. May be repeated: libraries are searched in order, and the first match is used. Default: embedded."
     ),
 ]
+EditAssets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--assets",
+        help="A folder in the MesaTask-10K format, a run, or embedded (the embedded world's library, which is made if it is missing), "
+        "to take assets from that the scenes' own library lacks. May be repeated: libraries are searched in order, after that of "
+        "the scenes. Default: embedded. none: only the scenes' own library.",
+    ),
+]
 _KEYS = "python -m pipelines settings {} lists every key of --set and of the file with its default, unit and meaning."
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
 Minutes = Annotated[
@@ -164,6 +173,7 @@ def edit(
         ),
     ],
     out: RunOut,
+    assets: EditAssets = None,
     engine: Annotated[
         str | None,
         typer.Option(
@@ -189,14 +199,16 @@ def edit(
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe
     from pipelines.settings import resolve_settings
+    from stable_data.embedded_world.library import NAME as EMBEDDED
 
     count = _count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] if engine is not None else []
     settings = resolve_settings(EditSettings, "edit", config, [*(set_ or []), *asked])
+    places = _further_libraries(assets or [EMBEDDED])
     if dry_run:
-        typer.echo(json.dumps(describe(EditJob(scenes, edits, settings, WorkerPool())), indent=2))
+        typer.echo(json.dumps(describe(EditJob(scenes, edits, settings, WorkerPool(), places)), indent=2))
         return
-    manifest = run(scenes, edits, out, settings, WorkerPool(count, address))
+    manifest = run(scenes, edits, out, settings, WorkerPool(count, address), places)
     counts = manifest["counts"]
     kinds = ", ".join(f"{counts['by_kind'][key]} {key}" for key in sorted(counts["by_kind"]))
     typer.echo(
@@ -441,6 +453,13 @@ def show_settings(
 
     found = list_settings(verb, preset)
     typer.echo("\n".join(json.dumps(asdict(setting)) for setting in found) if as_json else settings_text(found))
+
+
+def _further_libraries(assets: list[str]) -> list[str]:
+    """The libraries after that of the scenes; none for ``none``."""
+    if "none" in assets and len(assets) > 1:
+        raise ConfigError("--assets none means no further library, but another one is named; leave out one of them", "usage")
+    return [place for place in assets if place != "none"]
 
 
 def _count(workers: int, address: str | None) -> int:

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -16,9 +16,11 @@ from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.preprocess.convention import resolve_convention
 from pipelines.sources.scenes import FolderSource, SceneChunk, SceneSource, TableSource, scene_source
+from stable_data.assets.annotation import AssetAnnotation
+from stable_data.atomic_files import write_file_atomically
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, cannot_write
-from stable_data.mesatask import write_annotations, write_scene
+from stable_data.mesatask import MesaTaskDataset, write_annotations, write_scene
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
@@ -62,8 +64,17 @@ class SceneJob(ShardJob, Generic[S]):
         """Copies the tables of assets; also writes the scenes in the MesaTask-10K format if they came from a folder."""
         carried = _carry_assets(self.source, folder)
         if self.settings.write_dataset and isinstance(self.source, FolderSource) and folder.is_local:
-            write_dataset(self.source, folder)
+            write_dataset(self.source, folder, self.other_assets(folder))
         return {table: folder.num_rows(table) for table in carried} | self.kinds(folder)
+
+    def carried(self) -> Mapping[str, Set[str]]:
+        """The shards of the tables of assets of an input run."""
+        source = self.source
+        return {t: source.folder.shard_ids(t) for t in CARRIED_TABLES} if isinstance(source, TableSource) else {}
+
+    def other_assets(self, folder: RunFolder) -> Mapping[str, tuple[AssetAnnotation, Path]]:
+        """Annotations and meshes of the assets of its scenes that the input folder does not have."""
+        return {}
 
     @abstractmethod
     def kinds(self, folder: RunFolder) -> dict[str, Any]:
@@ -155,10 +166,16 @@ def _carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:
     return carried
 
 
-def write_dataset(source: FolderSource, folder: RunFolder) -> Path:
+def write_dataset(source: FolderSource, folder: RunFolder, others: Mapping[str, tuple[AssetAnnotation, Path]]) -> Path:
     """Writes the corrected scenes in the MesaTask-10K format to ``dataset/`` in the run's folder.
 
-    Layouts keep all entries of the input files except poses; the asset library is a link to that of the source.
+    Layouts keep all entries of the input files except poses. The asset library is a link to that of the source, or contains its
+    files and those of other assets.
+
+    Args:
+        source: The source of the scenes.
+        folder: The run.
+        others: Annotation and mesh of assets that the source does not have.
 
     Returns:
         The folder, which ``stable-data lint`` and ``preprocess`` accept.
@@ -170,14 +187,37 @@ def write_dataset(source: FolderSource, folder: RunFolder) -> Path:
     dataset = source.dataset
     try:
         root.mkdir(exist_ok=True)
-        if dataset.annotations:
-            write_annotations(root, dataset.annotations)
-        library = root / LIBRARY_FOLDER
-        if not library.is_symlink() and (dataset.root / LIBRARY_FOLDER).is_dir():
-            library.symlink_to((dataset.root / LIBRARY_FOLDER).resolve(), target_is_directory=True)
+        annotations = {**dataset.annotations, **{asset_id: annotation for asset_id, (annotation, _) in others.items()}}
+        if annotations:
+            write_annotations(root, annotations)
+        _write_library(dataset, root / LIBRARY_FOLDER, {f"{asset_id}.glb": path for asset_id, (_, path) in others.items()})
         for batch in folder.batches("scenes"):
             for row in batch.to_pylist():
-                write_scene(root, scene_from_row(row), annotations=dataset.annotations)
+                write_scene(root, scene_from_row(row), annotations=annotations)
     except OSError as error:
         raise cannot_write(str(root), error) from error
     return root
+
+
+def _write_library(dataset: MesaTaskDataset, library: Path, others: Mapping[str, Path]) -> None:
+    """Links to the meshes of a dataset; if there are other ones too, by file name, it links or copies file by file."""
+    own = dataset.root / LIBRARY_FOLDER
+    if not others:
+        if own.is_dir() and not (library.is_symlink() or library.is_dir()):
+            library.symlink_to(own.resolve(), target_is_directory=True)
+        return
+    if library.is_symlink():
+        library.unlink()  # else the other meshes would be written to the source
+    library.mkdir(exist_ok=True)
+    paths = [path for asset_id in dataset.asset_ids if (path := dataset.asset_path(asset_id)) is not None]
+    for name, path in ({path.name: path for path in paths} | dict(others)).items():
+        if not (library / name).exists():
+            _link_file(path.resolve(), library / name)
+
+
+def _link_file(path: Path, link: Path) -> None:
+    """Makes a hard link, because a reader refuses other links that leave the library; a copy where there can be none."""
+    try:
+        link.hardlink_to(path)
+    except OSError:
+        write_file_atomically(link, path.read_bytes())

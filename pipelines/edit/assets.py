@@ -1,17 +1,15 @@
-"""Assets for the objects that an edit adds or resizes, from the library of the scene's own assets."""
+"""Assets for the objects that an edit adds or resizes, from the library of the scenes or, if it has none, from further ones."""
 
-import os
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
 from models.semantic_reasoner.editing import EditResult
-from models.text_encoder import load_default
+from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.scenes import SceneSource
 from stable_data.assets.box_fitting import box_proportions, size_score, stretched_scale, uniform_scale_factor
-from stable_data.assets.catalog import Asset, AssetLibrary
+from stable_data.assets.catalog import Asset
 from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
 from stable_data.assets.substitution import substitute_assets
 from stable_data.errors import Notice, SceneError
@@ -39,20 +37,19 @@ class AssignedEdit:
 
 
 class AssetFinder:
-    """Finds assets; the library is read and encoded at the first use.
+    """Finds assets; the libraries are encoded at the first use.
 
     Args:
-        source: The source of the scenes and their assets.
+        source: The source of the scenes; its store has the meshes of all libraries.
+        shelf: The libraries, that of the source first.
     """
 
-    def __init__(self, source: SceneSource) -> None:
-        self._source = source
+    def __init__(self, source: SceneSource, shelf: AssetLibraries) -> None:
+        self._source, self._shelf = source, shelf
 
     @cached_property
     def _retriever(self) -> Retriever:
-        encoder = load_default()
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / "text"
-        return Retriever([self._library.embedded(encoder, cache / f"{encoder.fingerprint}.parquet")], encoder)
+        return self._shelf.retriever()
 
     def assign(self, edited: EditResult, edit_id: str, seed: int) -> AssignedEdit:
         """Assigns an asset to each new object, and fits the own asset of each resized object to its new size.
@@ -66,7 +63,7 @@ class AssetFinder:
             seed: The seed of the edit.
 
         Raises:
-            SceneError: The library has no similar asset (``asset_unmatched``).
+            SceneError: No library has a similar asset (``asset_unmatched``).
         """
         scene, new = edited.scene, set(edited.need_asset)
         resized = [o for o in scene.objects if o.instance in edited.changed and o.scale is None and o.asset_id is not None]
@@ -76,11 +73,22 @@ class AssetFinder:
         queries = [AssetQuery(o.description, o.size, o.category, edit_id) for o in without_asset]
         answers = self._retriever.retrieve(queries, seed) if queries else []
         matches: dict[str, AssetMatch] = {}
+        notes = []
         for o, answer in zip(without_asset, answers, strict=True):
             if not isinstance(answer, AssetMatch):
                 raise SceneError(f"{edit_id}: no asset for {o.instance}: {answer.reason}", "asset_unmatched")
             matches[o.instance] = answer
+            if not self._shelf.is_of_first(answer.asset_id):
+                message = (
+                    f"{o.instance} has an asset of library {answer.library}, because that of the scenes has none that fits"
+                )
+                notes.append(Notice(edit_id, "assets", "asset_of_other_library", f"{edit_id}: {message}"))
         matches |= {o.instance: match for o in resized if (match := self._fitted(o)) is not None}
+        notes += [
+            Notice(edit_id, "assets", "not_stretched", f"{edit_id}: {name} {match.note}")
+            for name, match in matches.items()
+            if match.note
+        ]
         members = SupportTree.of(scene.objects).with_descendants(set(matches))
         done = {o.instance: o for o in substitute_assets([o for o in scene.objects if o.instance in members], matches)}
         objects = tuple(_named_so(done.get(o.instance, o), o) for o in scene.objects)
@@ -89,19 +97,14 @@ class AssetFinder:
             for o, now in zip(scene.objects, objects, strict=True)
             if o.instance not in matches and now.position == o.position
         )
-        notes = tuple(
-            Notice(edit_id, "assets", "not_stretched", f"{edit_id}: {name} {match.note}")
-            for name, match in matches.items()
-            if match.note
-        )
-        return AssignedEdit(replace(scene, objects=objects), kept, notes)
+        return AssignedEdit(replace(scene, objects=objects), kept, tuple(notes))
 
     def _fitted(self, o: SceneObject) -> AssetMatch | None:
         """An object's own asset at the tilt and scale nearest to its size, or None if it has no mesh."""
         mesh = self._source.store.mesh_of(o)
         if mesh is None or o.asset_id is None:
             return None
-        known = self._library_assets.get(o.asset_id)
+        known = self._assets.get(o.asset_id)
         tilts = (o.tilt_quat_xyzw, *((UPRIGHT,) if known is None else (tilt.quat_xyzw for tilt in known.tilts)))
         boxes = np.array([np.ptp(mesh.vertices @ rotation_matrix(tilt).T, axis=0) for tilt in tilts])
         scores = size_score(box_proportions(o.size), box_proportions(boxes))
@@ -117,12 +120,8 @@ class AssetFinder:
         return AssetMatch(o.asset_id, self._source.name, o.category, score, 1.0, score, tilts[k], scale, size)
 
     @cached_property
-    def _library(self) -> AssetLibrary:
-        return self._source.library()
-
-    @cached_property
-    def _library_assets(self) -> dict[str, Asset]:
-        return {asset.asset_id: asset for asset in self._library.assets}
+    def _assets(self) -> dict[str, Asset]:
+        return {asset.asset_id: asset for library in self._shelf.libraries for asset in library.assets}
 
 
 def _triple(values: FloatArray) -> Vec3:

@@ -22,6 +22,7 @@ from pipelines.edit.settings import EditSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure
 from pipelines.execution.shard_step import Rows, engine_stopped, rows_or_failure
+from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.edits import EditRequest
 from pipelines.sources.scenes import SourceScene, scene_source
 from stable_data.content_id import content_id
@@ -53,10 +54,16 @@ class EditReply:
 
 @dataclass(frozen=True, slots=True)
 class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
-    """The work of one shard: an item is an edit, and its answer is the applied reply."""
+    """The work of one shard: an item is an edit, and its answer is the applied reply.
+
+    Attributes:
+        assets: Libraries that are searched after that of the scenes, see :class:`~pipelines.sources.assets.AssetLibraries`.
+    """
 
     TABLES: ClassVar = ("warnings", "failures", "corrections", "edits", "scenes")
     UNIT: ClassVar = "edit"
+
+    assets: tuple[str, ...] = ()
 
     def item_id(self, item: EditRequest) -> str:
         """The edit's id."""
@@ -141,7 +148,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             audit, card = done.audit, done.card_after
         progress.step = "relations"
-        scene = relate_scene(posed, audit, opened.source.containers(posed.scene)).scene
+        scene = relate_scene(posed, audit, opened.shelf.containers(posed.scene)).scene
         assert card is not None  # a certified scene has a card
         card = add_counts(card, scene)
         if replied.kind == "none":
@@ -211,10 +218,12 @@ class _Opened(SceneWorkerState):
 
     Attributes:
         settings: The job's settings.
+        shelf: The asset libraries, that of the scenes first.
         finder: Finds assets for new objects.
     """
 
     settings: EditSettings
+    shelf: AssetLibraries
     finder: AssetFinder
 
     @cached_property
@@ -226,9 +235,9 @@ class _Opened(SceneWorkerState):
 
 @lru_cache(maxsize=1)
 def _opened(work: EditWork) -> _Opened:
-    settings, source = work.settings, scene_source(work.scenes)
-    corrector = corrector_of(settings, flows=settings.correct)
-    return _Opened(source, corrector, settings=settings, finder=AssetFinder(source))
+    settings, shelf = work.settings, AssetLibraries(work.assets, scenes=work.scenes)
+    source, corrector = scene_source(work.scenes, shelf), corrector_of(settings, flows=settings.correct)
+    return _Opened(source, corrector, settings=settings, shelf=shelf, finder=AssetFinder(source, shelf))
 
 
 def _is_poor(done: Correction) -> bool:

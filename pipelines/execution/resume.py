@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any
 
 from pipelines.execution.code_history import take_over_code, with_release
@@ -85,18 +85,19 @@ def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> None:
     folder.write_bytes("manifest.json", text.encode())
 
 
-def check_shards(folder: RunFolder, planned: Mapping[str, set[str]]) -> None:
+def check_shards(folder: RunFolder, planned: Mapping[str, set[str]], carried: Mapping[str, Set[str]]) -> None:
     """Refuses a folder whose shards are not those of the plan: its rows would be of several runs.
 
     Args:
         folder: The run.
         planned: Ids of the shards, by table.
+        carried: Ids of further shards that may be there, by table: copies from another run.
 
     Raises:
         ConfigError: A table has other shards, or lacks some.
     """
     for table, expected in planned.items():
-        found = folder.shard_ids(table)
+        found = folder.shard_ids(table) - (carried.get(table, set()) - expected)
         if found != expected:
             foreign, absent = sorted(found - expected), sorted(expected - found)
             raise ConfigError(

@@ -1,7 +1,7 @@
 """The contract of a job, and how every job runs: locked, resumed under one configuration only, checked and counted."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from time import perf_counter
@@ -96,6 +96,10 @@ class ShardJob(ABC):
         """Further steps, each planned from the run's tables when all earlier steps are finished."""
         yield from ()
 
+    def carried(self) -> Mapping[str, Set[str]]:
+        """Ids of the shards that :meth:`finish` copies from another run, by table."""
+        return {}
+
     def about(self) -> dict[str, Any]:
         """Further entries of the manifest, such as the number of items."""
         return {}
@@ -143,7 +147,7 @@ def run_job(job: ShardJob, out: str, workers: WorkerPool, *, report: bool = True
             _run_missing(folder, manifest, later, workers, job.name)
             steps += later
         planned = _planned(steps)
-        check_shards(folder, planned)
+        check_shards(folder, planned, job.carried())
         counts = {
             **count_rows(folder, [table for table, shard_ids in planned.items() if shard_ids]),
             **{e.failed_key: count_items(folder, e.table, e.column, e.ids, with_lost=e.with_lost) for e in job.expected()},

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
@@ -16,10 +15,9 @@ from pipelines.generate.report import write_generate_report
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
 from pipelines.sources.asset_copies import CopyAssets, asset_shards
-from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.assets import AssetLibraries, absolute_places
 from pipelines.sources.generation_tasks import TaskSource
 from stable_data.content_id import content_id
-from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import ConfigError, Notice
 from stable_data.storage.run_folder import RunFolder
 
@@ -59,7 +57,7 @@ class GenerateJob(ShardJob):
     def __init__(self, tasks: TaskSource, settings: GenerateSettings, assets: Sequence[str] = ()) -> None:
         self.tasks, self.dataset = tasks, tasks.name
         self.settings = settings.of_tasks(len(tasks.tasks))
-        self.places = tuple(p if "://" in p or p == EMBEDDED else str(Path(p).expanduser().resolve()) for p in assets)
+        self.places = absolute_places(assets)
 
     @cached_property
     def _libraries(self) -> AssetLibraries:

@@ -259,9 +259,7 @@ class GenerateWork(ShardStep[Task]):
         posed = PosedScene(scene, shapes)
         audit = audit_posed_scene(posed) if made.correction is None else made.correction.audit or audit_posed_scene(posed)
         progress.step = "relations"
-        containers = {
-            o.instance: opened.shelf.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects
-        }
+        containers = opened.shelf.containers(scene)
         seen = relate_scene(posed, audit, containers)
         scene = seen.scene
         progress.step = "settle"

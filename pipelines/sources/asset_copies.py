@@ -1,7 +1,7 @@
 """Copies the assets of scenes into their run, which can then be loaded and exported without the libraries."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import ClassVar
@@ -30,6 +30,8 @@ class CopyAssets(ItemStep[AssetUse]):
         places: The asset libraries, see :class:`~pipelines.sources.assets.AssetLibraries`.
         fingerprint: Hash of the libraries.
         seconds: Time limit of an asset.
+        scenes: A source of scenes whose own library is the first, or None.
+        decomposes: Whether meshes that come without convex parts are decomposed.
     """
 
     TABLES: ClassVar = ("warnings", "failures", "meshes", "assets")
@@ -39,6 +41,8 @@ class CopyAssets(ItemStep[AssetUse]):
     places: tuple[str, ...]
     fingerprint: str
     seconds: float
+    scenes: str | None = None
+    decomposes: bool = True
 
     @property
     def seconds_per_item(self) -> float:
@@ -54,29 +58,33 @@ class CopyAssets(ItemStep[AssetUse]):
         _opened(self)
 
     def item_rows(self, item: AssetUse, progress: ItemProgress) -> Rows:
-        """The rows of one asset."""
+        """The rows of one asset; none if its mesh cannot be used, as the warnings of its scenes say."""
         progress.step = "mesh"
         shelf, store = _opened(self)
+        if store.fault_of(item.asset_id) is not None:
+            return {}
         path = shelf.asset_path(item.asset_id)
         if path is not None:
             item = replace(item, mesh_sha256=file_digest(path))
-        made = preprocess_asset(item, shelf.annotation(item.asset_id), store, AssetSettings(), progress)
+        settings = AssetSettings(decomposes=self.decomposes)
+        made = preprocess_asset(item, shelf.annotation(item.asset_id), store, settings, progress)
         return {"assets": [made.asset], "meshes": [made.mesh], "warnings": [notice_row(n) for n in made.notices]}
 
 
 @lru_cache(maxsize=1)
 def _opened(work: CopyAssets) -> tuple[AssetLibraries, AssetStore]:
-    shelf = AssetLibraries(work.places)
+    shelf = AssetLibraries(work.places, scenes=work.scenes)
     return shelf, AssetStore(shelf)
 
 
-def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list[Shard[AssetUse]]:
-    """The assets that the scenes of a run use, in shards. A run without scenes gets one empty shard, so that its tables exist.
+def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str, without: Container[str] = ()) -> list[Shard[AssetUse]]:
+    """The assets that the scenes of a run use, in shards. If there are none, there is one empty shard, so that the tables exist.
 
     Args:
         run: The run.
         names: Its tables of scenes.
         fingerprint: Hash of the libraries.
+        without: Ids of assets that are not copied.
     """
     uses: dict[str, AssetUseCount] = defaultdict(AssetUseCount)
     for name in names:
@@ -84,7 +92,7 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str) -> list
             objects = pc.list_flatten(batch["objects"])
             columns = [pc.struct_field(objects, key).to_pylist() for key in ("asset_id", "scale", "tilt_quat_xyzw")]
             for asset_id, scale, tilt in zip(*columns, strict=True):
-                if asset_id is not None:
+                if asset_id is not None and asset_id not in without:
                     uses[asset_id].add(None if scale is None else tuple(scale), tuple(tilt))
     # No signed-distance grids: only training needs them, and it computes its own.
     found = [AssetUse(a, "", use.typical_scale(), (), tuple(use.most_tilts())) for a, use in sorted(uses.items())]

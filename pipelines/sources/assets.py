@@ -1,7 +1,7 @@
 """The asset libraries of a job, searched in order, with their meshes."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from models.text_encoder import load_default
 from pipelines.preprocess.plan import file_digest
-from pipelines.sources.scenes import FolderSource, mesh_cache
+from pipelines.sources.scenes import Containers, FolderSource, mesh_cache
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.retrieval import Retriever
@@ -21,10 +21,12 @@ from stable_data.assets.store import colliders_of
 from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.library import embedded_library
+from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.mesatask.library import AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
+from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
 
@@ -34,14 +36,16 @@ class _Place:
     """A library with access to its files.
 
     Attributes:
-        library: Its catalogue.
+        library: Its catalogue, or None if no asset can be retrieved.
+        asset_ids: All its assets, also those that cannot be retrieved.
         meshes: The mesh file of an asset.
         annotation: The annotation of an asset.
         contents: Content hashes of the meshes, by asset; an asset without a mesh has none.
         parts: The stored convex parts of an asset; empty if it stores none.
     """
 
-    library: AssetLibrary
+    library: AssetLibrary | None
+    asset_ids: Collection[str]
     meshes: Callable[[str], Path | None]
     annotation: Callable[[str], AssetAnnotation]
     contents: Callable[[], Mapping[str, object]]
@@ -54,6 +58,8 @@ class AssetLibraries:
     Args:
         places: Folders in the MesaTask-10K format (layouts may be missing), or runs with the tables ``assets`` and ``meshes``;
             ``embedded`` is the embedded world's library, which is made if it is missing. Empty: the embedded library alone.
+        scenes: A source of scenes whose own library is the first, before those of the places, of which there may then be none. It
+            may contain no usable asset.
 
     Attributes:
         libraries: The catalogues, not encoded.
@@ -62,16 +68,20 @@ class AssetLibraries:
         ConfigError: A library cannot be read, or contains no usable asset.
     """
 
-    def __init__(self, places: Sequence[str] = ()) -> None:
-        places = places or (EMBEDDED,)
-        twice = {name for name, count in Counter(map(_name, places)).items() if count > 1}
-        opened = [_opened(place, place if _name(place) in twice else _name(place)) for place in places]
+    def __init__(self, places: Sequence[str] = (), *, scenes: str | None = None) -> None:
+        every = (tuple(places) or (EMBEDDED,)) if scenes is None else (scenes, *places)
+        twice = {name for name, count in Counter(map(_name, every)).items() if count > 1}
+        self._places = [
+            _opened(place, place if _name(place) in twice else _name(place), may_be_empty=scenes is not None and k == 0)
+            for k, place in enumerate(every)
+        ]
         self._of: dict[str, _Place] = {}
         libraries = []
-        for place in opened:
-            own = tuple(a for a in place.library.assets if a.asset_id not in self._of)
-            self._of |= dict.fromkeys((a.asset_id for a in own), place)
-            if own:
+        for place in self._places:
+            new = {asset_id for asset_id in place.asset_ids if asset_id not in self._of}
+            self._of |= dict.fromkeys(new, place)
+            own = tuple(a for a in place.library.assets if a.asset_id in new) if place.library is not None else ()
+            if place.library is not None and own:
                 libraries.append(replace(place.library, assets=own))
         self.libraries = tuple(libraries)
         self._extents = {a.asset_id: a.extents for library in libraries for a in library.assets}
@@ -97,20 +107,38 @@ class AssetLibraries:
         cache = _cache() / "text" / f"{encoder.fingerprint}.parquet"
         return Retriever([library.embedded(encoder, cache) for library in self.libraries], encoder, settings)
 
+    def _place_of(self, asset_id: str) -> _Place:
+        """The place that lists an asset; else the first, which may have a variant of it."""
+        return self._of.get(asset_id, self._places[0])
+
+    def is_of_first(self, asset_id: str) -> bool:
+        """Whether an asset is of the first library, or of none."""
+        return self._place_of(asset_id) is self._places[0]
+
     def asset_path(self, asset_id: str) -> Path | None:
         """The asset's GLB, or None if it has none."""
-        place = self._of.get(asset_id)
-        return None if place is None else place.meshes(asset_id)
+        return self._place_of(asset_id).meshes(asset_id)
 
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
         """The convex parts of an asset that a run or the embedded world stores; empty for other libraries."""
-        place = self._of.get(asset_id)
-        return () if place is None else place.parts(asset_id)
+        return self._place_of(asset_id).parts(asset_id)
 
     def annotation(self, asset_id: str) -> AssetAnnotation:
-        """The annotation of an asset of the libraries, with its box."""
-        found = self._of[asset_id].annotation(asset_id)
-        return found if found.extents_z_up is not None else replace(found, extents_z_up=self._extents[asset_id])
+        """The annotation of an asset, with its box if that is known; defaults for an asset without one."""
+        try:
+            found = self._place_of(asset_id).annotation(asset_id)
+        except KeyError:
+            return AssetAnnotation(asset_id)
+        return found if found.extents_z_up is not None else replace(found, extents_z_up=self._extents.get(asset_id))
+
+    def containers(self, scene: Scene) -> Containers:
+        """Which objects of a scene are containers, according to the annotations of their assets."""
+        return {o.instance: None if o.asset_id is None else self.annotation(o.asset_id).is_container for o in scene.objects}
+
+
+def absolute_places(places: Sequence[str]) -> tuple[str, ...]:
+    """Places of libraries with absolute paths, which workers in other folders can open too."""
+    return tuple(p if "://" in p or p == EMBEDDED else str(Path(p).expanduser().resolve()) for p in places)
 
 
 def _cache() -> Path:
@@ -121,21 +149,33 @@ def _name(place: str) -> str:
     return Path(place).name or place
 
 
-def _opened(place: str, name: str) -> _Place:
+def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
     if place == EMBEDDED:
         root, library = embedded_library(_cache())
-        made = _of_folder(root, library)
+        made = _of_folder(root, lambda: library, may_be_empty=False)
         # The folder is named by a hash of the code that made it; its convex parts are exact by construction.
         of_all = dict.fromkeys((a.asset_id for a in library.assets), root.name)
         return replace(made, contents=lambda: of_all, parts=partial(_parts_of_file, made.meshes))
     if "://" in place or RunFolder(place).files("assets"):
         run = RunFolder(place)
         kept = RunAssets(run, mesh_cache())
-        annotation = run_annotations(run).__getitem__
-        return _Place(library_of_run(run, name), kept.asset_path, annotation, partial(_contents_of_run, run), kept.parts)
+        annotations = run_annotations(run)
+        listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
+        contents = partial(_contents_of_run, run)
+        return _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts)
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
-    return _of_folder(root, library_of_folder(root, name, scenes=shown))
+    return _of_folder(root, partial(library_of_folder, root, name, scenes=shown), may_be_empty=may_be_empty)
+
+
+def _listed(read: Callable[[], AssetLibrary], *, may_be_empty: bool) -> AssetLibrary | None:
+    """A catalogue; None if it is empty and may be."""
+    try:
+        return read()
+    except ConfigError as error:
+        if may_be_empty and error.code == "library_empty":
+            return None
+        raise
 
 
 def _parts_of_file(meshes: Callable[[str], Path | None], asset_id: str) -> tuple[Mesh, ...]:
@@ -143,9 +183,10 @@ def _parts_of_file(meshes: Callable[[str], Path | None], asset_id: str) -> tuple
     return () if path is None else colliders_of(path, asset_id)
 
 
-def _of_folder(root: Path, library: AssetLibrary) -> _Place:
-    folder = AssetFolder(root)
-    return _Place(library, folder.path, folder.annotation, partial(_contents_of_folder, folder, library))
+def _of_folder(root: Path, read: Callable[[], AssetLibrary], *, may_be_empty: bool) -> _Place:
+    library, folder = _listed(read, may_be_empty=may_be_empty), AssetFolder(root)
+    contents = partial(_contents_of_folder, folder)
+    return _Place(library, folder.asset_ids, folder.path, folder.annotation, contents)
 
 
 def _contents_of_run(run: RunFolder) -> dict[str, object]:
@@ -154,9 +195,9 @@ def _contents_of_run(run: RunFolder) -> dict[str, object]:
     return {row["asset_id"]: row for row in rows}
 
 
-def _contents_of_folder(folder: AssetFolder, library: AssetLibrary) -> dict[str, object]:
+def _contents_of_folder(folder: AssetFolder) -> dict[str, object]:
     """The hash of each mesh of a folder; a file that several assets share is read once."""
-    path_of = {a.asset_id: path for a in library.assets if (path := folder.path(a.asset_id)) is not None}
+    path_of = {asset_id: path for asset_id in folder.asset_ids if (path := folder.path(asset_id)) is not None}
     paths = sorted(set(path_of.values()))
     with ThreadPoolExecutor() as pool:  # hashing and reading release the interpreter lock
         digests = tqdm(pool.map(file_digest, paths), "meshes", len(paths), unit="file", leave=False)

@@ -14,14 +14,12 @@ from pipelines.preprocess.convention import ConventionChoice
 from pipelines.preprocess.plan import plan_run
 from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
 from pipelines.preprocess.settings import PreprocessSettings
-from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.run_assets import RunAssets
-from stable_data.assets.store import AssetStore
+from stable_data.assets.store import AssetSource, AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
-from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.mesatask.convention_detection import position_convention
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.scene import Scene
@@ -100,25 +98,22 @@ class SceneSource(Protocol):
         """Which objects of a scene are containers, according to their assets."""
         ...
 
-    def library(self) -> AssetLibrary:
-        """The catalogue of its assets, without text embeddings."""
-        ...
-
 
 class FolderSource:
     """A folder in the MesaTask-10K format.
 
     Args:
         root: The folder.
+        assets: Its meshes and those of further libraries; by default its own.
 
     Raises:
         ConfigError: It is not a dataset.
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, assets: AssetSource | None = None) -> None:
         self.dataset = MesaTaskDataset(root)
         self.name = root.name
-        self.store = AssetStore(self.dataset)
+        self.store = AssetStore(self.dataset if assets is None else assets)
         self.scene_ids = tuple(self.dataset.scene_ids)
         self.notices = self.dataset.notices
 
@@ -149,10 +144,6 @@ class FolderSource:
         """Which objects are containers according to the annotations."""
         return {o.instance: self.dataset.annotation(o.asset_id).is_container if o.asset_id else None for o in scene.objects}
 
-    def library(self) -> AssetLibrary:
-        """Its annotated assets, with the resting tilts of its first scenes."""
-        return library_of_folder(self.dataset.root, self.name, scenes=self.first_scenes())
-
     def first_scenes(self) -> Iterator[Scene]:
         """The first readable scenes, for the resting tilts of assets."""
         for scene_id in self.dataset.scene_ids[:_MAX_TILT_SCENES]:
@@ -165,7 +156,7 @@ class TableSource:
 
     Args:
         uri: The run's folder.
-        cache: Local folder for its mesh files; by default in the user's cache folder.
+        assets: Its meshes and those of further libraries; by default its own.
 
     Raises:
         ConfigError: The run lacks these tables, or they have another version.
@@ -173,10 +164,10 @@ class TableSource:
 
     notices: tuple[Notice, ...] = ()
 
-    def __init__(self, uri: str, cache: Path | None = None) -> None:
+    def __init__(self, uri: str, assets: AssetSource | None = None) -> None:
         self.folder = RunFolder(uri)
         self.name = Path(self.folder.root).name
-        self.store = AssetStore(RunAssets(self.folder, cache or mesh_cache()))
+        self.store = AssetStore(RunAssets(self.folder, mesh_cache()) if assets is None else assets)
         rows = self.folder.table("assets", ["asset_id", "is_container"])
         self._is_container = dict(zip(rows["asset_id"].to_pylist(), rows["is_container"].to_pylist(), strict=True))
         self._ids = _ids_by_file(self.folder)
@@ -215,10 +206,6 @@ class TableSource:
         """Which objects are containers according to the table ``assets``."""
         return {o.instance: self._is_container.get(o.asset_id or "") for o in scene.objects}
 
-    def library(self) -> AssetLibrary:
-        """The catalogue from the table ``assets``."""
-        return library_of_run(self.folder, self.name)
-
     def row(self, scene_id: str) -> schemas.Row:
         """A row of ``scenes``; its file stays in memory for the next row."""
         path = self._file_of[scene_id]
@@ -247,12 +234,16 @@ def _ids_by_file(folder: RunFolder) -> dict[str, tuple[str, ...]]:
     return ids
 
 
-def scene_source(uri: str) -> SceneSource:
+def scene_source(uri: str, assets: AssetSource | None = None) -> SceneSource:
     """The source at a path or URI.
+
+    Args:
+        uri: The path or URI.
+        assets: Its meshes and those of further libraries; by default its own.
 
     Raises:
         ConfigError: It contains neither a dataset nor a run with scenes.
     """
     if "://" in uri or RunFolder(uri).files("scenes"):
-        return TableSource(uri)
-    return FolderSource(Path(uri).expanduser().resolve())
+        return TableSource(uri, assets)
+    return FolderSource(Path(uri).expanduser().resolve(), assets)

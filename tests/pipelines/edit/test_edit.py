@@ -23,6 +23,7 @@ from pipelines.edit.assets import AssetFinder
 from pipelines.edit.job import edit
 from pipelines.edit.shard import EditWork
 from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
+from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.edits import EditRequest, read_edits
 from pipelines.sources.scenes import FolderSource
 from stable_data.errors import ConfigError
@@ -146,7 +147,9 @@ def test_a_thing_of_another_size_is_the_same_mesh_scaled(
     (instance,) = [i for i, name in shown.names.items() if name == last.instance]
     x, y, z = (s * f for s, f in zip(scene[instance].size, factors, strict=True))
     resized = replace(last, size_cm=(round(100 * x, 1), round(100 * y, 1), round(100 * z, 1)))
-    done = AssetFinder(source).assign(apply_edit(scene, LayoutReply((resized,))), "edit", 0)
+    done = AssetFinder(source, AssetLibraries(scenes=str(dataset))).assign(
+        apply_edit(scene, LayoutReply((resized,))), "edit", 0
+    )
     now, was = done.scene[instance], scene[instance]
     assert (now.asset_id, now.tilt_quat_xyzw) == (was.asset_id, was.tilt_quat_xyzw)
     assert now.scale is not None
@@ -267,7 +270,7 @@ def test_an_edit_in_a_process_of_its_own_gives_the_same_rows(dataset: Path, edit
 def test_the_command_says_what_it_would_do_and_what_failed(dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path) -> None:
     path = file_of([wanted[-1], "{"], tmp_path / "e.jsonl")
     given = ["edit", "--scenes", str(dataset), "--edits", str(path), "--out", str(tmp_path / "out")]
-    given += ["--workers", "0", "--set=weights=none", "--set=num_pictures=0"]
+    given += ["--assets", "none", "--workers", "0", "--set=weights=none", "--set=num_pictures=0"]
     plan = json.loads(CliRunner().invoke(app, [*given, "--dry-run"]).stdout)
     assert (plan["num_edits"], plan["num_lost"], plan["num_shards"]) == (2, 1, 1)
     assert not (tmp_path / "out").exists()
