@@ -215,7 +215,7 @@ def test_a_run_that_was_broken_off_goes_on(
 def arguments(dataset: Path, edits: Path, out: Path, workers: int) -> list[str]:
     settings = [f"--set={k}={json.dumps(v)}" for k, v in (SMALL.shaping() | {"num_pictures": 0}).items()]
     where = ["--scenes", str(dataset), "--edits", str(edits), "--out", str(out), "--engine", "scripted:not_opened"]
-    return ["edit", *where, "--workers", str(workers), *settings]
+    return ["edit", *where, "--assets", "none", "--workers", str(workers), *settings]
 
 
 @pytest.mark.slow

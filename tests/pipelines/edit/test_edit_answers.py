@@ -276,7 +276,19 @@ def test_an_engine_that_is_not_there_is_refused_before_anything_is_written(
 def test_the_command_asks_the_engine_that_is_named(dataset: Path, wanted: list[dict[str, Any]], tmp_path: Path) -> None:
     path = file_of([{"scene_id": wanted[0]["scene_id"], "instruction": "Do it."}], tmp_path / "e.jsonl")
     (tmp_path / "script.json").write_text(json.dumps({"Do it.": wanted[0]["reply"]}), "utf-8")
-    given = ["edit", "--scenes", str(dataset), "--edits", str(path), "--out", str(tmp_path / "out"), "--workers", "0"]
+    given = [
+        "edit",
+        "--assets",
+        "none",
+        "--scenes",
+        str(dataset),
+        "--edits",
+        str(path),
+        "--out",
+        str(tmp_path / "out"),
+        "--workers",
+        "0",
+    ]
     given += ["--set=weights=none", "--set=num_pictures=0", "--set=engine.sampling.temperature=0.2", "--set=reasoner.tries=2"]
     done = CliRunner().invoke(app, [*given, "--engine", f"scripted:{tmp_path / 'script.json'}"])
     assert done.exit_code == 0, done.stderr
