@@ -190,8 +190,8 @@ def edit(
     """Change scenes by instructions, and nothing else in them. Run again to continue after a stop.
 
     Edited scenes are in the table scenes, the changes in the table edits, the assets in assets and meshes. For a folder in the
-    MesaTask-10K format, OUT/dataset is the folder of edited scenes. Status 0: done. 1: some edits failed; the table failures gives the reasons. 2: could not
-    start.
+    MesaTask-10K format, OUT/dataset is the folder of edited scenes. Status 0: done. 1: some edits failed; the table failures
+    gives the reasons. 2: could not start.
     """
     from pipelines.edit.job import EditJob
     from pipelines.edit.job import edit as run
