@@ -124,6 +124,78 @@ class MentionScores:
     goal: Tensor
 
 
+class MentionAttention(nn.Module):
+    """Layers in which mentions attend to each other and to the words. They change nothing before they are trained.
+
+    Args:
+        size: Width of the words.
+        layers: Number of layers.
+    """
+
+    def __init__(self, size: int, layers: int = 2) -> None:
+        super().__init__()
+        self.memory = nn.Linear(size, _WIDTH)
+        self.layers = nn.ModuleList(_silent_decoder_layer() for _ in range(layers))
+
+    def forward(self, mentions: Tensor, words: Tensor, exists: Tensor, is_word: Tensor) -> Tensor:
+        """Returns the mentions in context.
+
+        Args:
+            mentions: (B, M, 256).
+            words: (B, W, D).
+            exists: Whether a mention is one, not padding, (B, M) bool.
+            is_word: Whether a word is one, not padding, (B, W) bool.
+        """
+        memory = self.memory(words)
+        for layer in self.layers:
+            mentions = layer(mentions, memory, tgt_key_padding_mask=~exists, memory_key_padding_mask=~is_word)
+        return mentions
+
+
+class PairAttention(nn.Module):
+    """A layer in which each pair of mentions attends to the pairs with the same first, then with the same second mention.
+
+    So a thing that is on one carrier is on no other one, and chains are scored together. It changes nothing before it is trained.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.norms = nn.ModuleList(nn.LayerNorm(_PAIR) for _ in range(3))
+        self.axes = nn.ModuleList(_silent_attention() for _ in range(2))
+        self.feed = nn.Sequential(nn.Linear(_PAIR, 2 * _PAIR), nn.GELU(), nn.Dropout(0.1), _silent(nn.Linear(2 * _PAIR, _PAIR)))
+
+    def forward(self, pairs: Tensor, exists: Tensor) -> Tensor:
+        """Returns the pairs in context, (B, M, M, 192), from the pairs and whether each mention is one, (B, M) bool."""
+        batch, size = exists.shape
+        is_padding = (~exists)[:, None].expand(-1, size, -1).reshape(batch * size, size)
+        for norm, axis in zip(self.norms, self.axes, strict=False):
+            rows = norm(pairs).reshape(batch * size, size, -1)
+            seen, _ = axis(rows, rows, rows, key_padding_mask=is_padding, need_weights=False)
+            pairs = (pairs + seen.view_as(pairs)).transpose(1, 2)  # the other axis; twice is the first one again
+        new: Tensor = self.feed(self.norms[2](pairs))
+        return pairs + new
+
+
+def _silent(layer: nn.Linear) -> nn.Linear:
+    """A linear layer whose output is 0."""
+    nn.init.zeros_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+def _silent_attention() -> nn.MultiheadAttention:
+    attention = nn.MultiheadAttention(_PAIR, 4, 0.1, batch_first=True)
+    _silent(attention.out_proj)
+    return attention
+
+
+def _silent_decoder_layer() -> nn.TransformerDecoderLayer:
+    layer = nn.TransformerDecoderLayer(_WIDTH, 4, 2 * _WIDTH, 0.1, "gelu", batch_first=True, norm_first=True)
+    for part in (layer.self_attn.out_proj, layer.multihead_attn.out_proj, layer.linear2):
+        _silent(part)
+    return layer
+
+
 class ReaderNetwork(nn.Module):
     """The network.
 
@@ -148,6 +220,8 @@ class ReaderNetwork(nn.Module):
         self.start_product = nn.Parameter(0.02 * torch.randn(len(START), 65, 65))
         self.goal_product = nn.Parameter(0.02 * torch.randn(len(GOAL), 65, 65))
         self.start, self.goal = nn.Linear(_PAIR, len(START)), nn.Linear(_PAIR, len(GOAL))
+        self.in_sentence = MentionAttention(size)
+        self.among_pairs = nn.ModuleList(PairAttention() for _ in range(2))
 
     def words(self, batch: WordBatch) -> Tensor:
         """Returns a row for each word, the mean of its tokens, (B, W, D) float32; words beyond the tokens are 0."""
@@ -172,7 +246,8 @@ class ReaderNetwork(nn.Module):
         first, last = spans.unbind(-1)
         mean = (rows(last + 1, sums) - rows(first, sums)) / (last + 1 - first)[..., None]
         own = self.mention(torch.cat([rows(first, words), rows(last, words), mean], -1))
-        seen = self.among(own, src_key_padding_mask=~exists)
+        is_word = words.abs().sum(-1) > 0
+        seen = self.in_sentence(self.among(own, src_key_padding_mask=~exists), words, exists, is_word)
         both = torch.cat([own, seen], -1)
         low = torch.minimum(last[:, :, None], last[:, None]) + 1
         high = torch.maximum(torch.maximum(first[:, :, None], first[:, None]), low)
@@ -182,6 +257,8 @@ class ReaderNetwork(nn.Module):
         sign = torch.sign(first[:, None] - first[:, :, None])
         far = sign * (count.clamp(max=_MOST_BETWEEN) + 1) + _MOST_BETWEEN + 1
         hidden = self.pair(self.one(both)[:, :, None] + self.other(both)[:, None] + self.between(gap) + self.distance(far))
+        for layer in self.among_pairs:
+            hidden = layer(hidden, exists)
         a, b = (pad(half(both), (0, 1), value=1.0) for half in (self.left, self.right))
         start = torch.einsum("bih,rhk,bjk->bijr", a, self.start_product, b) + self.start(hidden)
         goal = torch.einsum("bih,rhk,bjk->bijr", a, self.goal_product, b) + self.goal(hidden)

@@ -26,6 +26,9 @@ DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "instruction
 
 FORMAT = "stable-data instruction reader 1"
 
+_LATER = ("in_sentence.", "among_pairs.")
+"""Layers that earlier files do not have; they change nothing before they are trained."""
+
 _SCALE = ".scale"
 _LEVELS = 127
 
@@ -125,7 +128,9 @@ def load_reader(path: Path = DEFAULT_WEIGHTS, trains: bool = False) -> ReaderMod
         raise ConfigError(message, "encoder_mismatch")
     state = model.network.state_dict()
     unknown = sorted(name for name in tensors if name.removesuffix(_SCALE) not in state)
-    missing = sorted(name for name in state if not name.startswith("encoder.") and name not in tensors)
+    is_early = not any(name.startswith(_LATER) for name in tensors)
+    given = ("encoder.", *_LATER) if is_early else ("encoder.",)
+    missing = sorted(name for name in state if not name.startswith(given) and name not in tensors)
     if unknown or missing:
         message = f"{path}: has {(unknown or ['no ' + missing[0]])[0]}, expected the weights of {ReaderNetwork.__name__}"
         raise ConfigError(message, "weights_invalid")

@@ -12,8 +12,8 @@ from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
 from models.instruction_reader.sentences import split_words
 from stable_data.errors import SceneError
+from stable_data.instructions.wording.vocabulary import closeness
 from stable_data.instructions.wording.words import singular, type_words
-from stable_data.metrics.matching import closeness
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
 from stable_data.scene_graph.relations import cell_of, direction_of, is_held, relations_of, scene_graph
 
