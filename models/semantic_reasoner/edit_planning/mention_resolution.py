@@ -344,13 +344,17 @@ class MentionResolver:
                     if j != k and len(rest) >= len(self.groups[j].numbers):
                         left[j] = rest
         for k, names in enumerate(left):  # "one brush ... another brush": the same objects fit several groups, one each
-            change = self.groups[k].first.change
-            alike = [j for j, others in enumerate(left) if others == names and self.groups[j].first.change == change]
+            one = self.groups[k].first
+            alike = [j for j, others in enumerate(left) if others == names and _are_alike(one, self.groups[j].first)]
             if len(alike) > 1 and sum(len(self.groups[j].numbers) for j in alike) == len(names):
                 each = iter(names)
                 for j in alike:
                     left[j] = [next(each) for _ in self.groups[j].numbers]
         return left
+
+
+def _are_alike(one: MentionedObject, other: MentionedObject) -> bool:
+    return (one.words, one.change) == (other.words, other.change)
 
 
 def _common_words(words: Iterable[str], of_description: Sequence[str]) -> int:
