@@ -12,8 +12,9 @@ The rule, in order:
    required.
 4. Of these, one with the most relations that hold is taken. Six identical blocks thus get the roles that suit them best.
 
-Steps 2 and 3 are an assignment problem, step 4 is a small integer program; both are solved exactly. A search that needs more
-than ``MAX_NODES`` nodes is stopped: its relations are unknown, but its matching still has the most objects.
+Steps 2 and 3 are an assignment problem, step 4 is a small integer program; both are solved exactly. A search that is too large
+(``MAX_SEARCH``) is not made, and one that needs more than ``MAX_NODES`` nodes is stopped: its relations are unknown, but its
+matching still has the most objects.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -32,6 +33,10 @@ from stable_data.scene import FloatArray, SceneObject
 MAX_NODES = 1000
 """Branch-and-bound nodes after which the search for the most relations is stopped: some seconds. Twelve identical objects at
 random places, with the directions of another random layout required, need some hundreds; twenty may need more."""
+
+MAX_SEARCH = 250_000
+"""Product of the pairs that may be matched and of the choices that the options of relations leave, above which no search is made. A
+row of sixteen identical objects is below it, and takes ten seconds; one of thirty would take more than a minute."""
 
 Option: TypeAlias = Mapping[str, Set[str]]
 """One way for a relation to hold: required instance -> the generated instances that it may be matched to for this."""
@@ -153,11 +158,14 @@ def _largest_matching(pairs: Sequence[tuple[str, str]], values: FloatArray) -> t
 def _best_matching(
     pairs: Sequence[tuple[str, str]], values: FloatArray, most: float, desired: Sequence[DesiredRelation]
 ) -> dict[str, str] | None:
-    """The matching of the greatest value that fulfils the most relations; None if the search was stopped.
+    """The matching of the greatest value that fulfils the most relations; None if the search was not made or was stopped.
 
     There is one variable, 0 or 1, for each pair, and one for each option of each relation. An option can be chosen only if
     every instance that it mentions is matched to an object that it allows.
     """
+    choices = (len(allowed) - 1 for relation in desired for option in relation.options for allowed in option.values())
+    if len(pairs) * sum(choices) > MAX_SEARCH:
+        return None
     number = {pair: k for k, pair in enumerate(pairs)}
     program = _IntegerProgram([0.0] * len(pairs))
     for side in (0, 1):  # each required and each generated object is in at most one pair

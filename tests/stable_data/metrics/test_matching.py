@@ -129,3 +129,18 @@ def test_a_search_that_is_given_up_says_so(monkeypatch: pytest.MonkeyPatch) -> N
     found = match(may_be, wishes)
     assert not found.is_best
     assert len(found.matches) == 9
+
+
+def test_a_row_of_very_many_like_objects_is_not_searched() -> None:
+    """It would take minutes."""
+    asked = [RequiredObject(f"r{k}", ("dice",)) for k in range(40)]
+    may_be = candidates(asked, [thing(f"o{k}", "dice") for k in range(40)])
+    beside = tuple(
+        DesiredRelation(1, tuple({f"r{k}": {f"o{n}"}, f"r{k + 1}": {f"o{m}" for m in range(n)}} for n in range(1, 40)))
+        for k in range(39)
+    )
+    found = match(may_be, beside)
+    assert len(found.matches) == 40
+    assert not found.is_best
+    in_order = match(may_be, tuple(DesiredRelation(1, ({f"r{k}": {f"o{k}"}},)) for k in range(40)))
+    assert in_order.is_best
