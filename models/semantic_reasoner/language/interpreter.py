@@ -19,6 +19,7 @@ from models.instruction_reader.reference import reference_of_reading
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.hazards import hazard_of
+from models.semantic_reasoner.language.stated_counts import with_stated_counts
 from models.semantic_reasoner.text.prompt import ANY_TABLE, required_phrases
 from stable_data.errors import Notice
 from stable_data.instructions.wording.vocabulary import nouns_of
@@ -49,6 +50,7 @@ class InterpretedInstruction:
     Attributes:
         instruction: The instruction.
         reading: Its objects and relations.
+        num_objects: Number of known objects that it states; if no layout can have so many, ``reading`` has fewer.
         reference: What a scene must have so that the instruction makes sense in it; None if it mentions no known object.
         stated: The same with the relations that contradict others, which no scene can fulfil.
         wording: The instruction with nouns that the engine knows.
@@ -58,6 +60,7 @@ class InterpretedInstruction:
 
     instruction: str
     reading: InstructionReading
+    num_objects: int
     reference: AlignmentReference | None
     stated: AlignmentReference | None
     wording: str
@@ -99,13 +102,17 @@ class InstructionInterpreter:
         if self._is_foreign(instruction):
             message = f"most words of {_shown(instruction)} are unknown, expected English; write it in English"
             notice = Notice("instruction", STEP, "language_unknown", f"instruction: {message}")
-            return InterpretedInstruction(instruction, InstructionReading(()), None, None, instruction, (), (notice,))
-        reading, notices = self._with_similar_nouns(self._reader.read(instruction, is_edit), instruction)
+            return InterpretedInstruction(instruction, InstructionReading(()), 0, None, None, instruction, (), (notice,))
+        reading = self._reader.read(instruction, is_edit)
+        if not is_edit:  # the reader may take objects for new ones that only an edit can have
+            reading = replace(reading, objects=tuple(replace(o, change="") for o in reading.objects))
+        reading, notices = self._with_similar_nouns(reading, instruction)
+        reading, num_objects = with_stated_counts(reading, instruction)
         reference, stated = (reference_of_reading(reading, "instruction", both) for both in (False, True))
         wording = self._reworded(instruction, reading)
         notices += (*_contradictions(reading), *_dangers(instruction, reading))
         phrases = () if reference is None else self._phrases(reference)
-        return InterpretedInstruction(instruction, reading, reference, stated, wording, phrases, notices)
+        return InterpretedInstruction(instruction, reading, num_objects, reference, stated, wording, phrases, notices)
 
     def table_type(self, table_type: str) -> tuple[str, tuple[Notice, ...]]:
         """Returns a kind of table if it is known, else the kind for any table, so that the engine sees only its size.
