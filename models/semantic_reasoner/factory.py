@@ -13,6 +13,7 @@ from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.prompt_styles import prompt_style_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
+from models.semantic_reasoner.replies.required_objects import RequiredObjects
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
 from models.semantic_reasoner.text.zero_shot_prompt import ZERO_SHOT_SYSTEM
 from models.settings import Count, PositiveCount, Settings
@@ -76,12 +77,13 @@ def load_reasoner(
     """
     settings = settings or ReasonerSettings()
     statistics = _statistics(engine, settings)
-    interpret, check = None, form_check
+    interpret, check, required = None, form_check, None
     if statistics is not None:
         from models.text_encoder import load_default
 
         interpret = InstructionInterpreter(statistics, load_default())
         check = ReplyCheck(statistics, interpret, settings.checks)
+        required = RequiredObjects(statistics, interpret, settings.checks.most_objects)
     is_closed = engine.kind == "embedded"  # it knows only the words of its training
     dialect = prompt_style_of(settings.dialect_with(engine), _text(settings.wording), interpret, is_closed, _requires(engine))
     tries = settings.tries_with(engine)
@@ -91,7 +93,9 @@ def load_reasoner(
 
         plan_edit = EditPlanner(interpret, statistics)
     own = interpret if is_closed else None
-    reasoner = SemanticReasoner(loaded or load_engine(engine), check, tries, engine.reads_reasons, own, dialect, plan_edit)
+    reasoner = SemanticReasoner(
+        loaded or load_engine(engine), check, tries, engine.reads_reasons, own, dialect, plan_edit, required
+    )
     return reasoner, interpret
 
 

@@ -8,8 +8,10 @@ from models.semantic_reasoner.engines.incremental_batches import Conversation, c
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
-from models.semantic_reasoner.replies.checks import ReplyFault
+from models.semantic_reasoner.replies.checks import REQUIRED_MISSING, ReplyFault
+from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
 from models.semantic_reasoner.replies.relation_repair import repair_relations
+from models.semantic_reasoner.replies.required_objects import PLACED, RemovedObject, RequiredObjects
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, check_instruction
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, renumber_instances
 from stable_data.errors import ConfigError, Notice, SceneError
@@ -85,50 +87,57 @@ class Proposal:
         return () if self.reply is None else self.reply.objects
 
 
+@dataclass(frozen=True, slots=True)
+class _UsableReply:
+    """A refused reply that may be used if the tries run out.
+
+    Attributes:
+        reply: The reply, without its objects that have hard faults.
+        faults: Its soft faults.
+        changes: Soft faults that report the objects that were left out or placed anew.
+    """
+
+    reply: LayoutReply
+    faults: tuple[ReplyFault, ...] = ()
+    changes: tuple[ReplyFault, ...] = ()
+
+    @property
+    def rank(self) -> tuple[bool, int, int]:
+        """How bad it is, less is better; an edit with many faults is better than one that changes nothing."""
+        return any(f.code == "nothing_changed" for f in self.faults), len(self.changes), len(self.faults)
+
+    @property
+    def holds(self) -> bool:
+        """Whether all relations of the instruction hold."""
+        return not any(f.relation for f in self.faults)
+
+
 @dataclass(slots=True, eq=False)
 class _PendingQuestion:
-    """A question without an accepted answer, with the answers that may be used if the tries run out.
-
-    ``best`` has soft faults alone, ``reduced`` is without its faulty objects, and all faults of ``misplaced`` are relations.
-    """
+    """A question without an accepted answer, with the answers that may be used if the tries run out."""
 
     question: ReasonerQuestion
     seed: int
     notices: tuple[Notice, ...] = ()
     refused: list[RefusedReply] = field(default_factory=list)
-    best: tuple[LayoutReply, tuple[ReplyFault, ...]] | None = None
-    reduced: tuple[LayoutReply, tuple[ReplyFault, ...]] | None = None
-    misplaced: list[tuple[LayoutReply, tuple[ReplyFault, ...]]] = field(default_factory=list)
+    usable: list[_UsableReply] = field(default_factory=list)
+    num_objects: int = 0
     tries: int = 0
     prompt_tokens: int = 0
     reply_tokens: int = 0
     cost: float = 0.0
 
-    def refuse(self, answer: str, faults: Sequence[ReplyFault], reply: LayoutReply | None = None) -> None:
-        """Records a refused answer, and its reply if that may be used later."""
-        refused = RefusedReply(answer, tuple(faults))
-        self.refused.append(refused)
-        if reply is not None and not refused.is_hard and (self.best is None or _rank(faults) < _rank(self.best[1])):
-            self.best = reply, refused.faults
-        if reply is not None and all(f.relation is not None for f in faults):
-            self.misplaced.append((reply, refused.faults))
+    def refuse(self, answer: str, faults: Sequence[ReplyFault]) -> None:
+        """Records a refused answer."""
+        self.refused.append(RefusedReply(answer, tuple(faults)))
 
-    def offer_reduced(self, reply: LayoutReply, faults: tuple[ReplyFault, ...]) -> None:
-        """Stores a reply without its faulty objects if fewer were removed than from the stored one."""
-        if self.reduced is None or _num_left_out(faults) < _num_left_out(self.reduced[1]):
-            self.reduced = reply, faults
-
-    def proposal(
-        self, reply: LayoutReply | None = None, failure: str = "", code: str = "", faults: tuple[ReplyFault, ...] = ()
-    ) -> Proposal:
-        """Returns the proposal; without a reply and a failure, from the best answer that may be used."""
-        if reply is None and not failure:
-            if (usable := self.best or self.reduced) is not None:
-                reply, faults = usable
-            else:
-                reason = self.refused[-1].reason
-                failure = f"{len(self.refused)} answers could not be used, the last because {reason}"
-                code = "reply_unusable"
+    def proposal(self, usable: _UsableReply | None = None, failure: str = "", code: str = "") -> Proposal:
+        """Returns the proposal of a reply, or a failure: without the reason, that of the last answer."""
+        reply, faults = (None, ()) if usable is None else (usable.reply, (*usable.changes, *usable.faults))
+        if usable is None and not failure:
+            reason = self.refused[-1].reason
+            failure = f"{len(self.refused)} answers could not be used, the last because {reason}"
+            code = "reply_unusable"
         counts = (self.tries, self.prompt_tokens, self.reply_tokens, self.cost)
         return Proposal(reply, faults, tuple(self.refused), failure, code, self.notices, *counts)
 
@@ -136,10 +145,11 @@ class _PendingQuestion:
 class SemanticReasoner:
     """Asks an engine for the objects of a stage, of a whole layout, or of an edit: SR in the paper.
 
-    After the last try the reasoner uses, in this order: an answer whose only faults are relations of the instruction, with
-    objects moved until the relations hold; the answer with the fewest soft faults; the answer from which the fewest objects
-    have to be removed to pass the checks. The proposal's faults name what was moved or removed. After the first stage, an
-    answer from which at most an eighth of the objects has to be removed is used without another try.
+    In a refused answer, objects with hard faults are left out, and required objects among them are placed anew. An answer that
+    passes after changes of at most an eighth of its objects is used at once; in the first stage, if none is left out. After the
+    last try the reasoner uses the answer with the fewest changes in which all relations of the instruction hold, or in which
+    objects can be moved until they hold; else the one with the fewest changes. The proposal's faults name what was left out,
+    placed anew or moved.
 
     Args:
         engine: Completes the requests.
@@ -150,6 +160,7 @@ class SemanticReasoner:
         interpret: Interprets instructions; its notices are those of the proposals. None gives no notices.
         plan_edit: Returns the reply to an edit without the engine. None asks the engine.
         dialect: The style of the prompts; by default this project's own.
+        required: Judges the number of required objects, and adds those that an answer lacks; None does neither.
     """
 
     def __init__(
@@ -161,13 +172,14 @@ class SemanticReasoner:
         interpret: InstructionInterpreter | None = None,
         dialect: PromptStyle | None = None,
         plan_edit: Callable[[ReasonerQuestion], LayoutReply] | None = None,
+        required: RequiredObjects | None = None,
     ) -> None:
         self._tries, self._task_tries = (tries, tries) if isinstance(tries, int) else tries
         if min(self._tries, self._task_tries) < 1:
             raise ConfigError(f"tries is {tries}, expected at least 1", "config_invalid")
         self.engine, self._check, self._interpret = engine, check, interpret
         self._tells_reasons, self._plan_edit = tells_reasons, plan_edit
-        self._dialect = dialect or StagedPromptStyle()
+        self._dialect, self._required = dialect or StagedPromptStyle(), required
 
     def propose(self, questions: Sequence[ReasonerQuestion], seeds: Sequence[int]) -> list[Proposal]:
         """Returns a proposal for each question, in their order; a failure does not affect the other questions.
@@ -239,16 +251,23 @@ class SemanticReasoner:
         return _PendingQuestion(question, seed, (*self._interpret(question.instruction, question.edits).notices, *notices))
 
     def _without_engine(self, pending: _PendingQuestion) -> Proposal | None:
-        """The proposal for a question that has no try left, or for an edit that can be planned; else None."""
-        if pending.tries == (self._task_tries if pending.question.wanted is Stage.TASK else self._tries):
-            return self._final_proposal(pending)
-        if self._plan_edit is None or not pending.question.edits or pending.tries:
-            return None
+        """The proposal for a question that has no try left or cannot be asked, or for an edit that can be planned; else None."""
+        question = pending.question
+        if pending.tries:
+            is_first = question.wanted is Stage.TASK
+            # Many objects are seldom all without faults, and cost many tokens.
+            is_costly = is_first and pending.usable and pending.num_objects >= MOST_OBJECTS
+            is_last = is_costly or pending.tries == (self._task_tries if is_first else self._tries)
+            return self._final_proposal(pending) if is_last else None
         try:
-            check_instruction(pending.question.instruction)
-            return pending.proposal(self._plan_edit(pending.question))
+            check_instruction(question.instruction)
+            if self._required is not None:
+                self._required.check_room(question)
+            if self._plan_edit is not None and question.edits:
+                return pending.proposal(_UsableReply(self._plan_edit(question)))
         except SceneError as error:
             return pending.proposal(failure=str(error), code=error.code)
+        return None
 
     def _request(self, pending: _PendingQuestion) -> Request:
         question = pending.question
@@ -258,11 +277,13 @@ class SemanticReasoner:
 
     def _final_proposal(self, pending: _PendingQuestion) -> Proposal:
         """The proposal for a question that has no try left."""
-        if self._check is not None:
-            for reply, faults in sorted(pending.misplaced, key=lambda one: len(one[1])):
-                if (repaired := repair_relations(reply, faults, pending.question, self._check)) is not None:
-                    return pending.proposal(repaired[0], faults=repaired[1])
-        return pending.proposal()
+        ranked = sorted(pending.usable, key=lambda one: one.rank)
+        for one in ranked:
+            if self._check is None or one.holds:
+                return pending.proposal(one)
+            if (repaired := repair_relations(one.reply, one.faults, pending.question, self._check)) is not None:
+                return pending.proposal(replace(one, reply=repaired[0], faults=repaired[1]))
+        return pending.proposal(ranked[0] if ranked else None)
 
     def _judge(self, pending: _PendingQuestion, completion: Completion) -> Proposal | None:
         """The proposal that an answer gives; None if the question has to be asked again."""
@@ -285,36 +306,43 @@ class SemanticReasoner:
             reply = replace(reply, objects=renumber_instances(reply.objects, (o.instance for o in question.layout)))
         faults = self._check(reply, question) if self._check else ()
         if not faults:
-            return pending.proposal(reply)
-        pending.refuse(completion.text, faults, reply)
-        if self._check and not question.edits:
-            reduced = _without_faulty_objects(reply, faults, question, self._check)
-            if reduced is not None:
-                pending.offer_reduced(*reduced)
-                if question.wanted is not Stage.TASK and _num_left_out(reduced[1]) <= _SMALL_SHARE * len(reply.objects):
-                    return pending.proposal()
+            return pending.proposal(_UsableReply(reply))
+        pending.refuse(completion.text, faults)
+        pending.num_objects += len(reply.objects)
+        usable = self._usable(reply, faults, question)
+        if usable is not None:
+            pending.usable.append(usable)
+            if self._is_small_change(usable, len(reply.objects), question):
+                return pending.proposal(usable)
         return None
 
+    @staticmethod
+    def _is_small_change(usable: _UsableReply, num_objects: int, question: ReasonerQuestion) -> bool:
+        """Whether few objects of a reply were changed; in the first stage none may be left out."""
+        is_whole = question.wanted is not Stage.TASK or all(f.code == PLACED for f in usable.changes)
+        return usable.holds and is_whole and 0 < len(usable.changes) <= _SMALL_SHARE * num_objects
 
-def _without_faulty_objects(
-    reply: LayoutReply, faults: Sequence[ReplyFault], question: ReasonerQuestion, check: FaultFinder
-) -> tuple[LayoutReply, tuple[ReplyFault, ...]] | None:
-    """A reply without the objects that have hard faults, and without those that float then; None if that is not enough."""
-    left_out: list[ReplyFault] = []
-    while hard := [f for f in faults if f.is_hard]:
-        gone = {f.instance: f.message for f in hard}
-        if not gone.keys() <= {o.instance for o in reply.objects}:
-            return None  # the fault is one of the whole reply
-        left_out += [ReplyFault(_LEFT_OUT, f"{name} is left out: {message}", is_hard=False) for name, message in gone.items()]
-        reply = replace(reply, objects=tuple(o for o in reply.objects if o.instance not in gone))
-        faults = check(reply, question)
-    return (reply, (*left_out, *faults)) if left_out else None
+    def _usable(self, reply: LayoutReply, faults: Sequence[ReplyFault], question: ReasonerQuestion) -> _UsableReply | None:
+        """A reply without the objects that have hard faults, and without those that float then; None if that is not enough.
 
-
-def _num_left_out(faults: Sequence[ReplyFault]) -> int:
-    return sum(f.code == _LEFT_OUT for f in faults)
-
-
-def _rank(faults: Sequence[ReplyFault]) -> tuple[bool, int]:
-    """How bad a reply is, less is better; an edit with many faults is better than one that changes nothing."""
-    return any(f.code == "nothing_changed" for f in faults), len(faults)
+        Required objects among them are placed anew.
+        """
+        removed: list[RemovedObject] = []
+        placed: tuple[ReplyFault, ...] = ()
+        while hard := {f.instance: f for f in faults if f.is_hard}:
+            if question.edits or self._check is None:
+                return None
+            if faulty := [o for o in reply.objects if o.instance in hard]:
+                removed += [(o, hard[o.instance]) for o in faulty]
+                reply = replace(reply, objects=tuple(o for o in reply.objects if o.instance not in hard))
+            else:  # the fault is one of the whole reply
+                is_lacking = {f.code for f in hard.values()} == {REQUIRED_MISSING}
+                found = (
+                    self._required.complete(reply, removed, question) if self._required and is_lacking and not placed else None
+                )
+                if found is None:
+                    return None
+                reply, placed, removed = found
+            faults = self._check(reply, question)
+        left_out = (ReplyFault(_LEFT_OUT, f"{o.instance} is left out: {f.message}", is_hard=False) for o, f in removed)
+        return _UsableReply(reply, tuple(faults), (*placed, *left_out))

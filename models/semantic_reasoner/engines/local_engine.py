@@ -176,8 +176,11 @@ class LocalEngine:
     def _matcher(self, grammar: str) -> LLMatcher:
         return LLMatcher(self._guide, LLMatcher.grammar_from_lark(grammar))
 
-    def _reopen(self, sequence: _Sequence) -> bool:
-        """Removes the end of a reply that lacks required objects, so that one of these follows; False if none is missing."""
+    def _reopen(self, sequence: _Sequence, room: int) -> bool:
+        """Removes the end of a reply that lacks required objects, so that one of these follows.
+
+        Returns False if none is missing, or if there is no room for it in the ``room`` tokens of a reply.
+        """
         if sequence.matcher is None or not sequence.form.asks:
             return False
         whole = self._text(sequence.reply)
@@ -186,11 +189,15 @@ class LocalEngine:
             return False
         objects = whole.removesuffix(_CLOSING)
         count = len(parse_reply(whole).objects)
+        if count and count * room < (count + 1) * len(sequence.reply):
+            return False  # an object of the mean length would be cut off
         # The last removed token may hold a part of an object, which the new grammar starts with.
         while len(remaining := self._text(sequence.reply)) > len(objects):
             sequence.reply.pop()
         start = objects[len(remaining) :] + ("," if count else "")
-        sequence.matcher = self._matcher(sequence.form.grammar_after(start, lacking, sequence.form.at_most - count))
+        is_long = 2 * len(sequence.reply) > room  # then only missing objects may follow
+        at_most = 1 if is_long else sequence.form.at_most - count
+        sequence.matcher = self._matcher(sequence.form.grammar_after(start, lacking, at_most))
         return True
 
     def _draw(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
@@ -265,13 +272,13 @@ class _DecodingBatch:
                 if sequence.matcher is not None:
                     sequence.matcher.consume_token(token)
                     ended = sequence.matcher.is_stopped()
-            if ended and engine._reopen(sequence):
+            room = min(engine.sampling.max_tokens, longest - len(sequence.prompt))
+            if ended and engine._reopen(sequence, room):
                 ended = False
                 # The last remaining token is decoded again, for the logits after it.
                 so_far = sequence.prompt + sequence.reply
                 decoder.rewind(slot, len(so_far) - 1)
                 tokens[slot] = so_far[-1]
-            room = min(engine.sampling.max_tokens, longest - len(sequence.prompt))
             if ended or len(sequence.reply) >= room:
                 done.append((sequence.index, engine._completion(sequence, ended)))
                 last = decoder.release(slot)

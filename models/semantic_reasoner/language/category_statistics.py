@@ -53,6 +53,21 @@ class Category:
     words: Mapping[str, int]
 
     @property
+    def usual_size(self) -> Vec3:
+        """The median width, depth and height, metres."""
+        return self.sizes[LEVELS.index(0.5)]
+
+    @property
+    def smallest_size(self) -> Vec3:
+        """The 1 % quantiles of width, depth and height, metres."""
+        return self.sizes[1]
+
+    @property
+    def largest_size(self) -> Vec3:
+        """The 99 % quantiles of width, depth and height, metres."""
+        return self.sizes[-2]
+
+    @property
     def least(self) -> Vec3:
         """The 1 % quantiles of the sides, shortest side first, metres."""
         return self.extents[1]

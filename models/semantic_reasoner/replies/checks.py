@@ -26,6 +26,9 @@ from stable_data.scene import FloatArray, Relation, SceneObject, Stage, Tabletop
 from stable_data.scene_graph.relations import yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import ON_TABLE, carriers_of
 
+REQUIRED_MISSING = "required_missing"
+"""Code of the fault that a reply lacks objects which the instruction requires."""
+
 _SHOWN = 8  # names in a message
 
 # The data on which these were tuned is not recorded.
@@ -439,7 +442,7 @@ def _instruction_faults(
         for categories, missing in _by_categories(found.missing).items():
             wanted = " or ".join(c.replace("_", " ") for c in categories[:5]) or "something in or on it"
             has_hard_faults = True
-            yield ReplyFault("required_missing", f"the instruction requires {wanted}: give {len(missing)} more")
+            yield ReplyFault(REQUIRED_MISSING, f"the instruction requires {wanted}: give {len(missing)} more")
     elif broken:
         before = [o.to_scene_object() for o in unchanged]
         was = set(compare_with_instruction(before, question.table, meant)[1])

@@ -1,6 +1,7 @@
 """Places of objects for which a relation holds, in a layout of boxes, the most likely ones first."""
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -20,6 +21,7 @@ _GAPS = (0.02, 0.05, 0.1, 0.2, 0.35)  # between two objects side by side, metres
 _ASIDE = (0.0, 0.04, -0.04, 0.08, -0.08, 0.15, -0.15)  # at right angles to the gap, metres
 SPOTS_PER_CELL = 5  # along each side of a ninth of the table
 _OFF_CENTRE = (0.0, 0.25, -0.25, 0.5, -0.5)  # from the support's centre, in half extents of the support
+_BASE = 0.7  # width of a container inside, at its bottom, as a share of its box
 _ABOVE_BOTTOM = 0.01  # of an object in a container, metres; the correction finds its real height
 
 Place = tuple[str, tuple[float, float, float]]
@@ -91,6 +93,22 @@ def places_on_or_in(subject: SceneObject, target: SceneObject, kind: RelationKin
         for x, y in itertools.product(_OFF_CENTRE, repeat=2):
             spot = target.position[:2] + half * (x, y)
             yield subject.instance, (float(spot[0]), float(spot[1]), low + subject.size[2] / 2)
+
+
+def places_in_layers(subject: SceneObject, target: SceneObject, kind: RelationKind) -> Iterator[Place]:
+    """Places for many objects like the subject on the target or in it: side by side, then in layers above, as high as a heap."""
+    half, step = half_extent(target), 2 * half_extent(subject)
+    highest = float(half.min()) + target.size[2] * (kind is RelationKind.IN)
+    if kind is RelationKind.IN:
+        half = half * _BASE
+    counts = 1 + np.maximum(0, (2 * half - step) / step + 1e-6).astype(int)
+    steps = itertools.product(*((np.arange(n) - (n - 1) / 2) * s for n, s in zip(counts.tolist(), step, strict=True)))
+    spots = sorted(steps, key=lambda spot: round(math.hypot(*spot), 4))  # the same order for each of equal objects
+    low = target.bottom + _ABOVE_BOTTOM if kind is RelationKind.IN else target.top
+    for layer in range(max(1, int(highest / subject.size[2]))):
+        z = low + (layer + 0.5) * subject.size[2]
+        for dx, dy in spots:
+            yield subject.instance, (target.position[0] + float(dx), target.position[1] + float(dy), z)
 
 
 def table_spots(size: FloatArray) -> Iterator[tuple[float, float]]:

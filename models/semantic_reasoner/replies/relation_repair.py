@@ -3,22 +3,36 @@
 The reasoner does this only after the last try. Each move is reported as a soft fault.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-
-import numpy as np
+from itertools import islice
+from typing import TypeAlias
 
 from models.semantic_reasoner.replies.checks import ReplyFault
-from models.semantic_reasoner.replies.places import DIRECTION, places_beside, places_between, places_in_cell, places_on_or_in
+from models.semantic_reasoner.replies.places import (
+    DIRECTION,
+    places_beside,
+    places_between,
+    places_in_cell,
+    places_in_layers,
+    places_on_or_in,
+)
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
-from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.metrics.alignment import members
-from stable_data.scene import FloatArray, Relation, RelationKind, Tabletop, Vec3
+from stable_data.scene import Relation, RelationKind, Tabletop, Vec3
 from stable_data.scene_graph.support_from_boxes import carriers_of
-from stable_data.scene_graph.support_tree import SupportTree
+from stable_data.scene_graph.support_tree import SupportTree, ancestors
 
 MOVED = "moved_to_hold"
 """Code of the fault that reports a move."""
+
+_MOST_PAIRS = 20_000
+"""Pairs of objects in all layouts that are checked, at most: two hundred layouts of ten objects, or twelve of forty."""
+
+_Moves: TypeAlias = Mapping[str, Relation]
+"""The instances that move, and the relation that each of them moves for."""
 
 
 def repair_relations(
@@ -30,24 +44,30 @@ def repair_relations(
     """Moves objects of a reply until all relations that the instruction states hold.
 
     Returns:
-        The reply, and soft faults that report the moves; None if the reply has another fault, or no place is found.
+        The reply, and soft faults: those that report the moves, and those that remain; None if the reply has a hard fault, or no
+        place is found.
     """
-    moved = []
-    while faults:
-        relation = faults[0].relation
-        if relation is None or any(f.relation is None for f in faults):
-            return None
-        for name, candidate in _candidate_replies(reply, relation, question.table):
+    if any(f.is_hard for f in faults):
+        return None
+    moved: list[ReplyFault] = []
+    num_checks = 1 + _MOST_PAIRS // max(1, len(reply.objects)) ** 2
+    while broken := [f.relation for f in faults if f.relation is not None]:
+        for moves, candidate in islice(_candidate_replies(reply, broken, question.table), num_checks):
+            num_checks -= 1
             left = check(candidate, question)
             # Every accepted move removes a fault, so the loop ends.
-            if len(left) < len(faults) and all(f.relation is not None for f in left):
-                message = f"{name} is moved so that {relation.subject} is {_relation_words(relation)}, as the instruction says"
-                moved.append(ReplyFault(MOVED, message, is_hard=False))
+            if not any(f.is_hard for f in left) and sum(f.relation is not None for f in left) < len(broken):
+                moved += (_moved(name, relation) for name, relation in moves.items())
                 reply, faults = candidate, left
                 break
         else:
             return None
-    return reply, tuple(moved)
+    return reply, (*moved, *faults)
+
+
+def _moved(name: str, relation: Relation) -> ReplyFault:
+    message = f"{name} is moved so that {relation.subject} is {_relation_words(relation)}, as the instruction says"
+    return ReplyFault(MOVED, message, is_hard=False)
 
 
 def _relation_words(relation: Relation) -> str:
@@ -57,11 +77,35 @@ def _relation_words(relation: Relation) -> str:
     return f"{kind} {relation.target.replace('_', ' ') if relation.kind is RelationKind.IS_AT else relation.target}"
 
 
-def _candidate_replies(reply: LayoutReply, relation: Relation, table: Tabletop) -> Iterator[tuple[str, LayoutReply]]:
+def _candidate_replies(reply: LayoutReply, broken: Sequence[Relation], table: Tabletop) -> Iterator[tuple[_Moves, LayoutReply]]:
+    """Replies in which more relations may hold: first with all contents in their carriers, then with one move for one relation."""
+    names = {o.instance for o in reply.objects}  # an object of an earlier stage may not move
+    carried = {r.subject: r for r in broken if r.kind in (RelationKind.IN, RelationKind.ON) and set(members(r)) <= names}
+    if len(carried) > 1 and (candidate := _with_all_carried(reply, carried, table)) is not None:
+        yield carried, candidate
+    if set(members(broken[0])) <= names:
+        yield from (({name: broken[0]}, candidate) for name, candidate in _with_one_moved(reply, broken[0], table))
+
+
+def _with_all_carried(reply: LayoutReply, carried: _Moves, table: Tabletop) -> LayoutReply | None:
+    """The reply with objects side by side on or in their carriers, or in layers; None if a carrier has no room for them."""
+    target = {name: r.target for name, r in carried.items()}
+    now = carriers_of([o.to_scene_object() for o in reply.objects], table)
+    num_placed = Counter(carrier for name, carrier in now.items() if name not in carried)
+    for name in sorted(carried, key=lambda name: len(list(ancestors(target, name)))):  # carriers before their contents
+        objects = {o.instance: o.to_scene_object() for o in reply.objects}
+        places = places_in_layers(objects[name], objects[target[name]], carried[name].kind)
+        found = next(islice(places, num_placed[target[name]], None), None)
+        if found is None:
+            return None
+        num_placed[target[name]] += 1
+        reply = _with_moved(reply, name, found[1], carriers_of(list(objects.values()), table))
+    return reply
+
+
+def _with_one_moved(reply: LayoutReply, relation: Relation, table: Tabletop) -> Iterator[tuple[str, LayoutReply]]:
     """Instances whose move may make a relation hold, each with the reply after the move; the smallest change first."""
     objects = {o.instance: o.to_scene_object() for o in reply.objects}
-    if not set(members(relation)) <= objects.keys():
-        return  # an object of an earlier stage, which may not move
     carriers = carriers_of(list(objects.values()), table)
     if relation.kind is RelationKind.IS_AT:
         found = places_in_cell(relation, objects, carriers, table)
@@ -72,19 +116,19 @@ def _candidate_replies(reply: LayoutReply, relation: Relation, table: Tabletop) 
     else:
         found = places_on_or_in(objects[relation.subject], objects[relation.target], relation.kind)
     for name, place in found:
-        step = np.subtract(place, objects[name].position)
-        yield name, replace(reply, objects=_with_moved(reply.objects, name, step, carriers))
+        yield name, _with_moved(reply, name, place, carriers)
 
 
-def _with_moved(
-    objects: Sequence[LayoutObject], name: str, step: FloatArray, carriers: dict[str, str | None]
-) -> tuple[LayoutObject, ...]:
-    """The objects after a move of one of them together with all that it supports."""
+def _with_moved(reply: LayoutReply, name: str, place: Vec3, carriers: Mapping[str, str | None]) -> LayoutReply:
+    """The reply after a move of one object, together with all that it supports."""
     group = SupportTree(carriers).with_descendants({name})
+    was = next(o.position_cm for o in reply.objects if o.instance == name)
 
     def moved(position_cm: Vec3) -> Vec3:
         # + 0.0 turns -0.0 into 0.0, which is rendered differently.
-        x, y, z = (round(p + 100 * float(s), 1) + 0.0 for p, s in zip(position_cm, step, strict=True))
+        x, y, z = (round(p + 100 * to - old, 1) + 0.0 for p, to, old in zip(position_cm, place, was, strict=True))
         return x, y, z
 
-    return tuple(replace(o, position_cm=moved(o.position_cm)) if o.instance in group else o for o in objects)
+    return replace(
+        reply, objects=tuple(replace(o, position_cm=moved(o.position_cm)) if o.instance in group else o for o in reply.objects)
+    )

@@ -3,10 +3,13 @@ from dataclasses import replace
 
 from models.semantic_reasoner.engines.protocol import Completion, Request
 from models.semantic_reasoner.reasoner import SemanticReasoner
-from models.semantic_reasoner.replies.checks import ReplyFault, form_check
+from models.semantic_reasoner.replies.checks import ReplyCheck, ReplyFault, form_check
+from models.semantic_reasoner.replies.required_objects import RequiredObjects
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, render_objects
 from stable_data.scene import Stage, Tabletop
+from tests.models.semantic_reasoner.language import known_categories
+from tests.models.semantic_reasoner.language.known_categories import STATISTICS, interpreter, thing
 
 TABLE = Tabletop("office_table", (1.12, 0.593))
 ASK = ReasonerQuestion("Put the mug on the book.", TABLE, Stage.TASK)
@@ -165,3 +168,56 @@ def test_a_long_later_list_is_taken_without_the_few_that_cannot_stay() -> None:
     for ask, answer in ((later, seven), (ASK, eight)):
         (p,) = SemanticReasoner(Told([answer], [GOOD]), check).propose([ask], [1])
         assert (render_objects(p.objects), p.tries) == (GOOD, 2)
+
+
+CHECK = ReplyCheck(STATISTICS, interpreter())
+REQUIRED = RequiredObjects(STATISTICS, interpreter(), 60)
+
+
+def rows_of_mugs(count: int, *others: LayoutObject) -> str:
+    mugs = (thing(f"mug_{k}", 8 + 12 * (k % 9), 8 + 10 * (k // 9)) for k in range(count))
+    return render_objects([*mugs, *others])
+
+
+def test_more_than_there_is_room_for_is_not_asked_for() -> None:
+    engine = Told()
+    reasoner = SemanticReasoner(engine, CHECK, required=REQUIRED)
+    found = reasoner.propose(
+        [
+            known_categories.ask("one thousand plates"),
+            known_categories.ask("thirty plates", "whole"),
+            known_categories.ask("Add 90 mugs.", "edit"),
+        ],
+        [1, 2, 3],
+    )
+    assert [(p.code, p.tries, p.reply) for p in found] == [("too_many_objects", 0, None)] * 3
+    assert not engine.asked
+
+
+def test_a_few_required_objects_that_cannot_stay_are_placed_anew_at_once() -> None:
+    question = known_categories.ask("Put sixteen mugs on the table.")
+    off, double = thing("mug_14", 150, 30), thing("mug_15", 8, 8)
+    reasoner = SemanticReasoner(Told([rows_of_mugs(14, off, double)]), CHECK, required=REQUIRED)
+    (p,) = reasoner.propose([question], [1])
+    assert (p.tries, [f.code for f in p.faults]) == (1, ["placed_anew"] * 2)
+    assert p.reply is not None
+    assert not CHECK(p.reply, question)
+
+
+def test_a_lacking_object_is_asked_for_again_before_it_is_added() -> None:
+    lacking = rows_of_mugs(11)
+    question = known_categories.ask("Put twelve mugs and a laptop on the table.")
+    (p,) = SemanticReasoner(Told([lacking], [lacking]), CHECK, 2, required=REQUIRED).propose([question], [1])
+    assert (p.tries, [f.code for f in p.faults]) == (2, ["placed_anew"] * 2)
+    assert p.faults[0].message == "laptop_0 is placed anew: the answer lacks it"
+    assert [o.category for o in p.objects].count("mug") == 12
+
+
+def test_many_objects_are_not_asked_for_again_and_again() -> None:
+    """What can be used is used as soon as the refused answers have sixty objects; a few objects get all their tries."""
+    many, few = rows_of_mugs(29, thing("cup_0", 300, 5)), render_objects([thing("mug_0", 20, 20), thing("cup_0", 300, 5)])
+    first, other = known_categories.ask("Put 29 mugs on the table."), known_categories.ask("Put a mug on the table.")
+    (p,) = SemanticReasoner(Told([many], [many]), CHECK, 16, required=REQUIRED).propose([first], [1])
+    assert (p.tries, [f.code for f in p.faults]) == (2, ["left_out"])
+    (p,) = SemanticReasoner(Told(*[[few]] * 16), CHECK, 16, required=REQUIRED).propose([other], [1])
+    assert (p.tries, len(p.objects)) == (16, 1)

@@ -222,6 +222,28 @@ def test_a_reply_does_not_end_without_what_its_form_asks_for(
     assert all(unmatched(ASKS[-1:], [o.category for o in parse_reply(c.text).objects]) for c in free)
 
 
+def test_a_reply_ends_without_what_it_has_no_room_for(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> None:
+    engine = LocalEngine(network, tokenizer, "tiny")
+    form = ReplyGrammar.of_table(TABLE, asks=ASKS)
+    reply = tokenizer(render_objects([MUG] * 2), add_special_tokens=False)["input_ids"]
+    pens = [render_objects([*[MUG] * 2, *[replace(MUG, instance="pen_0")] * n]) for n in (1, 2)]
+
+    def then(room: int) -> list[bool] | None:
+        """Whether one and two more objects may follow; None if the reply ends."""
+        sequence = _Sequence(0, [1], form, engine._matcher(form.grammar()), default_rng(0), [*reply])
+        if not engine._reopen(sequence, room):
+            return None
+        assert sequence.matcher is not None
+        kept = engine._text(sequence.reply)
+        more = [tokenizer(text.removeprefix(kept), add_special_tokens=False)["input_ids"] for text in pens]
+        return [sequence.matcher.validate_tokens(tokens) == len(tokens) for tokens in more]
+
+    size = len(reply)
+    assert then(size + size // 2 - 1) is None
+    assert then(2 * size - 4) == [True, False]  # only what is missing
+    assert then(3 * size) == [True, True]
+
+
 @pytest.mark.parametrize("is_general", [False, True])
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_an_end_is_taken_back_by_whole_tokens(
@@ -235,7 +257,7 @@ def test_an_end_is_taken_back_by_whole_tokens(
     sequence = _Sequence(
         0, [1], ReplyGrammar.of_table(TABLE, asks=ASKS), engine._matcher(FORM.grammar()), default_rng(0), [*reply]
     )
-    assert engine._reopen(sequence)
+    assert engine._reopen(sequence, 4096)
     kept = engine._text(sequence.reply)
     assert whole.removesuffix("]}").startswith(kept)
     assert len(sequence.reply) == len(reply) - (2 if is_general else 1)

@@ -73,6 +73,38 @@ def test_what_cannot_be_put_right_is_left_to_others() -> None:
     assert righted([thing("plate_0", 14, 14), thing("mug_0", 14, 15, bottom=2.0)], narrow) is None  # no room
 
 
+@pytest.mark.parametrize(
+    ("instruction", "objects", "most_moves"),
+    [
+        ("There are forty cookies on the plate.", [PLATE, *(thing(f"cookie_{k}", 5 + 2 * k, 6) for k in range(40))], 40),
+        ("Take the ten cookies out of the mug.", [MUG, *(thing(f"cookie_{k}", 5 + 7 * k, 45) for k in range(10))], 10),
+        ("There is a stack of six plates.", [thing(f"plate_{k}", 14 + 30 * (k % 3), 14 + 30 * (k // 3)) for k in range(6)], 5),
+    ],
+)
+def test_many_things_are_put_on_or_in_their_carriers_at_once(
+    instruction: str, objects: list[LayoutObject], most_moves: int
+) -> None:
+    said, num_checks = ask(instruction), 0
+
+    def check(reply: LayoutReply, question: ReasonerQuestion) -> list[ReplyFault]:
+        nonlocal num_checks
+        num_checks += 1
+        return CHECK(reply, question)
+
+    reply = LayoutReply(tuple(objects))
+    found = repair_relations(reply, CHECK(reply, said), said, check)
+    assert found is not None
+    assert not CHECK(found[0], said)
+    assert num_checks == 1
+    assert 0 < len(found[1]) <= most_moves
+
+
+def test_a_search_among_many_layouts_ends() -> None:
+    """Twenty mugs do not stay on a pen, wherever each of them is tried."""
+    mugs = (thing(f"mug_{k}", 10 + 11 * (k % 10), 16 + 10 * (k // 10)) for k in range(20))
+    assert righted([thing("pen_0", 60, 5), *mugs], ask("There are twenty mugs on the pen.")) is None
+
+
 def test_it_is_the_last_resort() -> None:
     said = ask("Take the mug off the plate.")
     wrong, right = (assistant_message(objects) for objects in ([PLATE, MUG], [PLATE, thing("mug_0", 70, 30, bottom=2.0)]))
