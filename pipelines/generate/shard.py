@@ -386,6 +386,8 @@ def _with_alignment(
         names = {r.instance: str(r) for r in reference.required}
         broken = (f"{names[r.subject]} {r.kind} {names.get(r.target, r.target)}" for r in read.broken)
         lost += (f"the instruction states relations that do not hold: {', '.join(broken)}",)
+    elif read.broken is None and reference.entailed:
+        lost += ("too many objects are alike to tell whether the relations that the instruction states hold",)
     return card, lost
 
 
