@@ -55,7 +55,7 @@ class InterpretedInstruction:
         stated: The same with the relations that contradict others, which no scene can fulfil.
         wording: The instruction with nouns that the engine knows.
         phrases: What a layout must have in canonical form, see :class:`models.semantic_reasoner.text.prompt.ReasonerQuestion`.
-        notices: ``word_read_as``, ``word_unknown``, ``language_unknown``, ``contradiction`` or ``dangerous``.
+        notices: ``word_read_as``, ``word_unknown``, ``no_object``, ``language_unknown``, ``contradiction`` or ``dangerous``.
     """
 
     instruction: str
@@ -111,6 +111,9 @@ class InstructionInterpreter:
         reference, stated = (reference_of_reading(reading, "instruction", both) for both in (False, True))
         wording = self._reworded(instruction, reading)
         notices += (*_contradictions(reading), *_dangers(instruction, reading))
+        if not reading.objects and not is_edit:
+            message = f"{_shown(instruction)} mentions no object; name what shall be on the table"
+            notices += (Notice("instruction", STEP, "no_object", f"instruction: {message}"),)
         phrases = () if reference is None else self._phrases(reference)
         return InterpretedInstruction(instruction, reading, num_objects, reference, stated, wording, phrases, notices)
 

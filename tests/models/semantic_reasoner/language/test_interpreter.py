@@ -94,6 +94,13 @@ def test_another_language_is_said_once(instruction: str) -> None:
     assert found.reference is None
 
 
+@pytest.mark.parametrize("instruction", ["🍎➡️🥣", "12345", "Wipe the table."])
+def test_an_instruction_without_objects_is_said(instruction: str) -> None:
+    (notice,) = read(instruction).notices
+    assert notice.code == "no_object"
+    assert "mentions no object; name what shall be on the table" in notice.message
+
+
 def test_a_contradiction_is_named_and_not_required() -> None:
     found = read("The mug, which is on the plate, is under the plate. Clear up.")
     assert found.reference is not None
