@@ -193,13 +193,14 @@ def test_what_an_instruction_says_of_the_start_and_does_not_hold_is_named(
     generate(asked, str(tmp_path / "out"), own, ALONE, [str(dataset)])
     assert len(rows_of(tmp_path / "out", "scenes")) == 3
     named = [row["id"] for row in rows_of(tmp_path / "out", "warnings") if row["code"] == "not_as_said"]
-    assert set(named) == {"task_1", "task_2"}
+    assert set(named) == {"task_1"}
+    moved = {row["id"] for row in rows_of(tmp_path / "out", "warnings") if row["code"] == "moved_to_hold"}
+    assert moved == {"task_1", "task_2"}
     assert [row["id"] for row in rows_of(tmp_path / "out", "warnings") if row["code"] == "contradiction"] == []
     held = {row["scene_id"]: row["aws_understood"] for row in rows_of(tmp_path / "out", "scenes")}
     assert {row["aws"] for row in rows_of(tmp_path / "out", "scenes")} == {None}  # tasks of a user have no labels
-    # Nothing is in the corner, so no words of the last say which thing is meant: that is a claim that does not hold all the
-    # same.
-    assert [held[f"task_{k}"] for k in range(3)] == [1.0, 0.5, 0.0]
+    # Nothing is in the corner in the reply to the last, so what it asks for is moved there.
+    assert [held[f"task_{k}"] for k in range(3)] == [1.0, 0.5, 1.0]
 
 
 @pytest.mark.parametrize(
