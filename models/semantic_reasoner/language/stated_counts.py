@@ -25,9 +25,9 @@ _VALUES: Mapping[str, int] = {
     **{word: n for n, word in enumerate(_ONES.split(), 1)},
     **{word: 10 * n for n, word in enumerate(_TENS.split(), 1)},
 }
-_FACTORS: Mapping[str, int] = {"dozen": 12, "hundred": 100, "thousand": 1000, "million": 10**6}
+_FACTORS: Mapping[str, int] = {"dozen": 12, "hundred": 100, "thousand": 1000, "million": 10**6, "billion": 10**9}
 _WORD = rf"(?:half a dozen|\d{{1,3}}(?:,\d{{3}})+|\d+|{'|'.join((*_VALUES, *_FACTORS))})\b"
-_NUMBER = rf"{_WORD}(?:(?:[ -]|(?:(?<=hundred)|(?<=thousand)|(?<=million)),? and ){_WORD})*"
+_NUMBER = rf"{_WORD}(?:(?:[ -]|(?:(?<=hundred)|(?<=thousand)|(?<=million)|(?<=billion)),? and ){_WORD})*"
 _OF = r"( of)?(?: the| my| our| your| these| those)?"
 _BEFORE = re.compile(rf"(?<![\d.,-])\b({_NUMBER})(?: more| other)?{_OF} *$", re.IGNORECASE)
 _UNITS = r"(?:[cm]?[lm]|k?g|oz|lbs?|inch|inches|pounds?|(?:centi|milli)?(?:met|lit)(?:er|re)s?)\b"

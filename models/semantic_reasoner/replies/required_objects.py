@@ -61,12 +61,14 @@ class RequiredObjects:
             return  # a later stage, whose objects are not required
         meant = self._interpret(question.instruction, question.edits)
         required, carriers = _added(meant) if question.edits else _required(meant)
-        most, asked = self._most_objects, len(required) if question.edits else meant.num_objects
-        if question.edits and meant.num_objects > MOST_NAMES:  # an edit may name all objects of the largest layout
-            most, asked = MOST_NAMES, meant.num_objects
+        asked, most, setting = meant.num_objects, self._most_objects, " (reasoner.checks.most_objects)"
+        if question.edits and asked > MOST_NAMES:  # an edit may name all objects of the largest layout
+            most, setting = MOST_NAMES, ""
+        elif question.edits:
+            asked = len(required)
         if asked > most:
-            found = f"instruction requires {asked:,} objects, expected at most {most:,}"
-            raise SceneError(f"{found} (reasoner.checks.most_objects); ask for fewer", TOO_MANY)
+            found = f"instruction requires {asked:,} objects, expected at most {most:,}{setting}"
+            raise SceneError(f"{found}; ask for fewer", TOO_MANY)
         self._check_table([r for r in required if r.instance not in carriers], question.table)
         for carrier in required:
             contents = [r for r in required if carriers.get(r.instance, ("",))[0] == carrier.instance]

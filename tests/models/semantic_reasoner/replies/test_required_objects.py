@@ -72,6 +72,7 @@ def test_an_edit_may_name_many_objects_and_add_few() -> None:
     there = [thing("plate_0", 20, 20)]
     REQUIRED.check_room(ask("Remove the seventy mugs.", "edit", there))
     assert "requires 70 objects" in refusal(ask("Add seventy mugs.", "edit", there))
+    assert "requires 2,000 objects, expected at most 1,000; ask" in refusal(ask("Remove the 2,000 mugs.", "edit", there))
     assert "requires 30 objects on the table" in refusal(ask("Add thirty plates.", "edit", there))
 
 
