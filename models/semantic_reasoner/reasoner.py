@@ -1,6 +1,6 @@
 """The Semantic Reasoner: asks an engine, checks its answers, and asks again after an answer with faults."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -8,7 +8,7 @@ from models.semantic_reasoner.engines.incremental_batches import Conversation, c
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
-from models.semantic_reasoner.replies.checks import REQUIRED_MISSING, ReplyFault
+from models.semantic_reasoner.replies.checks import CROWDED, REQUIRED_MISSING, ReplyFault
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
 from models.semantic_reasoner.replies.relation_repair import repair_relations
 from models.semantic_reasoner.replies.required_objects import PLACED, RemovedObject, RequiredObjects
@@ -254,11 +254,11 @@ class SemanticReasoner:
         """The proposal for a question that has no try left or cannot be asked, or for an edit that can be planned; else None."""
         question = pending.question
         if pending.tries:
-            is_first = question.wanted is Stage.TASK
-            # Many objects are seldom all without faults, and cost many tokens.
-            is_costly = is_first and pending.usable and pending.num_objects >= MOST_OBJECTS
-            is_last = is_costly or pending.tries == (self._task_tries if is_first else self._tries)
-            return self._final_proposal(pending) if is_last else None
+            tries = self._tries
+            if question.wanted is Stage.TASK:  # many objects are seldom all without faults, and cost many tokens
+                is_costly = pending.num_objects >= MOST_OBJECTS
+                tries = self._task_tries if not is_costly else 0 if pending.usable else self._tries
+            return self._final_proposal(pending) if pending.tries >= tries else None
         try:
             check_instruction(question.instruction)
             if self._required is not None:
@@ -328,21 +328,24 @@ class SemanticReasoner:
         Required objects among them are placed anew.
         """
         removed: list[RemovedObject] = []
-        placed: tuple[ReplyFault, ...] = ()
-        while hard := {f.instance: f for f in faults if f.is_hard}:
-            if question.edits or self._check is None:
+        check = self._check
+        while faulty := {f.instance: f for f in faults if f.is_hard and f.instance}:
+            if question.edits or check is None:
                 return None
-            if faulty := [o for o in reply.objects if o.instance in hard]:
-                removed += [(o, hard[o.instance]) for o in faulty]
-                reply = replace(reply, objects=tuple(o for o in reply.objects if o.instance not in hard))
-            else:  # the fault is one of the whole reply
-                is_lacking = {f.code for f in hard.values()} == {REQUIRED_MISSING}
-                found = (
-                    self._required.complete(reply, removed, question) if self._required and is_lacking and not placed else None
-                )
-                if found is None:
-                    return None
-                reply, placed, removed = found
-            faults = self._check(reply, question)
-        left_out = (ReplyFault(_LEFT_OUT, f"{o.instance} is left out: {f.message}", is_hard=False) for o, f in removed)
-        return _UsableReply(reply, tuple(faults), (*placed, *left_out))
+            removed += [(o, faulty[o.instance]) for o in reply.objects if o.instance in faulty]
+            reply = replace(reply, objects=tuple(o for o in reply.objects if o.instance not in faulty))
+            faults = check(reply, question)
+        of_reply = {f.code for f in faults if f.is_hard}
+        if not of_reply:
+            return _UsableReply(reply, tuple(faults), tuple(_left_out(removed)))
+        if question.edits or check is None or self._required is None or not of_reply <= {CROWDED, REQUIRED_MISSING}:
+            return None
+        for whole, placed, left in self._required.completed(reply, removed, question):
+            faults = check(whole, question)
+            if not any(f.is_hard for f in faults):
+                return _UsableReply(whole, tuple(faults), (*placed, *_left_out(left)))
+        return None
+
+
+def _left_out(removed: Sequence[RemovedObject]) -> Iterator[ReplyFault]:
+    return (ReplyFault(_LEFT_OUT, f"{o.instance} is left out: {fault.message}", is_hard=False) for o, fault in removed)

@@ -26,6 +26,9 @@ from stable_data.scene import FloatArray, Relation, SceneObject, Stage, Tabletop
 from stable_data.scene_graph.relations import yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import ON_TABLE, carriers_of
 
+CROWDED = "crowded"
+"""Code of the fault that the objects of a reply have no room on the table."""
+
 REQUIRED_MISSING = "required_missing"
 """Code of the fault that a reply lacks objects which the instruction requires."""
 
@@ -252,7 +255,7 @@ def _count_faults(
     before = _standing_area([o.to_scene_object() for o in question.layout]) / (width * depth) if question.edits else 0.0
     if new and covered > max(_MAX_COVERAGE, before):  # an edit of a crowded table may not make it more crowded
         yield ReplyFault(
-            "crowded",
+            CROWDED,
             f"the objects cover {100 * covered:.0f} % of the {100 * width:.0f} x {100 * depth:.0f} cm of the table; give fewer objects",
         )
 

@@ -1,13 +1,13 @@
 """What an instruction requires, by sizes: whether there is room for it, and the objects that a reply lacks."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import TypeAlias
 
 from models.semantic_reasoner.language.category_statistics import Category, CategoryStatistics
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter, InterpretedInstruction
-from models.semantic_reasoner.replies.checks import ReplyFault
+from models.semantic_reasoner.replies.checks import CROWDED, ReplyFault
 from models.semantic_reasoner.replies.free_places import FreePlaces
 from models.semantic_reasoner.replies.grammar import MOST_NAMES
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
@@ -102,21 +102,21 @@ class RequiredObjects:
 
     # --- missing objects ---
 
-    def complete(
+    def completed(
         self, reply: LayoutReply, removed: Sequence[RemovedObject], question: ReasonerQuestion
-    ) -> tuple[LayoutReply, tuple[ReplyFault, ...], list[RemovedObject]] | None:
-        """Adds the required objects that a reply lacks, where there is room on the table.
+    ) -> Iterator[tuple[LayoutReply, list[ReplyFault], list[RemovedObject]]]:
+        """Yields replies with the required objects that a reply lacks, each where there is room on the table.
 
-        If there is no room, objects that are not required are removed; then all are placed anew.
+        First no other object changes; then those that are not required are removed; then all are placed anew; then as small ones.
 
         Args:
             reply: The reply.
             removed: Objects that were removed from it, and why; they are added again if they are required.
             question: The question.
 
-        Returns:
-            The reply, a soft fault for each added object, and the removed objects that were not added; None if there is no room,
-            or if no size is known.
+        Yields:
+            A reply, a soft fault for each added object, and the removed objects that were not added; nothing if there is no room,
+            or if a size is not known.
         """
         reference = self._interpret(question.instruction, question.edits).reference
         required = () if reference is None else reference.required
@@ -124,23 +124,25 @@ class RequiredObjects:
         matches = match(allowed).matches if any(allowed.values()) else {}
         left = list(removed)
         wanted = self._wanted([r for r in required if r.instance not in matches], reply, left)
+        if wanted is None:
+            return
         needed = tuple(o for o in reply.objects if o.instance in set(matches.values()))
-        again = [(o, _CROWDED) for o in needed]
-        for (there, more), gap in product(((reply.objects, []), (needed, []), ((), again)), _GAPS) if wanted else ():
-            found = _placed([*wanted, *more], FreePlaces(question.table, [o.to_scene_object() for o in there], gap))
+        every = [*wanted, *((o, _CROWDED) for o in needed)]
+        small = [(self._small(o), why) for o, why in every]
+        for (there, added), gap in product(((reply.objects, wanted), (needed, wanted), ((), every), ((), small)), _GAPS):
+            found = _placed(added, FreePlaces(question.table, [o.to_scene_object() for o in there], gap))
             if found is not None:
-                added = renumber_instances((o for o, _ in found), (o.instance for o in there))
-                messages = (f"{o.instance} is placed anew: {why}" for o, (_, why) in zip(added, found, strict=True))
-                faults = tuple(ReplyFault(PLACED, message, is_hard=False) for message in messages)
-                gone = () if there == reply.objects else (o for o in reply.objects if o not in needed)
-                left += [(o, ReplyFault("crowded", f"{o.instance}: {_CROWDED}", instance=o.instance)) for o in gone]
-                return replace(reply, objects=(*there, *added)), faults, left
-        return None
+                new = renumber_instances((o for o, _ in found), (o.instance for o in there))
+                messages = (f"{o.instance} is placed anew: {why}" for o, (_, why) in zip(new, found, strict=True))
+                faults = [ReplyFault(PLACED, message, is_hard=False) for message in messages]
+                gone = [] if there == reply.objects else [o for o in reply.objects if o not in needed]
+                crowded = [(o, ReplyFault(CROWDED, f"{o.instance}: {_CROWDED}", instance=o.instance)) for o in gone]
+                yield replace(reply, objects=(*there, *new)), faults, [*left, *crowded]
 
     def _wanted(
         self, lacking: Iterable[RequiredObject], reply: LayoutReply, removed: list[RemovedObject]
-    ) -> list[tuple[LayoutObject, str]]:
-        """The objects to add, and why; none if one of them has no known size.
+    ) -> list[tuple[LayoutObject, str]] | None:
+        """The objects to add, and why; None if one of them has no known size.
 
         They are removed ones in their usual size, which are taken from ``removed``, or like one that is there, or usual ones.
         """
@@ -148,7 +150,7 @@ class RequiredObjects:
         for r in lacking:
             known = self._known(r)
             if not known:
-                return []
+                return None
             old = next((pair for pair in removed if pair[0].category in known), None)
             like = next((o for o in reply.objects if o.category in known), None)
             if old is not None:
@@ -161,6 +163,11 @@ class RequiredObjects:
                 words, size = f"a {' '.join(type_words(category))}", _cm(known[category].usual_size)
                 found.append((LayoutObject(f"{category}_0", words, size, size, 0), "the answer lacks it"))
         return found
+
+    def _small(self, o: LayoutObject) -> LayoutObject:
+        """The object in the size of a small one of its category."""
+        known = self._categories.get(o.category)
+        return o if known is None or not known.sizes else replace(o, size_cm=_cm(known.smallest_size))
 
     def _known(self, required: RequiredObject) -> dict[str, Category]:
         """The categories of a required object whose sizes are known."""

@@ -85,9 +85,7 @@ def test_what_a_reply_lacks_is_added_beside_it() -> None:
     reply = LayoutReply((thing("mug_0", 30, 30, size=(10.0, 8.0, 9.0)), thing("mug_3", 60, 30), thing("pen_0", 90, 30)))
     off = thing("mug_1", 140, 30)
     removed = [(off, ReplyFault("off_table", "mug_1 leaves the table")), (thing("cup_0", 300, 0), ReplyFault("floats", "high"))]
-    found = REQUIRED.complete(reply, removed, question)
-    assert found is not None
-    whole, faults, left = found
+    whole, faults, left = next(REQUIRED.completed(reply, removed, question))
     assert not CHECK(whole, question)
     assert whole.objects[:3] == reply.objects
     assert Counter(o.category for o in whole.objects) == {"mug": 12, "laptop": 1, "pen": 1}
@@ -103,6 +101,18 @@ def test_what_a_reply_lacks_is_added_beside_it() -> None:
     assert (10.0, 8.0, 9.0) in sizes
 
 
-def test_nothing_is_added_where_there_is_no_room() -> None:
-    question = ask("Put ten plates on the table.")
-    assert REQUIRED.complete(LayoutReply((thing("serving_tray_0", 60, 30),)), [], question) is None
+def test_where_there_is_no_room_others_are_removed_and_then_all_placed_anew_and_small() -> None:
+    question = ask("Put eight plates on the table.")
+    plates = [thing(f"plate_{k}", 30 + 50 * k, 30) for k in range(2)]
+    reply = LayoutReply((*plates, thing("serving_tray_0", 100, 20), thing("pen_0", 55, 5)))
+    found = list(REQUIRED.completed(reply, [], question))
+    assert all(not any(f.is_hard for f in CHECK(whole, question)) for whole, _, _ in found)
+    assert all(sum(o.category == "plate" for o in whole.objects) == 8 for whole, _, _ in found)
+    _, faults, left = found[0]  # two rows of four have no room beside the plates where these are
+    assert {f.message.partition(": ")[2] for f in faults} > {"the answer has too few of them"}
+    assert [o.instance for o, _ in left] == ["serving_tray_0", "pen_0"]
+    assert {o.size_cm for o in found[-1][0].objects} == {(23.5, 23.5, 1.8)}
+
+
+def test_nothing_is_added_where_there_is_no_room_at_all() -> None:
+    assert not list(REQUIRED.completed(LayoutReply(()), [], ask("Put eleven plates on the table.")))
