@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,10 +14,11 @@ from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.prompt_styles import prompt_style_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
+from models.semantic_reasoner.replies.object_check import ObjectCheck
 from models.semantic_reasoner.replies.required_objects import RequiredObjects
 from models.semantic_reasoner.text.prompt import PROMPT_VERSION
 from models.semantic_reasoner.text.zero_shot_prompt import ZERO_SHOT_SYSTEM
-from models.settings import Count, PositiveCount, Settings
+from models.settings import PositiveCount, Settings
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 
@@ -27,11 +29,6 @@ class ReasonerSettings(Settings):
 
     tries: PositiveCount = 4
     """How often a question is asked, at most, until its answer passes the checks."""
-
-    task_tries: Count = 0
-    """The same for the first stage, which decides what a scene is about. 0 takes ``tries``, four times that with the embedded
-    model, whose first answers are short and cost little.
-    """
 
     statistics: str = ""
     """Where the checks take the statistics of categories from: a model's folder with ``categories.json``, or a preprocess run
@@ -49,10 +46,6 @@ class ReasonerSettings(Settings):
 
     wording: str = ""
     """File with the text of MesaTask's question, for the dialect ``mesatask``; empty takes a text of the same meaning."""
-
-    def tries_with(self, engine: EngineSettings) -> tuple[int, int]:
-        """How often a question is asked at most, and how often that of the first stage."""
-        return self.tries, self.task_tries or self.tries * (4 if engine.kind == "embedded" else 1)
 
     def dialect_with(self, engine: EngineSettings) -> str:
         """The form of the prompts for an engine."""
@@ -77,16 +70,16 @@ def load_reasoner(
     """
     settings = settings or ReasonerSettings()
     statistics = _statistics(engine, settings)
-    interpret, check, required = None, form_check, None
+    interpret, check, required, object_check = None, form_check, None, None
     if statistics is not None:
         from models.text_encoder import load_default
 
         interpret = InstructionInterpreter(statistics, load_default())
         check = ReplyCheck(statistics, interpret, settings.checks)
         required = RequiredObjects(statistics, interpret, settings.checks.most_objects)
+        object_check = partial(ObjectCheck.of_question, interpret=interpret, settings=settings.checks)
     is_closed = engine.kind == "embedded"  # it knows only the words of its training
     dialect = prompt_style_of(settings.dialect_with(engine), _text(settings.wording), interpret, is_closed, _requires(engine))
-    tries = settings.tries_with(engine)
     plan_edit = None
     if is_closed and statistics is not None and interpret is not None:
         from models.semantic_reasoner.edit_planning.planner import EditPlanner
@@ -94,7 +87,15 @@ def load_reasoner(
         plan_edit = EditPlanner(interpret, statistics)
     own = interpret if is_closed else None
     reasoner = SemanticReasoner(
-        loaded or load_engine(engine), check, tries, engine.reads_reasons, own, dialect, plan_edit, required
+        loaded or load_engine(engine),
+        check,
+        settings.tries,
+        engine.reads_reasons,
+        own,
+        dialect,
+        plan_edit,
+        required,
+        object_check,
     )
     return reasoner, interpret
 
@@ -119,10 +120,8 @@ def proposal_config(engine: EngineSettings, settings: ReasonerSettings | None = 
         ConfigError: The engine or the statistics are missing.
     """
     settings = settings or ReasonerSettings()
-    tries, task_tries = settings.tries_with(engine)
     found = engine.shaping() | {
-        "tries": tries,
-        "task_tries": task_tries,
+        "tries": settings.tries,
         "checks": settings.checks.shaping(),
         "prompt_version": PROMPT_VERSION,
     }

@@ -10,6 +10,7 @@ from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
 from models.semantic_reasoner.replies.checks import CROWDED, REQUIRED_MISSING, ReplyFault
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
+from models.semantic_reasoner.replies.object_check import ObjectCheck
 from models.semantic_reasoner.replies.relation_repair import repair_relations
 from models.semantic_reasoner.replies.required_objects import PLACED, RemovedObject, RequiredObjects
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, check_instruction
@@ -154,32 +155,35 @@ class SemanticReasoner:
     Args:
         engine: Completes the requests.
         check: Finds faults in a reply; None accepts every reply that can be parsed.
-        tries: How often a question is asked at most; or a pair: this number, and the number for the first stage.
+        tries: How often a question is asked at most.
         tells_reasons: Whether a retry shows the refused answers and the reasons, which large models can use; else a retry asks
             the same question with another seed.
         interpret: Interprets instructions; its notices are those of the proposals. None gives no notices.
         plan_edit: Returns the reply to an edit without the engine. None asks the engine.
         dialect: The style of the prompts; by default this project's own.
         required: Judges the number of required objects, and adds those that an answer lacks; None does neither.
+        object_check: Returns the judge of each object of the answers to a question while they are written; None judges none.
     """
 
     def __init__(
         self,
         engine: Engine,
         check: FaultFinder | None = None,
-        tries: int | tuple[int, int] = 4,
+        tries: int = 4,
         tells_reasons: bool = False,
         interpret: InstructionInterpreter | None = None,
         dialect: PromptStyle | None = None,
         plan_edit: Callable[[ReasonerQuestion], LayoutReply] | None = None,
         required: RequiredObjects | None = None,
+        object_check: Callable[[ReasonerQuestion], ObjectCheck] | None = None,
     ) -> None:
-        self._tries, self._task_tries = (tries, tries) if isinstance(tries, int) else tries
-        if min(self._tries, self._task_tries) < 1:
+        if tries < 1:
             raise ConfigError(f"tries is {tries}, expected at least 1", "config_invalid")
+        self._tries = tries
         self.engine, self._check, self._interpret = engine, check, interpret
         self._tells_reasons, self._plan_edit = tells_reasons, plan_edit
         self._dialect, self._required = dialect or StagedPromptStyle(), required
+        self._object_check = object_check
 
     def propose(self, questions: Sequence[ReasonerQuestion], seeds: Sequence[int]) -> list[Proposal]:
         """Returns a proposal for each question, in their order; a failure does not affect the other questions.
@@ -254,11 +258,10 @@ class SemanticReasoner:
         """The proposal for a question that has no try left or cannot be asked, or for an edit that can be planned; else None."""
         question = pending.question
         if pending.tries:
-            tries = self._tries
-            if question.wanted is Stage.TASK:  # many objects are seldom all without faults, and cost many tokens
-                is_costly = pending.num_objects >= MOST_OBJECTS
-                tries = self._task_tries if not is_costly else 0 if pending.usable else self._tries
-            return self._final_proposal(pending) if pending.tries >= tries else None
+            # Many objects are seldom all without faults, and cost many tokens.
+            is_costly = question.wanted is Stage.TASK and pending.num_objects >= MOST_OBJECTS
+            is_last = pending.tries >= self._tries or (is_costly and bool(pending.usable))
+            return self._final_proposal(pending) if is_last else None
         try:
             check_instruction(question.instruction)
             if self._required is not None:
@@ -273,7 +276,8 @@ class SemanticReasoner:
         question = pending.question
         refused = [(r.answer, r.reason) for r in pending.refused] if self._tells_reasons else []
         chat = tuple(self._dialect.messages(question, refused))
-        return Request(chat, self._dialect.form(question), named_seed(pending.seed, question.wanted, pending.tries))
+        refuses = None if self._object_check is None or question.edits else self._object_check(question)
+        return Request(chat, self._dialect.form(question), named_seed(pending.seed, question.wanted, pending.tries), refuses)
 
     def _final_proposal(self, pending: _PendingQuestion) -> Proposal:
         """The proposal for a question that has no try left."""

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,7 @@ from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long
 from models.semantic_reasoner.engines.shared_batch import SharedBatch
 from models.semantic_reasoner.engines.token_sampling import TokenSampler
-from models.semantic_reasoner.replies.grammar import ReplyGrammar
-from models.semantic_reasoner.text.reply_json import parse_reply
+from models.semantic_reasoner.text.reply_json import POSITION, parse_beginning, parse_reply
 from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.errors import ConfigError
 
@@ -31,14 +30,27 @@ _CLOSING = "]}"
 
 @dataclass(slots=True, eq=False)
 class _Sequence:
-    """A request that is being decoded."""
+    """A request that is being decoded.
+
+    Attributes:
+        index: Number of the request.
+        prompt: Tokens of the question.
+        request: The request.
+        matcher: Binds the reply to its form; None: it is free.
+        draws: The random stream.
+        reply: Tokens of the reply so far.
+        num_judged: Number of objects of the reply that were judged as soon as they were written.
+        redraws: How often the place of the next of them was drawn again.
+    """
 
     index: int
     prompt: list[int]
-    form: ReplyGrammar
+    request: Request
     matcher: LLMatcher | None
     draws: np.random.Generator
-    reply: list[int]
+    reply: list[int] = field(default_factory=list)
+    num_judged: int = 0
+    redraws: int = 0
 
 
 class LocalEngine:
@@ -85,6 +97,7 @@ class LocalEngine:
         closing = np.zeros(self._vocabulary, bool)
         words = tokenizer.convert_ids_to_tokens(range(len(tokenizer)))
         closing[[k for k, word in enumerate(words) if word.endswith(_CLOSING)]] = True
+        self._completing = {k for k, word in enumerate(words) if "}" in word}
         self._sampler = TokenSampler(sampling, closing)
         self._shared = SharedBatch(lambda: _DecodingBatch(self))
         self.num_steps = self.num_tokens = 0
@@ -135,7 +148,9 @@ class LocalEngine:
         if torch.cuda.is_available():
             model.to(device="cuda")
         else:
-            model.to(dtype=torch.float32)  # half precision is slower than single on most CPUs
+            has = torch.cpu.get_capabilities()
+            is_fast = has.get("avx512_bf16") or has.get("amx_bf16")  # elsewhere half precision is slower than single
+            model.to(dtype=torch.bfloat16 if is_fast else torch.float32)
         return cls(model, tokenizer, name or f"transformers:{folder.name}", sampling, num_slots, is_constrained)
 
     def complete(self, requests: Sequence[Request]) -> list[Completion]:
@@ -171,7 +186,7 @@ class LocalEngine:
             matcher = self._matcher(request.form.grammar())
             if matcher.is_error():
                 return Completion("", len(prompt), failure=f"grammar: {matcher.get_error()}", code="grammar_invalid")
-        return _Sequence(index, prompt, request.form, matcher, np.random.default_rng(request.seed), [])
+        return _Sequence(index, prompt, request, matcher, np.random.default_rng(request.seed))
 
     def _matcher(self, grammar: str) -> LLMatcher:
         return LLMatcher(self._guide, LLMatcher.grammar_from_lark(grammar))
@@ -181,10 +196,10 @@ class LocalEngine:
 
         Returns False if none is missing, or if there is no room for it in the ``room`` tokens of a reply.
         """
-        if sequence.matcher is None or not sequence.form.asks:
+        if sequence.matcher is None or not sequence.request.form.asks:
             return False
         whole = self._text(sequence.reply)
-        lacking = sequence.form.lacking(whole)
+        lacking = sequence.request.form.lacking(whole)
         if lacking is None:
             return False
         objects = whole.removesuffix(_CLOSING)
@@ -192,13 +207,35 @@ class LocalEngine:
         if count and count * room < (count + 1) * len(sequence.reply):
             return False  # an object of the mean length would be cut off
         # The last removed token may hold a part of an object, which the new grammar starts with.
-        while len(remaining := self._text(sequence.reply)) > len(objects):
-            sequence.reply.pop()
-        start = objects[len(remaining) :] + ("," if count else "")
+        self._shorten(sequence.reply, len(objects))
+        start = objects[len(self._text(sequence.reply)) :] + ("," if count else "")
         is_long = 2 * len(sequence.reply) > room  # then only missing objects may follow
-        at_most = 1 if is_long else sequence.form.at_most - count
-        sequence.matcher = self._matcher(sequence.form.grammar_after(start, lacking, at_most))
+        at_most = 1 if is_long else sequence.request.form.at_most - count
+        sequence.matcher = self._matcher(sequence.request.form.grammar_after(start, lacking, at_most))
         return True
+
+    def _redraw(self, sequence: _Sequence) -> bool:
+        """Removes the place of the last object and what follows it, if the object is just complete and is refused."""
+        refuses = sequence.request.refuses
+        if refuses is None or sequence.matcher is None or not sequence.reply or sequence.reply[-1] not in self._completing:
+            return False
+        text = self._text(sequence.reply)
+        objects = parse_beginning(text)
+        if len(objects) <= sequence.num_judged:
+            return False
+        if sequence.redraws >= self.sampling.redraws or not refuses(objects):
+            sequence.num_judged, sequence.redraws = len(objects), 0
+            return False
+        sequence.redraws += 1
+        sequence.matcher.rollback(self._shorten(sequence.reply, text.rindex(POSITION) + len(POSITION)))
+        return True
+
+    def _shorten(self, reply: list[int], length: int) -> int:
+        """Removes the last tokens until the text has at most ``length`` characters, and returns their number."""
+        before = len(reply)
+        while len(self._text(reply)) > length:
+            reply.pop()
+        return before - len(reply)
 
     def _draw(self, logits: Tensor, active: list[_Sequence]) -> list[int]:
         """Draws a token for each sequence."""
@@ -209,7 +246,10 @@ class LocalEngine:
             llguidance.numpy.fill_next_token_bitmask_par(self._executor, matchers, allowed)
             may_end[[row for _, row in matchers]] = self._sampler.may_end(allowed[[row for _, row in matchers]])
         end_draws = np.array([s.draws.random() if ends else np.nan for s, ends in zip(active, may_end, strict=True)])
-        return self._sampler.draw(logits, allowed, np.array([s.draws.random() for s in active]), end_draws)
+        draws = np.array([s.draws.random() for s in active])
+        # The last redraw is accepted as it is, so it is drawn as usual.
+        redraws = np.array([s.redraws if s.redraws < self.sampling.redraws else 0 for s in active])
+        return self._sampler.draw(logits, allowed, draws, end_draws, redraws)
 
     def _text(self, tokens: list[int]) -> str:
         return str(self._tokenizer.decode(tokens, skip_special_tokens=True, clean_up_tokenization_spaces=False))
@@ -273,7 +313,7 @@ class _DecodingBatch:
                     sequence.matcher.consume_token(token)
                     ended = sequence.matcher.is_stopped()
             room = min(engine.sampling.max_tokens, longest - len(sequence.prompt))
-            if ended and engine._reopen(sequence, room):
+            if engine._redraw(sequence) or (ended and engine._reopen(sequence, room)):
                 ended = False
                 # The last remaining token is decoded again, for the logits after it.
                 so_far = sequence.prompt + sequence.reply

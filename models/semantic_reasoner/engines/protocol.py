@@ -4,13 +4,14 @@ An engine never raises for a single request: an unanswered one gives a completio
 constructor raises a ConfigError if the engine cannot work at all (a folder without a model, a missing extra).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from models.semantic_reasoner.engines.incremental_batches import Conversation, batch_conversation
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.prompt import Message
+from models.semantic_reasoner.text.reply_json import LayoutObject
 from models.settings import Count, NonNegative, PositiveCount, Settings, Share
 
 OFF = (
@@ -40,6 +41,9 @@ class Sampling(Settings):
     max_tokens: PositiveCount = 4096
     """Tokens; the longest reply."""
 
+    redraws: Count = 8
+    """How often the place of an object is drawn again, at most, while it is refused as soon as it is written; 0 refuses none."""
+
 
 @dataclass(frozen=True, slots=True)
 class Request:
@@ -49,11 +53,14 @@ class Request:
         messages: The chat, as :func:`models.semantic_reasoner.text.prompt.messages` makes it.
         form: The grammar of the reply; engines that can constrain decoding use it.
         seed: Seed of the draws: with a reproducible engine the same request and seed give the same completion.
+        refuses: Judges the last of the objects that a reply has so far. An engine in this process draws the place of a refused
+            object again; other engines do not use it. None refuses nothing.
     """
 
     messages: tuple[Message, ...]
     form: ReplyGrammar
     seed: int = 0
+    refuses: Callable[[Sequence[LayoutObject]], bool] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from models.semantic_reasoner.engines.protocol import Sampling
 
+_HEAT = 0.5  # temperature that each further redraw adds
 _WORD = 32  # bits of an integer of a mask
 _BITS = (1 << np.arange(_WORD, dtype=np.int64)).astype(np.uint32).view(np.int32)
 
@@ -41,6 +42,7 @@ class TokenSampler:
         allowed: npt.NDArray[np.int32] | None,
         draws: npt.NDArray[np.float64],
         end_draws: npt.NDArray[np.float64],
+        redraws: npt.NDArray[np.int64],
     ) -> list[int]:
         """Draws the next tokens.
 
@@ -49,6 +51,8 @@ class TokenSampler:
             allowed: Bit masks of the allowed tokens, (B, V / 32); None allows all.
             draws: A random number of each sequence, (B,), in [0, 1).
             end_draws: Another for each sequence that may either end its list or continue it; not a number for the others.
+            redraws: How often each sequence has drawn this part already, (B,). Each time its temperature is higher, and
+                ``top_p`` does not apply, since a part that is refused again and again has to become another one.
 
         Returns:
             A token of each sequence.
@@ -59,19 +63,25 @@ class TokenSampler:
             words = torch.from_numpy(_filled(allowed, rows, -1)).to(device)
             bits = words[:, :, None] & torch.from_numpy(_BITS).to(device)
             logits = logits.masked_fill(bits.flatten(1)[:, : logits.shape[1]] == 0, -torch.inf)
-        if sampling.temperature == 0:
-            return logits.argmax(1)[:count].tolist()
-        numbers = np.stack([draws, end_draws]).astype(np.float32).T
-        random = torch.from_numpy(_filled(numbers, rows, np.nan)).to(device)
+        likeliest = logits.argmax(1) if sampling.temperature == 0 else None
+        if likeliest is not None and not redraws.any():
+            return likeliest[:count].tolist()
+        temperature = np.where(redraws > 0, 1 + _HEAT * (redraws - 1), sampling.temperature or 1.0)
+        top_p = np.where(redraws > 0, 1.0, sampling.top_p)
+        numbers = np.stack([draws, end_draws, temperature, top_p]).astype(np.float32).T
+        random, ends, temperatures, shares = torch.from_numpy(_filled(numbers, rows, np.nan)).to(device).chunk(4, 1)
         if not np.isnan(end_draws).all():
-            logits = self._with_ends(logits, random[:, 1:])
+            logits = self._with_ends(logits, ends)
         # Top k, then top p, in the order of transformers.
         best, tokens = torch.topk(logits, min(sampling.top_k or logits.shape[1], logits.shape[1]))
-        share = torch.softmax(best / sampling.temperature, 1)
+        share = torch.softmax(best / temperatures, 1)
         before = torch.cumsum(share, 1) - share
-        share = share * (before < sampling.top_p)  # the most probable token always remains
-        place = (torch.cumsum(share, 1) <= random[:, :1] * share.sum(1, keepdim=True)).sum(1, keepdim=True)
-        return tokens.gather(1, place.clamp_max(share.shape[1] - 1))[:count, 0].tolist()
+        share = share * (before < shares)  # the most probable token always remains
+        place = (torch.cumsum(share, 1) <= random * share.sum(1, keepdim=True)).sum(1, keepdim=True)
+        drawn = tokens.gather(1, place.clamp_max(share.shape[1] - 1))[:count, 0]
+        if likeliest is not None:
+            drawn = torch.where(torch.from_numpy(redraws > 0).to(device), drawn, likeliest[:count])
+        return drawn.tolist()
 
     def _with_ends(self, logits: Tensor, draws: Tensor) -> Tensor:
         """Decides which lists end, and masks the other tokens of these, or else the end; draws are (rows, 1)."""

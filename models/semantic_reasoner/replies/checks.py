@@ -22,7 +22,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from models.settings import NonNegative, PositiveCount, Settings, Share
 from stable_data.metrics.matching import RequiredObject
-from stable_data.scene import FloatArray, Relation, SceneObject, Stage, Tabletop
+from stable_data.scene import FloatArray, Relation, SceneObject, Tabletop
 from stable_data.scene_graph.relations import yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import ON_TABLE, carriers_of
 
@@ -74,6 +74,10 @@ class CheckSettings(Settings):
 
     most_objects: PositiveCount = MOST_OBJECTS
     """Objects of one reply, at most."""
+
+    deepest_cm: NonNegative = 2.0
+    """Centimetres; while a reply is written, boxes of which none carries the other may reach this deep into each other. A
+    reply that is complete is not judged by this."""
 
     def shaping(self) -> dict[str, float]:
         """Returns all settings and constants that verdicts depend on; a run resumes only with the same ones."""
@@ -151,19 +155,15 @@ def check_reply(
     faults += _count_faults(objects, new, layout, question)
     for one, item in zip(objects, new, strict=True):
         if one.instance not in unmoved:
-            faults += _place_faults(item, question.table, settings)
+            faults += place_faults(item, question.table, settings)
         if one.instance not in was or not _is_plausible_resize(one, was[one.instance]):
             faults += _size_faults(one, statistics)
     faults += _support_faults(new, layout, question, unmoved)
-    faults += _duplicate_faults(new, layout, unmoved, settings)
+    faults += same_place_faults(new, layout, unmoved, settings)
     faults += _rename_faults(objects, removed, was)
     if interpret is not None and not question.edits:
         faults += _instruction_faults(layout, unchanged, question, interpret, any(f.is_hard for f in faults))
     return sorted(faults, key=lambda f: not f.is_hard) or list(_no_change_fault(objects, removed, question))
-
-
-def _asks_for_task(question: ReasonerQuestion) -> bool:
-    return question.wanted in (Stage.TASK, "whole")
 
 
 def _unchanged_objects(
@@ -248,7 +248,7 @@ def _count_faults(
     layout: Sequence[SceneObject],
     question: ReasonerQuestion,
 ) -> Iterator[ReplyFault]:
-    if not objects and _asks_for_task(question):
+    if not objects and question.asks_for_task:
         yield ReplyFault("empty", "there are no objects; give those that the instruction names and what carries them")
     width, depth = question.table.size_xy
     covered = _standing_area(layout) / (width * depth)
@@ -268,7 +268,8 @@ def _standing_area(layout: Sequence[SceneObject]) -> float:
 # --- the table ----------------------------------------------------------------------------------------------------------------
 
 
-def _place_faults(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[ReplyFault]:
+def place_faults(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterator[ReplyFault]:
+    """Yields the faults of an object's place on the table; all are hard."""
     corners = yawed_rectangle(item)
     (width, depth), (x, y, _) = table.size_xy, item.position
     # The centre has to be on the table too, so that a thin object cannot hang over the edge.
@@ -283,7 +284,7 @@ def _place_faults(item: SceneObject, table: Tabletop, s: CheckSettings) -> Itera
     if table.restricted_zone is not None:
         x_min, x_max, y_min, y_max = table.restricted_zone
         zone = np.array([(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)])
-        deep = 100 * _overlap_depth(corners, zone)
+        deep = 100 * overlap_depth(corners, zone)
         if (x_min < x < x_max and y_min < y < y_max) or deep > s.overhang_cm:
             shown = ", ".join(f"{100 * v:.0f}" for v in table.restricted_zone)
             yield ReplyFault(
@@ -300,7 +301,7 @@ def _place_faults(item: SceneObject, table: Tabletop, s: CheckSettings) -> Itera
         )
 
 
-def _overlap_depth(one: FloatArray, other: FloatArray) -> float:
+def overlap_depth(one: FloatArray, other: FloatArray) -> float:
     """Penetration of two rectangles, (4, 2) each, by their separating axes; 0 or less if they are apart."""
     depth = np.inf
     for outline in (one, other):
@@ -374,9 +375,17 @@ def _highest_below(item: SceneObject, layout: Sequence[SceneObject]) -> float:
     return max(heights)
 
 
-def _duplicate_faults(
+def same_place_faults(
     new: Sequence[SceneObject], layout: Sequence[SceneObject], unmoved: Set[str], s: CheckSettings
 ) -> Iterator[ReplyFault]:
+    """Yields a hard fault for each pair of objects that are the same by their boxes.
+
+    Args:
+        new: New and changed objects.
+        layout: All objects; the last ones are ``new``.
+        unmoved: Instances of ``new`` that an edit leaves where they were.
+        s: How strict the check is.
+    """
     if len(layout) < 2 or not new:
         return
     size = np.array([o.size for o in layout])
@@ -441,7 +450,7 @@ def _instruction_faults(
     found, broken = compare_with_instruction(layout, question.table, meant)
     if found is None:
         return
-    if _asks_for_task(question):
+    if question.asks_for_task:
         for categories, missing in _by_categories(found.missing).items():
             wanted = " or ".join(c.replace("_", " ") for c in categories[:5]) or "something in or on it"
             has_hard_faults = True

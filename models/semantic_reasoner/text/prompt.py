@@ -87,6 +87,11 @@ class ReasonerQuestion:
         """Whether the question asks for an edit."""
         return self.wanted == "edit"
 
+    @property
+    def asks_for_task(self) -> bool:
+        """Whether the objects that the instruction names are among the wanted ones."""
+        return self.wanted in (Stage.TASK, "whole")
+
 
 def messages(question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = (), system: str = SYSTEM) -> list[Message]:
     """Returns the chat of a question: a system and a user message, then each refused answer with its reason.

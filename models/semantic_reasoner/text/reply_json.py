@@ -183,6 +183,19 @@ class LayoutReply:
     relations: tuple[Relation, ...] = ()
 
 
+POSITION = '"position":['
+"""What precedes the position of an object in a text of :func:`render_objects`."""
+
+
+def parse_beginning(text: str) -> tuple[LayoutObject, ...]:
+    """Returns the complete objects of the beginning of a reply; none if its last brace is part of a description."""
+    end = text.rfind("}", 0, len(text.removesuffix("]}"))) + 1
+    try:
+        return parse_reply(f"{text[:end]}]}}").objects if end else ()
+    except SceneError:
+        return ()
+
+
 def parse_reply(text: str) -> LayoutReply:
     """Parses a reply in the form of ``schemas/layout_reply.schema.json``.
 

@@ -97,14 +97,6 @@ def test_a_cut_off_answer_is_asked_for_again() -> None:
     assert p.tries == 2
 
 
-def test_the_first_stage_may_be_asked_more_often() -> None:
-    engine = Told([BAD, BAD], [BAD, BAD], [BAD], [GOOD])
-    later = replace(ASK, wanted=Stage.SECONDARY)
-    first, other = SemanticReasoner(engine, faults, (2, 4)).propose([ASK, later], [1, 2])
-    assert (first.tries, first.failure) == (4, "")
-    assert (other.tries, other.code) == (2, "reply_unusable")
-
-
 def test_nothing_asked_is_nothing_found() -> None:
     assert SemanticReasoner(Told(), faults).propose([], []) == []
 

@@ -55,7 +55,7 @@ def taught(network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast) -> Qwe
     ]
     batch = torch.tensor([row[-40:] for row in tokens])
     optimizer = torch.optim.AdamW(network.parameters(), lr=1e-2)
-    for _ in range(120):
+    for _ in range(200):
         optimizer.zero_grad()
         network(input_ids=batch, labels=batch).loss.backward()
         optimizer.step()
@@ -117,7 +117,7 @@ def test_its_replies_have_the_form_and_become_objects(engine: Engine) -> None:
 
 
 def test_the_same_seed_says_the_same_and_another_another(engine: Engine) -> None:
-    asked = [request(seed) for seed in (1, 2, 3, 4)]
+    asked = [request(seed) for seed in range(1, 9)]
     first = engine.complete(asked)
     assert [c.text for c in engine.complete(asked)] == [c.text for c in first]
     assert len({c.text for c in first if c.text}) == len([c for c in first if c.text]) > 1

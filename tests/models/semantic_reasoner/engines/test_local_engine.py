@@ -73,9 +73,13 @@ def test_slots_give_the_logits_of_whole_sequences(network: Qwen3ForCausalLM) -> 
         decoder.step(tokens)
 
 
+@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_logits_do_not_depend_on_the_batch_to_the_last_bit(network: Qwen3ForCausalLM, num_threads: int) -> None:
+def test_logits_do_not_depend_on_the_batch_to_the_last_bit(
+    network: Qwen3ForCausalLM, num_threads: int, precision: torch.dtype
+) -> None:
     """A sequence alone, and one among others that come, go, are longer and push it to another slot."""
+    network.to(dtype=precision)
     draw = torch.Generator().manual_seed(1)
     told, more = (torch.randint(5, 300, (size,), generator=draw).tolist() for size in (70, 30))
     others = [torch.randint(5, 300, (size,), generator=draw).tolist() for size in range(3, 400, 20)]
@@ -230,7 +234,7 @@ def test_a_reply_ends_without_what_it_has_no_room_for(network: Qwen3ForCausalLM,
 
     def then(room: int) -> list[bool] | None:
         """Whether one and two more objects may follow; None if the reply ends."""
-        sequence = _Sequence(0, [1], form, engine._matcher(form.grammar()), default_rng(0), [*reply])
+        sequence = _Sequence(0, [1], request(0, form=form), engine._matcher(form.grammar()), default_rng(0), [*reply])
         if not engine._reopen(sequence, room):
             return None
         assert sequence.matcher is not None
@@ -254,9 +258,8 @@ def test_an_end_is_taken_back_by_whole_tokens(
     engine = LocalEngine(network, words, "tiny")
     whole = render_objects([MUG] * count)
     reply = words(whole, add_special_tokens=False)["input_ids"]
-    sequence = _Sequence(
-        0, [1], ReplyGrammar.of_table(TABLE, asks=ASKS), engine._matcher(FORM.grammar()), default_rng(0), [*reply]
-    )
+    asked = request(0, form=ReplyGrammar.of_table(TABLE, asks=ASKS))
+    sequence = _Sequence(0, [1], asked, engine._matcher(FORM.grammar()), default_rng(0), [*reply])
     assert engine._reopen(sequence, 4096)
     kept = engine._text(sequence.reply)
     assert whole.removesuffix("]}").startswith(kept)
@@ -288,7 +291,7 @@ def test_lists_end_at_the_model_s_own_odds(network: Qwen3ForCausalLM, tokenizer:
     tokens = tokenizer(render_objects([MUG]), add_special_tokens=False)["input_ids"][:-1]
     matcher = engine._matcher(form.grammar())
     assert matcher.consume_tokens(tokens)
-    sequence = _Sequence(0, [1], form, matcher, default_rng(0), tokens)
+    sequence = _Sequence(0, [1], request(0, form=form), matcher, default_rng(0), tokens)
     drawn = [engine._draw(logits, [sequence])[0] for _ in range(3000)]
     assert set(drawn) == {end, more}
     assert drawn.count(end) / len(drawn) == pytest.approx(0.06, abs=0.015)
@@ -333,7 +336,7 @@ def test_an_engine_is_a_folder(network: Qwen3ForCausalLM, tokenizer: PreTrainedT
     network.save_pretrained(tmp_path)
     tokenizer.save_pretrained(tmp_path)
     loaded = LocalEngine.load(tmp_path, sampling=SHORT)
-    direct = LocalEngine(network, tokenizer, "tiny", SHORT)
+    direct = LocalEngine(network.to(dtype=loaded._model.dtype), tokenizer, "tiny", SHORT)
     asked = [request(seed) for seed in range(3)]
     assert loaded.complete(asked) == direct.complete(asked)
     assert loaded.name == f"transformers:{tmp_path.name}"
