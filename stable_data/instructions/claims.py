@@ -105,9 +105,9 @@ def number_mentions(text: str, types: Sequence[str], mentioned: Sequence[ObjectM
     return marked
 
 
-def is_named(category: str, text: str) -> bool:
-    """Whether an instruction mentions a category by one of its nouns."""
-    return any("<0>" in number_mentions(text.replace("<", " "), (noun,)) for noun in nouns_of(category))
+def nouns_in(text: str, category: str) -> tuple[str, ...]:
+    """Returns the nouns by which an instruction mentions a category, its own words first."""
+    return tuple(n for n in nouns_of(category) if "<0>" in number_mentions(text.replace("<", " "), (n,)))
 
 
 def mentions_all(text: str) -> bool:

@@ -35,7 +35,7 @@ from itertools import product
 from typing import TypeAlias
 
 from stable_data.errors import SceneError
-from stable_data.instructions.claims import is_named, mentions_all
+from stable_data.instructions.claims import mentions_all, nouns_in
 from stable_data.metrics.matching import DesiredRelation, ObjectMatching, Option, RequiredObject, candidates, closeness, match
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, TaskInfo
 from stable_data.scene_graph.relations import (
@@ -123,15 +123,23 @@ def reference_of(scene: Scene) -> AlignmentReference:
     # A scene without relations has no scene graph yet: its figure is unknown, not 0.
     between = [r for r in scene.relations if r.kind not in _UNARY and r.kind is not RelationKind.EQUALLY_SPACED]
     graph = tuple(r for r in between if {r.subject, r.target} <= set(wanted)) if scene.relations else None
-    required = tuple(RequiredObject(name, () if name in unnamed else (category[name],)) for name in wanted)
+    required = tuple(
+        RequiredObject(name, () if name in unnamed else _categories_of(category[name], scene.task.task)) for name in wanted
+    )
     return AlignmentReference(scene.scene_id, required, entailed, graph, len(scene.objects))
+
+
+def _categories_of(category: str, text: str) -> tuple[str, ...]:
+    """The category, and what an instruction calls it if it only uses a wider noun: ``the cup`` of a teacup can be a mug."""
+    nouns = tuple(noun.replace(" ", "_") for noun in nouns_in(text, category))
+    return (category,) if category in nouns else (category, *nouns)
 
 
 def _unnamed_objects(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str], frozenset[str]]:
     """Task objects that an instruction names by their place alone: the first of each place, and the others."""
     if not mentions_all(task.task):  # only words such as "everything" name objects by their place
         return frozenset(), frozenset()
-    named = {name for name in task.task_objects if is_named(category[name], task.task)}
+    named = {name for name in task.task_objects if nouns_in(task.task, category[name])}
     places: dict[str, list[str]] = {}
     for r in task.relations:
         if r.kind in _ON_IN and r.subject not in named and r.target in named:

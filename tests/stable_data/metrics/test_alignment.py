@@ -331,6 +331,17 @@ def test_a_search_that_was_given_up_is_unknown(monkeypatch: pytest.MonkeyPatch) 
     assert "1 scenes unknown" in str(summary)
 
 
+@pytest.mark.parametrize(
+    ("words", "is_enough"), [("Hand me the cup.", True), ("Hand me the teacup.", False), ("Hand me the cup and the teacup.", False)]
+)
+def test_what_is_called_by_a_wider_noun_may_be_whatever_has_that_noun(words: str, is_enough: bool) -> None:
+    teacup = SceneObject("teacup_0", "teacup", (0.3, 0.3, 0.05), 0.0, (0.1, 0.1, 0.1))
+    reference = reference_of(replace(with_objects(teacup), task=TaskInfo("A desk.", words, task_objects=("teacup_0",))))
+    found = align(with_objects(MUG), reference)
+    assert found.awt == float(is_enough)
+    assert align(with_objects(teacup), reference).awt == 1
+
+
 def test_references_that_cannot_be_judged_are_refused() -> None:
     for task in (None, TaskInfo("A desk.", "Do it."), TaskInfo("A desk.", "Do it.", task_objects=("ghost_0",))):
         with pytest.raises(SceneError, match="task objects are") as caught:
