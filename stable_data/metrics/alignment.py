@@ -36,7 +36,8 @@ from typing import TypeAlias
 
 from stable_data.errors import SceneError
 from stable_data.instructions.claims import mentions_all, nouns_in
-from stable_data.metrics.matching import DesiredRelation, ObjectMatching, Option, RequiredObject, candidates, closeness, match
+from stable_data.instructions.wording.vocabulary import closeness
+from stable_data.metrics.matching import DesiredRelation, ObjectMatching, Option, RequiredObject, candidates, match
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, TaskInfo
 from stable_data.scene_graph.relations import (
     Contacts,

@@ -26,7 +26,7 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 from scipy.sparse import coo_array
 
 from stable_data.errors import SceneError
-from stable_data.instructions.wording.vocabulary import closeness as closeness
+from stable_data.instructions.wording.vocabulary import closeness
 from stable_data.instructions.wording.words import type_words
 from stable_data.scene import FloatArray, SceneObject
 

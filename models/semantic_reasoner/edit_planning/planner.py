@@ -217,7 +217,7 @@ class _Plan:
     def create(self, one: MentionedObject) -> str:
         """Adds an object of the usual size, not yet placed."""
         known = [c for c in one.categories if c in self._statistics.categories and self._statistics.categories[c].sizes]
-        category = max(known, key=lambda c: self._statistics.categories[c].count, default=one.categories[0])
+        category = self._statistics.most_frequent(known or one.categories)
         used = {name for name in self._entries if name.rpartition("_")[0] == category}
         name = next(f"{category}_{k}" for k in range(len(used) + 1) if f"{category}_{k}" not in used)
         size: Vec3 = (0.1, 0.1, 0.1)

@@ -98,6 +98,14 @@ class CategoryStatistics:
         nothing = Category(0, (), (), 0.0, {})
         return cls(dict.fromkeys(categories, nothing), {})
 
+    def most_frequent(self, categories: Iterable[str]) -> str:
+        """Returns the category with the most measured objects; the first of equally frequent ones.
+
+        Args:
+            categories: At least one; unknown ones have no objects.
+        """
+        return max(categories, key=lambda c: self.categories[c].count if c in self.categories else 0)
+
     # --- files ---
 
     def save(self, folder: Path) -> None:

@@ -187,13 +187,9 @@ class InstructionInterpreter:
         names: dict[str, str] = {}
         for r in reference.required:
             if r.categories:
-                category = max(r.categories, key=self._count)  # the first one of equally frequent ones
+                category = self._statistics.most_frequent(r.categories)
                 names[r.instance] = f"{category}_{sum(n.rpartition('_')[0] == category for n in names.values())}"
         return required_phrases(names, [r for r in reference.entailed if set(members(r)) <= names.keys()])
-
-    def _count(self, category: str) -> int:
-        known = self._statistics.categories.get(category)
-        return 0 if known is None else known.count
 
     def _reworded(self, instruction: str, reading: InstructionReading) -> str:
         """The instruction with a noun of the engine in place of each noun that it does not know."""

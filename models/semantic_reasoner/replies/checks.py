@@ -75,7 +75,7 @@ class CheckSettings(Settings):
     most_objects: PositiveCount = MOST_OBJECTS
     """Objects of one reply, at most."""
 
-    deepest_cm: NonNegative = 2.0
+    deepest_cm: NonNegative = 1.0
     """Centimetres; while a reply is written, boxes of which none carries the other may reach this deep into each other. A
     reply that is complete is not judged by this."""
 

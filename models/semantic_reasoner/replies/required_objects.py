@@ -44,7 +44,7 @@ class RequiredObjects:
     """
 
     def __init__(self, statistics: CategoryStatistics, interpret: InstructionInterpreter, most_objects: int) -> None:
-        self._categories, self._interpret, self._most_objects = statistics.categories, interpret, most_objects
+        self._statistics, self._interpret, self._most_objects = statistics, interpret, most_objects
 
     # --- room ---
 
@@ -159,19 +159,19 @@ class RequiredObjects:
             elif like is not None:
                 found.append((like, "the answer has too few of them"))
             else:
-                category = max(known, key=lambda c: known[c].count)
+                category = self._statistics.most_frequent(known)
                 words, size = f"a {' '.join(type_words(category))}", _cm(known[category].usual_size)
                 found.append((LayoutObject(f"{category}_0", words, size, size, 0), "the answer lacks it"))
         return found
 
     def _small(self, o: LayoutObject) -> LayoutObject:
         """The object in the size of a small one of its category."""
-        known = self._categories.get(o.category)
+        known = self._statistics.categories.get(o.category)
         return o if known is None or not known.sizes else replace(o, size_cm=_cm(known.smallest_size))
 
     def _known(self, required: RequiredObject) -> dict[str, Category]:
         """The categories of a required object whose sizes are known."""
-        found = {c: self._categories[c] for c in required.categories if c in self._categories}
+        found = {c: self._statistics.categories[c] for c in required.categories if c in self._statistics.categories}
         return {c: known for c, known in found.items() if known.sizes}
 
     def _smallest(self, required: Iterable[RequiredObject]) -> list[Vec3]:

@@ -332,7 +332,8 @@ def test_a_search_that_was_given_up_is_unknown(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(
-    ("words", "is_enough"), [("Hand me the cup.", True), ("Hand me the teacup.", False), ("Hand me the cup and the teacup.", False)]
+    ("words", "is_enough"),
+    [("Hand me the cup.", True), ("Hand me the teacup.", False), ("Hand me the cup and the teacup.", False)],
 )
 def test_what_is_called_by_a_wider_noun_may_be_whatever_has_that_noun(words: str, is_enough: bool) -> None:
     teacup = SceneObject("teacup_0", "teacup", (0.3, 0.3, 0.05), 0.0, (0.1, 0.1, 0.1))
