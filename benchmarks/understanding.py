@@ -15,7 +15,7 @@ in the training, so that figure says nothing of foreign words.
 import json
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,6 +28,7 @@ from models.instruction_reader.reader import InstructionReader
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
 from models.instruction_reader.weights import DEFAULT_WEIGHTS
 from stable_data.embedded_world.sampling import sample_task
+from stable_data.instructions.wording.vocabulary import closeness
 from stable_data.metrics.alignment import reference_of
 from stable_data.metrics.matching import DesiredRelation, RequiredObject, match
 from stable_data.scene import RelationKind
@@ -146,15 +147,24 @@ def _name(case: Handwritten, instance: str) -> str:
     return next(str(r) for r in case.reference.required if r.instance == instance)
 
 
-def drawn_cases(count: int) -> tuple[Handwritten, ...]:
-    """Returns drawn tasks with the labels of their templates; tasks whose objects are unknown, and cells of the table, are left out."""
+def drawn_cases(count: int, known: Collection[str]) -> tuple[Handwritten, ...]:
+    """Returns drawn tasks with the labels of their templates; tasks whose objects are unknown, and cells of the table, are left out.
+
+    Args:
+        count: Number of tasks that are drawn.
+        known: The reader's categories; a label that is a wide noun, such as ``cup``, allows all of these that it can mean.
+    """
     found = []
     for number in range(count):
         scene = sample_task(number, _DRAWN_SEED)
         if scene.task is not None and scene.task.task_objects:
             reference = reference_of(scene)
             between = tuple(r for r in reference.entailed if r.kind in _FORMS)
-            found.append(Handwritten(scene.task.task, scene.table, replace(reference, entailed=between), ()))
+            required = tuple(
+                replace(r, categories=tuple(c for c in known if any(closeness(c, wanted) for wanted in r.categories)))
+                for r in reference.required
+            )
+            found.append(Handwritten(scene.task.task, scene.table, replace(reference, required=required, entailed=between), ()))
     return tuple(found)
 
 
@@ -191,7 +201,7 @@ def main(
     found = {}
     sets = {path.stem: read_handwritten(path) for path in file or [FILE, *own]}
     if drawn:
-        sets[f"drawn {drawn}"] = drawn_cases(drawn)
+        sets[f"drawn {drawn}"] = drawn_cases(drawn, read_nouns().nouns)
     for name, cases in sets.items():
         began = time.perf_counter()
         readings = [reader.read(case.instruction) for case in cases]

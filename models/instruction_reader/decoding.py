@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.network import CELLS, CHANGES, GOAL, GROUPS, START
+from models.instruction_reader.nouns import is_hollow
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
 from stable_data.instructions.wording.words import is_plural
 
@@ -40,6 +41,17 @@ _AT_EDGE = frozenset({"corner", "edge", "end", "left", "right", "side"})  # word
 _CELL_GAP = 3  # words between two that mean one cell, as in "the middle of the front edge"
 _CLAUSE = 6  # most words between two of one clause that may mean one cell
 _STOPS = frozenset(".;!?")
+
+_CLAUSE_ENDS = frozenset({*_ROWS, *_COLUMNS, *_AT_EDGE, *_CENTRE, "me", "you", "us", "viewer", "robot"})
+"""Words that may end a clause which singles out an object by its place."""
+
+_SINGLING = frozenset(
+    {
+        "bigger", "closer", "farther", "higher", "larger", "left", "longer", "lower", "nearer", "right", "shorter", "smaller",
+        "taller", "thicker", "thinner", "upper", "wider",
+    }
+)  # fmt: skip
+"""Words before a noun that single out one of several objects."""
 
 _SAME = 0.5
 _PART = 0.5
@@ -99,7 +111,10 @@ def decode(
     """
     phrases = [words[a : b + 1] for a, b in spans]
     nouns = [_noun(phrase, lexicon) for phrase in phrases]
-    clusters = _clusters(start, nouns, [phrase[-1] for phrase in phrases])
+    repeated = np.array([[a != b and _is_repeated(words, a, b) for b in spans] for a in spans], bool).reshape(
+        len(spans), len(spans)
+    )
+    clusters = _clusters(start, nouns, [phrase[-1] for phrase in phrases], repeated)
     ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
     said = {**said, **{name: _of_spoken_cells(said[name], words) for name in ("region", "goal_region")}}
     entities = [_entity(cluster, phrases, nouns, said, ranges) for cluster in clusters]
@@ -107,6 +122,7 @@ def decode(
     _name_ones(entities, clusters, parts)
     made = _objects(entities, parts)
     found = _relations(clusters, start, START[1:7], parts)
+    found = [(p, i, _carrying(kind, i, j, words, spans, clusters, entities), j) for p, i, kind, j in found]
     aims = _relations(clusters, goal, GOAL[1:], parts)
     relations = [*_expanded(found, made.numbers), *_groups(entities, made.numbers)]
     kept, contradictions = _consistent(relations)
@@ -134,6 +150,8 @@ def _spoken_cells(words: Sequence[str]) -> set[str]:
             continue
         if word in ("near", "far") and not (k + 1 < len(words) and words[k + 1] in _AT_EDGE):
             continue
+        if _singles_out(words, k):
+            continue
         other = (word in _ROWS and row not in ("", "middle", _ROWS[word])) or (
             word in _COLUMNS and column not in ("", _COLUMNS[word])
         )
@@ -149,6 +167,20 @@ def _spoken_cells(words: Sequence[str]) -> set[str]:
     return found | {_cell(row, column)} if last >= 0 else found
 
 
+def _singles_out(words: Sequence[str], k: int) -> bool:
+    """Whether a word of a row or column says which of several objects is meant, not where: ``the right-hand cup``."""
+    if tuple(words[k + 1 : k + 3]) == ("-", "hand"):
+        return not _AT_EDGE & {*words[k + 3 : k + 4]}
+    clause = words[max(0, k - 5) : k + 1]  # "that is farthest to the left"
+    return any(
+        clause[n] in ("that", "which")
+        and clause[n + 1] == "is"
+        and (clause[n + 2].endswith("est") or clause[n + 2] in _SINGLING or clause[n + 2] == "further")
+        and _STOPS.isdisjoint(clause[n:])
+        for n in range(len(clause) - 2)
+    )
+
+
 def _cell(row: str, column: str) -> str:
     return f"{row or 'middle'}_{column or 'middle'}"
 
@@ -160,10 +192,50 @@ def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...
     return True, lexicon.categories(phrase)
 
 
-def _clusters(start: Scores, nouns: Sequence[tuple[bool, tuple[str, ...]]], heads: Sequence[str]) -> list[list[int]]:
+def _is_repeated(words: Sequence[str], one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two mentions single out one object with the same words, such as ``the jar that is closest to the left``."""
+    (a, b), (c, d) = one, other
+    if words[a : b + 1] != words[c : d + 1] or _PRONOUNS.issuperset(words[a : b + 1]):
+        return False
+    if not all("the" in words[max(0, k - 1) : k + 1] for k in (a, c)) or is_plural(words[b]):
+        return False
+    after, also = words[b + 1 :], words[d + 1 :]
+    if not {"that", "which"} & {*after[:1], *also[:1]}:
+        return any(word in _SINGLING or word.endswith(("est", "most")) for word in words[a:b])
+    size = next((k for k, (x, y) in enumerate(zip(after, also, strict=False)) if x != y), min(len(after), len(also)))
+    while size and after[size - 1] not in _CLAUSE_ENDS:
+        size -= 1
+    return size > 2 and not (_CLAUSE_ENDS | {"from", "of", "to"}) & {*after[size : size + 1], *also[size : size + 1]}
+
+
+def _carrying(
+    kind: str,
+    i: int,
+    j: int,
+    words: Sequence[str],
+    spans: Sequence[tuple[int, int]],
+    clusters: Sequence[list[int]],
+    entities: Sequence[_Entity],
+) -> str:
+    """The relation to a carrier: what is taken ``from`` something hollow is in it, where frames know no nouns."""
+    categories = entities[j].categories
+    if kind != "on" or not categories or not all(map(is_hollow, categories)):
+        return kind
+    starts = [spans[k][0] for k in clusters[j]]
+    is_taken = any("from" in words[max(0, k - 2) : k] for k in starts) and not {"on", "off", "top", "onto"} & {*words}
+    return "in" if is_taken else kind
+
+
+def _clusters(
+    start: Scores,
+    nouns: Sequence[tuple[bool, tuple[str, ...]]],
+    heads: Sequence[str],
+    repeated: npt.NDArray[np.bool_],
+) -> list[list[int]]:
     """Mentions of the same object, by average linkage; unlike nouns are kept apart, but not "the pen pot ... the pot"."""
     size = len(nouns)
     same = (start[:, :, START.index("same")] + start[:, :, START.index("same")].T) / 2
+    same = np.where(repeated, 1, same)
     clusters = [[k] for k in range(size)]
 
     def fits(one: list[int], other: list[int]) -> bool:

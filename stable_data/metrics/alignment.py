@@ -131,9 +131,9 @@ def reference_of(scene: Scene) -> AlignmentReference:
 
 
 def _categories_of(category: str, text: str) -> tuple[str, ...]:
-    """The category, and what an instruction calls it if it only uses a wider noun: ``the cup`` of a teacup can be a mug."""
+    """The category; or what an instruction calls it if it only uses wider nouns: ``the cup`` of a teacup can be a mug."""
     nouns = tuple(noun.replace(" ", "_") for noun in nouns_in(text, category))
-    return (category,) if category in nouns else (category, *nouns)
+    return (category,) if category in nouns else nouns or (category,)
 
 
 def _unnamed_objects(task: TaskInfo, category: Mapping[str, str]) -> tuple[frozenset[str], frozenset[str]]:

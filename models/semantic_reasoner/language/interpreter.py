@@ -23,7 +23,7 @@ from models.semantic_reasoner.language.stated_counts import with_stated_counts
 from models.semantic_reasoner.text.prompt import ANY_TABLE, required_phrases
 from stable_data.errors import Notice
 from stable_data.instructions.wording.vocabulary import nouns_of
-from stable_data.instructions.wording.words import is_plural, plural, singular_noun, type_words
+from stable_data.instructions.wording.words import is_plural, plural, singular, singular_noun, type_words
 from stable_data.metrics.alignment import Alignment, AlignmentReference, align, members
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
 
@@ -105,7 +105,8 @@ class InstructionInterpreter:
             return InterpretedInstruction(instruction, InstructionReading(()), 0, None, None, instruction, (), (notice,))
         reading = self._reader.read(instruction, is_edit)
         if not is_edit:  # the reader may take objects for new ones that only an edit can have
-            reading = replace(reading, objects=tuple(replace(o, change="") for o in reading.objects))
+            objects = tuple(replace(o, change="", categories=_closest(o.words, o.categories)) for o in reading.objects)
+            reading = replace(reading, objects=objects)
         reading, notices = self._with_similar_nouns(reading, instruction)
         reading, num_objects = with_stated_counts(reading, instruction)
         reference, stated = (reference_of_reading(reading, "instruction", both) for both in (False, True))
@@ -251,6 +252,15 @@ def _dangers(instruction: str, reading: InstructionReading) -> Iterator[Notice]:
     if (words := hazard_of(instruction, reading)) is not None:
         message = f"{_shown(words)} is dangerous; its start scene is made, but let no robot carry it out"
         yield Notice("instruction", STEP, "dangerous", f"instruction: {message}")
+
+
+def _closest(words: str, categories: tuple[str, ...]) -> tuple[str, ...]:
+    """The category with just the words that an object is called by, if there is one: ``bottle``; else all that may be meant."""
+    spoken = singular(tuple(split_words(words)))
+    own = {c: singular(type_words(c)) for c in categories}
+    called = [c for c, noun in own.items() if noun and spoken[-len(noun) :] == noun]
+    longest = max((len(own[c]) for c in called), default=0)
+    return tuple(c for c in called if len(own[c]) == longest) or categories
 
 
 def _own_noun(category: str) -> str:

@@ -147,3 +147,70 @@ def test_words_of_one_clause_may_mean_one_cell() -> None:
 def test_no_mention_is_no_object() -> None:
     assert read() == InstructionReading(())
     assert read("it") == InstructionReading(())
+
+
+def sentence(text: str, start: str = "", said: dict[int, tuple[str, int]] | None = None) -> InstructionReading:
+    """Decodes a sentence whose mentions are in brackets."""
+    words: list[str] = []
+    spans: list[tuple[int, int]] = []
+    for word in text.split():
+        if word.startswith("["):
+            spans.append((len(words), 0))
+        words.append(word.strip("[]"))
+        if word.endswith("]"):
+            spans[-1] = spans[-1][0], len(words) - 1
+    size = len(spans)
+    scores = {name: np.zeros((size, classes), np.float32) for name, classes in SAID.items()}
+    for name, values in scores.items():
+        values[:, 1 if name == "count" else 0] = 1
+    for k, (name, value) in (said or {}).items():
+        scores[name][k] = np.eye(SAID[name])[value]
+    return decode(words, spans, scores, _pairs(size, start, START), _pairs(size, "", GOAL), LEXICON)
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("the [glass] that is farthest to the left is empty . fill the [glass] that is farthest to the left", 1),
+        ("fill the [glass] that is farthest to the left . dry the [glass] that is farthest to the left .", 1),
+        ("fill the [glass] that is farthest to the left . dry the [glass] that is farthest to the right", 2),
+        ("fill the [glass] that is in the front left corner and the [glass] that is in the front left", 2),
+        ("fill the [glass] that is farthest to the left and the [glass]", 2),
+        ("the [right - hand glass] is empty . fill the [right - hand glass]", 1),
+        ("the [leftmost glass] is empty . fill the [leftmost glass] and the [rightmost glass]", 2),
+        ("put the [blue glass] here and the [blue glass] there", 2),  # only the network can tell
+        ("put a [taller glass] here and a [taller glass] there", 2),
+        ("put the [taller glasses] here and the [taller glasses] there", 4),
+    ],
+)
+def test_what_is_singled_out_with_the_same_words_is_one_object(text: str, count: int) -> None:
+    plural = dict.fromkeys(range(2), ("count", 2)) if "glasses" in text else {}
+    assert len(sentence(text, said=plural).objects) == count
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("remove the [toothbrush] from the [mug]", "in"),
+        ("remove the [toothbrush] from the [tray]", "on"),
+        ("remove the [toothbrush] that lies on the [mug]", "on"),
+        ("take the [toothbrush] off the top of the [mug] , away from the [mug]", "on"),
+    ],
+)
+def test_what_is_taken_from_something_hollow_was_in_it(text: str, kind: str) -> None:
+    assert facts_of(sentence(text, "0 on 1, 1 same 2" if text.count("[mug]") == 2 else "0 on 1")) == {(0, kind, 1)}
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"),
+    [
+        ("the [pot] is beside the right - hand [cup]", ""),
+        ("the [pot] is on the right - hand side", "middle_right"),
+        ("take the [pot] that is farther back", ""),
+        ("take the [pot] that is closest to the left", ""),
+        ("take the [pot] that is at the back", "back_middle"),
+    ],
+)
+def test_words_that_single_an_object_out_are_no_cell_of_the_table(text: str, cell: str) -> None:
+    found = sentence(text, said={0: ("region", CELLS.index("middle_right" if "right" in text else "back_middle"))})
+    assert found.objects[0].region == cell

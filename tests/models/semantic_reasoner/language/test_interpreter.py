@@ -128,3 +128,16 @@ def test_any_unicode_is_read(instruction: str) -> None:
 def test_an_unknown_kind_of_table_is_any_table() -> None:
     known = InstructionInterpreter(STATISTICS)
     assert known.table_type("office_table") == ("office_table", ())  # no kind of table is known here
+
+
+def test_an_object_is_of_the_category_that_has_just_its_name() -> None:
+    interpret = interpreter()
+
+    def categories(instruction: str) -> tuple[str, ...]:
+        reference = interpret(instruction).reference
+        assert reference is not None
+        return reference.required[0].categories
+
+    assert categories("Lift the drinking glass.") == ("drinking_glass",)
+    assert categories("Lift the cans.") == ("can",)
+    assert set(categories("Lift the glass.")) == {"drinking_glass", "wine_glass"}
