@@ -158,9 +158,19 @@ def read_frames(folder: Path = FOLDER) -> Iterator[Frame]:
     Raises:
         ConfigError: A line is not a frame (``frame_invalid``).
     """
+    return (parse_frame(line, is_edit) for line, is_edit in _lines(folder))
+
+
+def read_texts(folder: Path = FOLDER) -> Iterator[str]:
+    """Yields the texts of the frames without reading their facts, which takes a twentieth of the time."""
+    return (line.partition("=>")[0] for line, _ in _lines(folder))
+
+
+def _lines(folder: Path) -> Iterator[tuple[str, bool]]:
+    """Each line once, and whether it says how to change a scene."""
     seen = set()
     for path in sorted(folder.glob("*.txt")):
         for line in path.read_text("utf-8").splitlines():
             if line.strip() and not line.startswith("#") and line not in seen:
                 seen.add(line)
-                yield parse_frame(line, path.name.startswith("edit"))
+                yield line, path.name.startswith("edit")

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from models.instruction_reader.decoding import decode, spans_of
-from models.instruction_reader.frames import read_frames
+from models.instruction_reader.frames import read_texts
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.reading import InstructionReading
@@ -35,7 +35,7 @@ def reader_fingerprint() -> str:
 @lru_cache(maxsize=1)
 def _opened(path: Path) -> tuple[ReaderModel, Spelling]:
     model = load_reader(path)
-    return model, Spelling.of(read_frames(), read_nouns(), model.tokens.whole_words)
+    return model, Spelling.of(read_texts(), read_nouns(), model.tokens.whole_words)
 
 
 class InstructionReader:

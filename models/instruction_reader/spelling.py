@@ -9,7 +9,6 @@ from functools import cached_property
 from rapidfuzz.distance import OSA
 from rapidfuzz.process import extract
 
-from models.instruction_reader.frames import Frame
 from models.instruction_reader.nouns import NounPools
 from models.instruction_reader.phrases import ADJECTIVES, PHRASES
 from models.instruction_reader.sentences import split_words
@@ -54,18 +53,18 @@ class Spelling:
     known: frozenset[str] = field(default_factory=frozenset)
 
     @classmethod
-    def of(cls, frames: Iterable[Frame], nouns: NounPools, known: Iterable[str] = ()) -> "Spelling":
+    def of(cls, texts: Iterable[str], nouns: NounPools, known: Iterable[str] = ()) -> "Spelling":
         """Returns the words of frames, phrases and nouns.
 
         Args:
-            frames: The frames.
+            texts: The texts of frames.
             nouns: The nouns.
             known: Further words that stay as they are, such as the whole words of a tokenizer.
         """
         counts: Counter[str] = Counter()
         known = frozenset(known)
-        for frame in frames:
-            counts.update(split_words(frame.text))
+        for text in texts:
+            counts.update(split_words(text))
         # Frames have typing errors too: a rare word that the tokenizer does not know may be one.
         counts = Counter({word: n for word, n in counts.items() if n >= _SEVERAL or word in known})
         for phrases in PHRASES.values():

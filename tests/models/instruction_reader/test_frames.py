@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from models.instruction_reader.frames import Frame, FrameFact, parse_frame, read_frames
+from models.instruction_reader.frames import Frame, FrameFact, parse_frame, read_frames, read_texts
 from models.instruction_reader.nouns import NounPools, read_nouns
 from models.instruction_reader.phrases import PHRASES, RELATIONS
 from models.instruction_reader.sentences import EDIT_MARK, MOST_MENTIONS, LabelledSentence, SentenceMaker, split_words
@@ -54,6 +54,7 @@ def test_what_is_no_frame_is_refused(line: str, reason: str) -> None:
 
 def test_the_frames_of_the_package_can_be_read_and_differ() -> None:
     frames = list(read_frames())
+    assert [frame.text for frame in frames] == [text.strip() for text in read_texts()]
     assert len(frames) > 1000
     assert len({f.text for f in frames}) == len(frames)
     kinds = Counter(fact.kind for f in frames for fact in f.facts if not fact.is_goal)

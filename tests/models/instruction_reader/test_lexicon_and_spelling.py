@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.instruction_reader.frames import read_frames
+from models.instruction_reader.frames import read_texts
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.sentences import split_words
@@ -12,7 +12,7 @@ from models.instruction_reader.spelling import Spelling
 
 NOUNS = read_nouns()
 LEXICON = Lexicon.of(NOUNS, NOUNS.nouns)
-SPELLING = Spelling.of(read_frames(), NOUNS, {"beautiful", "paperclip"})
+SPELLING = Spelling.of(read_texts(), NOUNS, {"beautiful", "paperclip"})
 
 
 def test_a_category_is_found_by_each_of_its_nouns() -> None:

@@ -135,7 +135,8 @@ def test_files_that_are_no_reader_are_refused(tmp_path: Path, model: ReaderModel
 )
 def test_any_text_can_be_read(model: ReaderModel, text: str) -> None:
     lexicon = Lexicon.of(NOUNS, NOUNS.nouns)
-    reader = InstructionReader(model, lexicon, Spelling.of(FRAMES[:10], NOUNS, model.tokens.whole_words))
+    spelling = Spelling.of([frame.text for frame in FRAMES[:10]], NOUNS, model.tokens.whole_words)
+    reader = InstructionReader(model, lexicon, spelling)
     for is_edit in (False, True):
         reading = reader.read(text, is_edit)
         assert all(0 <= r.subject < len(reading.objects) > r.target for r in (*reading.start, *reading.goal))
