@@ -432,6 +432,8 @@ def _consistent(
     others: list[MentionedRelation] = []
     carrier: dict[int, int] = {}
     for r in sorted(relations, key=lambda r: -r.score):
+        if any((r.subject, r.kind, r.target) == (k.subject, k.kind, k.target) for k in kept):
+            continue  # said twice
         if any({r.subject, r.target} == {k.subject, k.target} and k.kind != "near" for k in kept):
             others.append(r)
             continue

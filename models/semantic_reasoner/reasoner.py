@@ -6,7 +6,11 @@ from typing import Protocol
 
 from models.semantic_reasoner.engines.incremental_batches import Conversation, collect_answers
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
-from models.semantic_reasoner.language.interpreter import InstructionInterpreter
+from models.semantic_reasoner.language.interpreter import (
+    InstructionInterpreter,
+    compare_with_instruction,
+    relations_of_task,
+)
 from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyle
 from models.semantic_reasoner.replies.checks import CROWDED, REQUIRED_MISSING, ReplyFault
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
@@ -17,7 +21,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion, check_instruc
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, renumber_instances
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.random_seeds import named_seed
-from stable_data.scene import Stage
+from stable_data.scene import Relation, Stage
 
 _LEFT_OUT = "left_out"
 _SMALL_SHARE = 1 / 8  # of the objects of a reply: so few are removed without another try
@@ -285,9 +289,18 @@ class SemanticReasoner:
         for one in ranked:
             if self._check is None or one.holds:
                 return pending.proposal(one)
-            if (repaired := repair_relations(one.reply, one.faults, pending.question, self._check)) is not None:
+            stated = self._stated(one.reply, pending.question)
+            if (repaired := repair_relations(one.reply, one.faults, pending.question, self._check, stated)) is not None:
                 return pending.proposal(replace(one, reply=repaired[0], faults=repaired[1]))
         return pending.proposal(ranked[0] if ranked else None)
+
+    def _stated(self, reply: LayoutReply, question: ReasonerQuestion) -> tuple[Relation, ...]:
+        """The relations that the instruction states of the start, in the names of a reply."""
+        if self._interpret is None:
+            return ()
+        layout = [o.to_scene_object() for o in (*question.layout, *reply.objects)]
+        found, _ = compare_with_instruction(layout, question.table, self._interpret(question.instruction))
+        return () if found is None else relations_of_task(found)
 
     def _judge(self, pending: _PendingQuestion, completion: Completion) -> Proposal | None:
         """The proposal that an answer gives; None if the question has to be asked again."""

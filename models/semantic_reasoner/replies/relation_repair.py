@@ -6,7 +6,7 @@ The reasoner does this only after the last try. Each move is reported as a soft 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 from typing import TypeAlias
 
 from models.semantic_reasoner.replies.checks import ReplyFault
@@ -18,6 +18,7 @@ from models.semantic_reasoner.replies.places import (
     places_in_layers,
     places_on_or_in,
 )
+from models.semantic_reasoner.replies.rearrangement import rearrangements
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.metrics.alignment import members
@@ -31,6 +32,9 @@ MOVED = "moved_to_hold"
 _MOST_PAIRS = 20_000
 """Pairs of objects in all layouts that are checked, at most: two hundred layouts of ten objects, or twelve of forty."""
 
+_MOST_ARRANGEMENTS = 4
+"""Arrangements of several objects that are checked, at most."""
+
 _Moves: TypeAlias = Mapping[str, Relation]
 """The instances that move, and the relation that each of them moves for."""
 
@@ -40,8 +44,17 @@ def repair_relations(
     faults: Sequence[ReplyFault],
     question: ReasonerQuestion,
     check: Callable[[LayoutReply, ReasonerQuestion], Sequence[ReplyFault]],
+    stated: Sequence[Relation] = (),
 ) -> tuple[LayoutReply, tuple[ReplyFault, ...]] | None:
     """Moves objects of a reply until all relations that the instruction states hold.
+
+    Args:
+        reply: The reply.
+        faults: Its faults.
+        question: The question.
+        check: Finds the faults of a reply.
+        stated: All relations that the instruction states, in the names of the reply. With them, objects are arranged anew together
+            where moves of single ones do not suffice.
 
     Returns:
         The reply, and soft faults: those that report the moves, and those that remain; None if the reply has a hard fault, or no
@@ -52,8 +65,10 @@ def repair_relations(
     moved: list[ReplyFault] = []
     num_checks = 1 + _MOST_PAIRS // max(1, len(reply.objects)) ** 2
     while broken := [f.relation for f in faults if f.relation is not None]:
-        for moves, candidate in islice(_candidate_replies(reply, broken, question.table), num_checks):
-            num_checks -= 1
+        single = islice(_candidate_replies(reply, broken, question.table), num_checks)
+        anew = islice(_arranged_anew(reply, broken, stated, question), _MOST_ARRANGEMENTS)
+        for moves, candidate in chain(single, anew):
+            num_checks = max(0, num_checks - 1)
             left = check(candidate, question)
             # Every accepted move removes a fault, so the loop ends.
             if not any(f.is_hard for f in left) and sum(f.relation is not None for f in left) < len(broken):
@@ -85,6 +100,26 @@ def _candidate_replies(reply: LayoutReply, broken: Sequence[Relation], table: Ta
         yield carried, candidate
     if set(members(broken[0])) <= names:
         yield from (({name: broken[0]}, candidate) for name, candidate in _with_one_moved(reply, broken[0], table))
+
+
+def _arranged_anew(
+    reply: LayoutReply, broken: Sequence[Relation], stated: Sequence[Relation], question: ReasonerQuestion
+) -> Iterator[tuple[_Moves, LayoutReply]]:
+    """Replies in which all stated relations hold by boxes: contents go to their carriers, then several objects move together."""
+    movable = {o.instance for o in reply.objects}
+    carried = {r.subject: r for r in broken if r.kind in (RelationKind.IN, RelationKind.ON) and set(members(r)) <= movable}
+    whole = _with_all_carried(reply, carried, question.table) if carried else reply
+    if whole is None or not stated:
+        return
+    objects = {o.instance: o.to_scene_object() for o in (*question.layout, *whole.objects)}
+    carriers = carriers_of(list(objects.values()), question.table)
+    for places in rearrangements(objects, carriers, movable, stated, broken, question.table):
+        moves, candidate = dict(carried), whole
+        for name, place in places.items():
+            group = SupportTree(carriers).with_descendants({name})
+            moves[name] = next(r for r in stated if group & set(members(r)))
+            candidate = _with_moved(candidate, name, place, carriers)
+        yield moves, candidate
 
 
 def _with_all_carried(reply: LayoutReply, carried: _Moves, table: Tabletop) -> LayoutReply | None:

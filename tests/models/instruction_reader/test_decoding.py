@@ -104,6 +104,13 @@ def test_an_object_has_one_carrier_and_no_circle() -> None:
     assert len(read("box", "tray", "book", start="0 on 1, 1 on 2, 2 in 0").start) == 2
 
 
+def test_what_is_said_twice_is_no_contradiction() -> None:
+    """Behind the comb and the mirror is a box, and behind "both" too."""
+    found = read("comb", "mirror", "both", "jewelry box", start="0 part 2, 1 part 2, 2 front 3, 1 front 3", counts={2: 2})
+    assert facts_of(found) == {(0, "front", 2), (1, "front", 2)}
+    assert not found.contradictions
+
+
 def test_each_on_its_own() -> None:
     found = read("cups", "saucers", counts={0: 2, 1: 2}, start="0 on 1")
     assert facts_of(found) == {(0, "on", 2), (1, "on", 3)}
