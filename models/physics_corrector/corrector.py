@@ -104,7 +104,12 @@ class PhysicsCorrector:
         """
         wanted = request.options
         start = InputScene.of(request.scene, assets, request.audit)
-        options = replace(self.options, fixed=self.options.fixed | wanted.fixed)
+        options = replace(
+            self.options,
+            fixed=self.options.fixed | wanted.fixed,
+            asked=self.options.asked | wanted.asked,
+            still=self.options.still | wanted.still,
+        )
         scene, raw, shapes = start.scene, request.raw, start.shapes
         card_raw = audit_scene(raw, shapes).card() if raw is not None and self.judges_raw else None
         if start.audit.card().clean and not wanted.may_tilt:

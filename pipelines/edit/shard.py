@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import ClassVar
 
-from models.physics_corrector.certify.correction import Correction, CorrectionOptions
+from models.physics_corrector.certify.correction import Correction, Fixed
 from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit, edit_prompt_of
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
@@ -18,7 +18,9 @@ from models.semantic_reasoner.text.reply_json import parse_reply
 from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.shard import correction_row
 from pipelines.edit.assets import AssetFinder
+from pipelines.edit.correcting import EditCorrector, missed_relations
 from pipelines.edit.settings import EditSettings
+from pipelines.edit.tilts import fit_tilts
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure
 from pipelines.execution.shard_step import Rows, engine_stopped, rows_or_failure
@@ -29,12 +31,9 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
-from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.related_scene import relate_scene
-from stable_data.scene import Relation, RelationKind, Scene, SceneObject
-from stable_data.scene_graph.relations import cell_of
+from stable_data.scene import Scene, SceneObject
 from stable_data.scene_graph.staging import stage_scene
-from stable_data.scene_graph.support_tree import SupportTree
 from stable_data.storage import schemas
 from stable_data.storage.table_rows import card_row, notice_row, object_row, scene_row
 
@@ -120,8 +119,10 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         found = opened.finder.assign(replied, edit.edit_id, self.settings.seed)
         notices += found.notices
         progress.step = "mesh"
-        scene, shapes, odd = opened.source.store.resolved(replace(found.scene, scene_id=edit.edit_id))
+        scene, _, odd = opened.source.store.resolved(replace(found.scene, scene_id=edit.edit_id))
         notices += [n for n in odd if n.message not in {known.message for known in taken.notices}]
+        scene = fit_tilts(scene, taken.scene, replied, opened.source.store)
+        shapes, _ = opened.source.store.shapes(scene)
         progress.step = "stage"
         scene, gone = _staged(scene, self.settings.important_threshold)
         notices += gone
@@ -133,19 +134,18 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         rows: Rows = {}
         if self.settings.correct and replied.kind != "none":
             progress.step = "certify"
-            done, noted = self._corrected(scene, audit, replied.untouched & found.kept)
+            done, noted = self._corrected(scene, audit, replied, replied.untouched & found.kept)
             notices += noted
             rows["corrections"] = [correction_row(done)]
             if done.certified is None or done.audit is None:
                 message = f"{edit.edit_id}: {done.reason}"
                 failure = Notice(edit.edit_id, "certify", str(done.status), message)
                 return rows | {"failures": [notice_row(failure)], "warnings": _notice_rows(edit, notices)}
-            if missed := _missed(replied.wanted, done):
+            if missed := missed_relations(replied.wanted, done):
                 message = f"{edit.edit_id}: {', '.join(map(str, missed))} cannot hold in a clean layout"
                 failure = Notice(edit.edit_id, "certify", "relation_missed", message)
                 return rows | {"failures": [notice_row(failure)], "warnings": _notice_rows(edit, notices)}
-            shape_of = {o.instance: shape for o, shape in zip(scene.objects, shapes, strict=True)}
-            posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
+            posed = PosedScene(done.certified, opened.source.store.shapes(done.certified)[0])
             audit, card = done.audit, done.card_after
         progress.step = "relations"
         scene = relate_scene(posed, audit, opened.shelf.containers(posed.scene)).scene
@@ -157,17 +157,9 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         rows["edits"] = [_edit_row(edit, replied.kind, taken, scene)]
         return rows | {"warnings": _notice_rows(edit, notices)}
 
-    def _corrected(self, scene: Scene, audit: Audit, untouched: frozenset[str]) -> tuple[Correction, list[Notice]]:
-        """Corrects a scene; objects that the edit does not mention are fixed as the settings state."""
-        always = self.settings.fixed_in(scene)
-        wished = [always | untouched, always | (untouched - _at_fault(scene, audit)), always]
-        allowed = {"fixed": wished[:1], "free": wished[2:], "fixed_first": wished}[self.settings.others]
-        for fixed in dict.fromkeys(allowed):
-            tried = self._corrected_with(scene, audit, fixed)
-            if fixed == allowed[0] or not _is_poor(tried):
-                done = tried
-            if not _is_poor(tried):
-                break
+    def _corrected(self, scene: Scene, audit: Audit, edited: EditResult, untouched: Fixed) -> tuple[Correction, list[Notice]]:
+        """Corrects a scene, and names the objects that moved although the edit does not mention them."""
+        done = self.opened().edit_corrector.correct(scene, audit, edited, untouched)
         notices = notices_of(done, scene.scene_id)
         if done.certified is not None:
             was = {o.instance: (o.position, o.yaw) for o in scene.objects if o.instance in untouched}
@@ -176,11 +168,6 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
                 message = f"{scene.scene_id}: {', '.join(moved)} moved too, because there was no clean layout otherwise"
                 notices.append(Notice(scene.scene_id, "certify", "others_moved", message))
         return done, notices
-
-    def _corrected_with(self, scene: Scene, audit: Audit, fixed: frozenset[str]) -> Correction:
-        opened = self.opened()
-        (done,) = opened.corrector.correct([scene], opened.source.store, CorrectionOptions(fixed), [audit])
-        return done
 
 
 def seed_of(edit: EditRequest, seed: int) -> int:
@@ -226,6 +213,11 @@ class _Opened(SceneWorkerState):
     shelf: AssetLibraries
     finder: AssetFinder
 
+    @property
+    def edit_corrector(self) -> EditCorrector:
+        """The corrector of edited scenes."""
+        return EditCorrector(self.settings, self.corrector, self.source.store)
+
     @cached_property
     def reasoner(self) -> SemanticReasoner:
         """The reasoner, opened at the first edit without a reply."""
@@ -238,32 +230,6 @@ def _opened(work: EditWork) -> _Opened:
     settings, shelf = work.settings, AssetLibraries(work.assets, scenes=work.scenes)
     source, corrector = scene_source(work.scenes, shelf), corrector_of(settings, flows=settings.correct)
     return _Opened(source, corrector, settings=settings, shelf=shelf, finder=AssetFinder(source, shelf))
-
-
-def _is_poor(done: Correction) -> bool:
-    """Whether an object found no place."""
-    return done.certified is None or bool(done.dropped)
-
-
-def _missed(wanted: Sequence[Relation], done: Correction) -> list[Relation]:
-    """The wanted relations that do not hold in a corrected scene."""
-    assert done.certified is not None
-    assert done.kept is not None
-    size = done.certified.table.size_xy
-    cells = {Relation(o.instance, RelationKind.IS_AT, cell_of(o.position, size)) for o in done.certified.objects}
-    return [r for r in wanted if r in done.kept.asked_missing or (r.kind is RelationKind.IS_AT and r not in cells)]
-
-
-def _at_fault(scene: Scene, audit: Audit) -> frozenset[str]:
-    """The objects that keep a scene from being clean, with all objects on them."""
-    deep = audit.tolerance + ROUNDING
-    found = {
-        o.instance for o in audit.objects if o.floats is not False or o.is_outside is not False or o.table_penetration > deep
-    }
-    for pair in audit.pairs:
-        if pair.penetration is None or pair.penetration > audit.tolerance:
-            found |= {pair.first, pair.second}
-    return frozenset(SupportTree.of(scene.objects).with_descendants(found))
 
 
 def _staged(scene: Scene, threshold: float) -> tuple[Scene, list[Notice]]:

@@ -324,6 +324,13 @@ def cell_of(position: tuple[float, ...], size_xy: tuple[float, float]) -> str:
     return f"{_ROWS[row]}_{_COLUMNS[column]}"
 
 
+def cell_bounds(cell: str, size_xy: tuple[float, float]) -> FloatArray:
+    """Returns the lowest and the highest point of a ninth of the table, (2, 2) float64, metres."""
+    row, column = cell.split("_")
+    low = np.array((_COLUMNS.index(column), _ROWS.index(row)), np.float64)
+    return np.asarray(np.array((low, low + 1)) * size_xy / 3)
+
+
 def facing_of(yaw: float) -> str:
     """Returns the direction that an object faces, to 45 degrees; ``front`` is towards the viewer, the facing at yaw 0."""
     return _FACINGS[round(np.degrees(yaw) / 45) % 8]

@@ -90,7 +90,7 @@ class Certifier:
         """Certifies the scene."""
         with one_blas_thread():
             wanted = expected_carriers(self.scene) if self.options.restore else {}
-            if not wanted and (audit := self._audit_if_clean()) is not None:
+            if not (wanted or self.options.asked) and (audit := self._audit_if_clean()) is not None:
                 return self.conclude(self.scene, audit)
             self.search = LayoutSearch(self.scene, self.original, self.shapes, self.meshes, self.options, wanted)
             found = self.search.find()

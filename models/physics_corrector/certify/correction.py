@@ -12,7 +12,7 @@ from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.movement import add_movement
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
-from stable_data.scene import Scene
+from stable_data.scene import Relation, Scene
 
 if TYPE_CHECKING:  # MuJoCo takes long to import
     from stable_data.simulation.settling import SettleResult
@@ -31,12 +31,16 @@ class CorrectionOptions:
             another object are first dropped there in a simulation.
         may_tilt: Whether tilts may change, as in generated scenes. Otherwise only positions and yaws change.
         asks_engine: Whether MuJoCo decides which objects stay at rest, and the others are repaired.
+        asked: Relations that shall hold, see :class:`~models.physics_corrector.certify.options.CertifyOptions`.
+        still: Instances that move as little as a clean layout allows, see the same.
     """
 
     fixed: Fixed = frozenset()
     new: frozenset[str] = frozenset()
     may_tilt: bool = False
     asks_engine: bool = False
+    asked: frozenset[Relation] = frozenset()
+    still: Fixed = frozenset()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from models.physics_corrector.certify.asked_relations import AskedRelations
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.options import CertifyOptions, DroppedObject
 from models.physics_corrector.certify.packing_bodies import PackingBodies, directional_relations
-from models.physics_corrector.certify.resting_pose import RestingPose, resting_pose
-from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, infer_carriers
+from models.physics_corrector.certify.resting_pose import RestingPose, resting_pose, straight_down
+from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, infer_carriers, known_carriers
 from models.physics_corrector.packing.packing_problem import AXES, PackingProblem, holds_relation
 from models.physics_corrector.packing.separation import separate_bodies
 from stable_data.geometry.shape import Shape
@@ -65,15 +66,16 @@ class LayoutSearch:
         self._floating: set[int] = set()
         self._unsteady: list[int] = []  # objects without a steady place on their carrier
         original_poses = original.poses()
-        choices = infer_carriers(meshes, original_poses, wanted)
+        choices = infer_carriers(meshes, original_poses, known_carriers(scene, shapes, options.still, wanted))
         carried = [choice[0] for choice in choices]
         self._others = [choice[1:] for choice in choices]  # other possible carriers of each object, the likeliest first
         if original is not scene:  # an object that floated may rest on something now
             known = {k: c for k, c in enumerate(carried) if c.parent != TABLE_TOP or self._stood_on_table(k)}
             carried = [choice[0] for choice in infer_carriers(meshes, scene.poses(), known)]
-        self.layout = LayoutState(scene, shapes, carried, options.fixed)
-        self._orders = directional_relations(self.layout, original_poses)
-        self._packing = PackingBodies(self.layout, meshes, original_poses, self._orders, options.clearance)
+        self.layout = LayoutState(scene, shapes, carried, options.fixed, options.still)
+        self._asked = AskedRelations(self.layout, options.asked)
+        self._orders = self._asked.with_others(directional_relations(self.layout, original_poses))
+        self._packing = PackingBodies(self.layout, meshes, original_poses, self._orders, self._asked.cells, options.clearance)
         self._first_carriers = list(carried)
 
     def find(self) -> Audit | None:
@@ -136,7 +138,7 @@ class LayoutSearch:
             for c in sorted(layout.children(carrier), key=lambda c: (not layout.is_fixed[c], layout.low(c), c)):
                 own = set(layout.tree(c))
                 waiting = [m for m in layout.tree(root) if m not in own and m not in done]
-                rest = resting_pose(self._meshes, layout.poses, c, layout.carried[c], done, waiting)
+                rest = self._resting_pose(c, layout.carried[c], done, waiting)
                 if layout.is_fixed[c]:
                     rest = RestingPose(layout.poses[c], True)
                 if rest is None or not rest.is_steady:
@@ -152,7 +154,7 @@ class LayoutSearch:
         for c in stayed if len(stayed) < len(done) - 1 else ():  # an object that stayed may have leaned on one that moved
             own = set(layout.tree(c))
             others = [m for m in done if m not in own]
-            rest = None if layout.is_fixed[c] else resting_pose(self._meshes, layout.poses, c, layout.carried[c], others)
+            rest = None if layout.is_fixed[c] else self._resting_pose(c, layout.carried[c], others)
             if rest is not None:
                 layout.carry(c, rest.pose)
 
@@ -170,12 +172,27 @@ class LayoutSearch:
                 continue
             layout.carry(k, self._original.poses()[k])
             there = [m for m in layout.tree(layout.root_of(carried.parent)) if m not in own]
-            rest = resting_pose(self._meshes, layout.poses, k, carried, there)
+            rest = self._resting_pose(k, carried, there)
             if rest is not None and (rest.is_steady or carried.is_in or stands):
                 layout.carried[k] = carried
                 layout.carry(k, rest.pose)
                 return
             layout.carry(k, before)
+
+    def _resting_pose(
+        self, k: int, carried: SupportEdge, done: Sequence[int], waiting: Sequence[int] = ()
+    ) -> RestingPose | None:
+        """Finds a resting pose: that of a still object straight below, else one at which all holds that is asked of the object."""
+        poses = self.layout.poses
+        if self._scene.objects[k].instance in self._options.still:
+            rest = straight_down(self._meshes, poses, k, carried, done)
+            if rest is not None:
+                return rest
+        if self._asked.is_about(k):
+            rest = resting_pose(self._meshes, poses, k, carried, done, waiting, lambda pose: self._asked.allow(k, pose, poses))
+            if rest is not None and rest.is_steady:
+                return rest
+        return resting_pose(self._meshes, poses, k, carried, done, waiting)
 
     # --- the table
 
@@ -279,7 +296,7 @@ class LayoutSearch:
             self._rested_again.add(k)
             own = set(layout.tree(k))
             others = [m for m in layout.tree(layout.root_of(k)) if m not in own and m not in self._floating]
-            rest = resting_pose(self._meshes, layout.poses, k, layout.carried[k], others)
+            rest = self._resting_pose(k, layout.carried[k], others)
             self._floating.discard(k)
             if rest is not None and not np.array_equal(rest.pose, layout.poses[k]):
                 layout.carry(k, rest.pose)

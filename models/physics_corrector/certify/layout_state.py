@@ -10,6 +10,7 @@ from stable_data.scene import FloatArray, Scene, Stage
 
 # A task object moves least; a background object that is far from it moves first, and is dropped first.
 _STIFFNESS = {Stage.TASK: 10.0, Stage.IMPORTANT: 3.0, Stage.SECONDARY: 1.0, None: 1.0}
+_STILL = 30.0  # factor of the weight of an object that shall move less than all others
 
 
 class LayoutState:
@@ -20,6 +21,7 @@ class LayoutState:
         shapes: The geometry of its objects.
         carried: The support of each object.
         fixed: Instances that must not move.
+        still: Instances that shall move less than all others.
 
     Attributes:
         poses: (N, 4) float64, metres and radians; changes during the correction.
@@ -27,12 +29,20 @@ class LayoutState:
         is_there: Whether each object has not been dropped.
     """
 
-    def __init__(self, scene: Scene, shapes: Sequence[Shape], carried: Sequence[SupportEdge], fixed: frozenset[str]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        shapes: Sequence[Shape],
+        carried: Sequence[SupportEdge],
+        fixed: frozenset[str],
+        still: frozenset[str] = frozenset(),
+    ) -> None:
         self.scene, self.shapes = scene, shapes
         self.poses: FloatArray = scene.poses()
         self.carried = list(carried)
         self.is_there = [True] * len(shapes)
         self.is_fixed = [o.instance in fixed for o in scene.objects]
+        self._weights = [_STIFFNESS[o.stage] * (_STILL if o.instance in still else 1.0) for o in scene.objects]
 
     def present(self) -> list[int]:
         """Returns the objects that have not been dropped."""
@@ -96,7 +106,7 @@ class LayoutState:
         members = self.tree(k)
         if any(self.is_fixed[m] for m in members):
             return float("inf")
-        return sum(_STIFFNESS[self.scene.objects[m].stage] for m in members)
+        return sum(self._weights[m] for m in members)
 
     def rank(self, k: int) -> tuple[float, float, str]:
         """Returns the importance by stage, the footprint in square metres, and the instance, by which objects to drop are chosen."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from stable_data.errors import ConfigError
 from stable_data.metrics.audit import Audit
 from stable_data.metrics.collision import TOLERANCE
-from stable_data.scene import Scene
+from stable_data.scene import Relation, Scene
 
 if TYPE_CHECKING:
     from stable_data.simulation.settling import SettleResult  # MuJoCo takes long to import
@@ -49,6 +49,10 @@ class CertifyOptions:
     Attributes:
         when_full: What to do if there is not a place for every object: drop background objects, or report the scene infeasible.
         fixed: Instances that must not move; they are obstacles.
+        asked: Relations that shall hold. Directions and cells of the table come before all other relations of their subjects;
+            the carriers of objects follow from the scene's own relations alone, see ``restore``.
+        still: Instances that move as little as a clean layout allows: they are lowered straight down where that is clean, even if
+            they would not stay there.
         restore: Whether objects return onto or into the carriers that the scene's relations name.
         clearance: Distance between objects that stand side by side, metres.
         tries: How many times a body may be relocated to restore a directional relation.
@@ -63,6 +67,8 @@ class CertifyOptions:
 
     when_full: Literal["drop", "infeasible"] = "drop"
     fixed: frozenset[str] = frozenset()
+    asked: frozenset[Relation] = frozenset()
+    still: frozenset[str] = frozenset()
     restore: bool = True
     clearance: float = 5e-4
     tries: int = 24

@@ -1,7 +1,7 @@
 """The support trees of a layout as bodies of a packing problem."""
 
 import itertools
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 
 import numpy as np
 
@@ -27,14 +27,21 @@ class PackingBodies:
         meshes: Its objects.
         original: Poses from which movement is measured, (N, 4).
         orders: Directional relations to preserve.
+        cells: Index of an object -> lowest and highest position of its centre, (2, 2), metres; ignored where there is no room.
         clearance: Distance between objects that stand side by side, metres.
     """
 
     def __init__(
-        self, layout: LayoutState, meshes: MeshQueries, original: FloatArray, orders: Sequence[Relation], clearance: float
+        self,
+        layout: LayoutState,
+        meshes: MeshQueries,
+        original: FloatArray,
+        orders: Sequence[Relation],
+        cells: Mapping[int, FloatArray],
+        clearance: float,
     ) -> None:
         self._layout, self._meshes, self._original = layout, meshes, original
-        self._orders, self._clearance = orders, clearance
+        self._orders, self._cells, self._clearance = orders, cells, clearance
         self._stacks: dict[tuple[int, ...], tuple[FloatArray, SlabOutline]] = {}
 
     def problem(self, strict: Set[frozenset[int]]) -> tuple[PackingProblem, list[list[int]]]:
@@ -68,6 +75,15 @@ class PackingBodies:
             least, most = p.slabs.box
             low[b] = np.maximum(low[b], -_OVERHANG - least - p.anchor)
             high[b] = np.minimum(high[b], size + _OVERHANG - most - p.anchor)
+        for k, cell in self._cells.items():
+            if layout.is_there[k]:
+                b = number[layout.root_of(k)]
+                least, most = (
+                    np.maximum(low[b], cell[0] - layout.poses[k, :2]),
+                    np.minimum(high[b], cell[1] - layout.poses[k, :2]),
+                )
+                if (least <= most).all():
+                    low[b], high[b] = least, most
         bodies = BodyArrays(stiffness, aims, low, high)
         return PackingProblem(pairs, body, bodies, self._orders_between(number), self._clearance, relaxed), groups
 

@@ -1,6 +1,6 @@
 """Finds an exact resting pose of an object in or on its carrier: the present one, else the nearest one that is found."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,8 +44,18 @@ class RestingPose:
     is_steady: bool
 
 
+def _anywhere(pose: FloatArray) -> bool:
+    return True
+
+
 def resting_pose(
-    meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge, done: Sequence[int], waiting: Sequence[int] = ()
+    meshes: MeshQueries,
+    poses: FloatArray,
+    k: int,
+    carried: SupportEdge,
+    done: Sequence[int],
+    waiting: Sequence[int] = (),
+    allowed: Callable[[FloatArray], bool] = _anywhere,
 ) -> RestingPose | None:
     """Finds a pose near the present one at which an object rests and stays on or in its carrier.
 
@@ -56,15 +66,20 @@ def resting_pose(
         carried: Its support.
         done: Objects of the same support tree that are at rest, its carrier among them.
         waiting: Objects of the tree that are not yet at rest; at its present pose the object may lean on them.
+        allowed: Whether the object may be at a pose (4,).
 
     Returns:
         The pose, or None if none was found.
     """
     everyone = [*done, *waiting]
-    is_resting = _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], everyone)
+    is_resting = (
+        allowed(poses[k])
+        and _is_carried(meshes, poses, k, poses[k], carried)
+        and is_at_rest(meshes, poses, k, poses[k], everyone)
+    )
     if is_resting and steadiness(meshes, k, poses[k], everyone, poses) >= constants.STEADY:
         return RestingPose(np.array(poses[k]), True)
-    best, cost = _cheapest_pose(meshes, poses, k, carried, done)
+    best, cost = _cheapest_pose(meshes, poses, k, carried, done, allowed)
     if best is None:
         return None
     if cost >= 2 * constants.UNSTEADY_COST and stands_alone(meshes.shapes[k]):
@@ -75,13 +90,30 @@ def resting_pose(
     return RestingPose(best, cost < constants.UNSTEADY_COST)
 
 
-def _cheapest_pose(
+def straight_down(
     meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge, done: Sequence[int]
+) -> RestingPose | None:
+    """Finds where an object rests if it moves only up or down; it need not stay there. Arguments as for :func:`resting_pose`."""
+    if _is_carried(meshes, poses, k, poses[k], carried) and is_at_rest(meshes, poses, k, poses[k], done):
+        return RestingPose(np.array(poses[k]), True)
+    pose = np.array([*poses[k, :2], meshes.resting_height(k, poses[k], done, poses), poses[k, 3]])
+    if pose[2] > poses[k, 2] + constants.WEDGED_RISE or not _is_carried(meshes, poses, k, pose, carried):
+        return None
+    return RestingPose(pose, True) if is_at_rest(meshes, poses, k, pose, done) else None
+
+
+def _cheapest_pose(
+    meshes: MeshQueries,
+    poses: FloatArray,
+    k: int,
+    carried: SupportEdge,
+    done: Sequence[int],
+    allowed: Callable[[FloatArray], bool],
 ) -> tuple[FloatArray | None, float]:
     """Returns the resting pose of least cost, (4,), and the cost, metres; None if there is none."""
     best: FloatArray | None = None
     least = np.inf
-    for number, there in enumerate(_lowered_poses(meshes, poses, k, carried, done)):
+    for number, there in enumerate(filter(allowed, _lowered_poses(meshes, poses, k, carried, done, allowed))):
         if number > constants.MAX_CANDIDATES[int(min(least, 3 * constants.UNSTEADY_COST) // constants.UNSTEADY_COST)]:
             break
         if not _is_carried(meshes, poses, k, there, carried):
@@ -105,9 +137,14 @@ def _cheapest_pose(
 
 
 def _lowered_poses(
-    meshes: MeshQueries, poses: FloatArray, k: int, carried: SupportEdge, done: Sequence[int]
+    meshes: MeshQueries,
+    poses: FloatArray,
+    k: int,
+    carried: SupportEdge,
+    done: Sequence[int],
+    allowed: Callable[[FloatArray], bool],
 ) -> Iterator[FloatArray]:
-    """Yields lowered poses of an object, with the least turn and move first."""
+    """Yields lowered poses of an object, with the least turn and move first; some of them may not be allowed."""
     if not stands_alone(meshes.shapes[k]):
         yield from _leaning_poses(meshes, poses, k, carried, done)
 
@@ -123,8 +160,7 @@ def _lowered_poses(
         yield _slid_down(meshes, poses, k, np.array([*first[:3], first[3] + turn]), done)
     for turn in turns:
         yield _slid_down(meshes, poses, k, np.array([*middle, poses[k, 2], poses[k, 3] + turn]), done)
-    for there in _candidates(meshes, poses, k, carried):
-        yield down(there)
+    yield from map(down, filter(allowed, _candidates(meshes, poses, k, carried)))
 
 
 def _aligning_turns(yaw: float) -> Sequence[float]:

@@ -6,7 +6,7 @@ which it rests; among the objects that it touches from above, is in, or is nearl
 least change of height.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -17,6 +17,7 @@ from models.physics_corrector.certify import constants
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.static_stability import stands_alone, steadiness
 from models.physics_corrector.packing.slab_outline import BoolArray
+from stable_data.geometry.leaning import RIM_MARGIN
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import TABLE, FloatArray, RelationKind, Scene
@@ -131,6 +132,33 @@ def expected_carriers(scene: Scene) -> Mapping[int, SupportEdge]:
         if child is None or parent is None or child in found or child in (parent, *ancestors(parents, parent)):
             continue
         found[child], parents[child] = SupportEdge(parent, relation.kind is RelationKind.IN), parent
+    return found
+
+
+def known_carriers(
+    scene: Scene, shapes: Sequence[Shape], still: Set[str], wanted: Mapping[int, SupportEdge]
+) -> Mapping[int, SupportEdge]:
+    """Adds to wanted carriers those of still objects, which stay as the scene states them, whatever has come near.
+
+    Args:
+        scene: The scene.
+        shapes: The geometry of its objects.
+        still: Instances that hardly move.
+        wanted: Index of an object -> its support, without cycles.
+    """
+    number = {o.instance: k for k, o in enumerate(scene.objects)}
+    found = dict(wanted)
+    parents = {k: wanted[k].parent if k in wanted else TABLE_TOP for k in number.values()}
+    for k, o in enumerate(scene.objects):
+        if o.instance not in still or k in wanted or o.support is None:
+            continue
+        parent = number.get(o.support, TABLE_TOP)
+        if parent == TABLE_TOP:
+            if o.support == TABLE:
+                found[k] = SupportEdge()
+        elif k not in (parent, *ancestors(parents, parent)):
+            is_in = is_hollow(shapes[parent]) and o.bottom < scene.objects[parent].top - RIM_MARGIN
+            found[k], parents[k] = SupportEdge(parent, is_in), parent
     return found
 
 
