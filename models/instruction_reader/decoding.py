@@ -131,14 +131,14 @@ def decode(
 
 def _of_spoken_cells(scores: Scores, words: Sequence[str]) -> Scores:
     """The probabilities of cells of the table, without the cells that no words mean: frames teach each cell in few words."""
-    spoken = _spoken_cells(words)
+    spoken = spoken_cells(words)
     is_spoken = np.array([cell in spoken for cell in CELLS], bool)
     likely = scores + (scores[:, :1] < _HOLDS) * is_spoken  # a place that is not "none" is one of those that are spoken of
     return np.where(is_spoken | (np.arange(len(CELLS)) == 0), likely, 0).astype(np.float32)
 
 
-def _spoken_cells(words: Sequence[str]) -> set[str]:
-    """The cells that words of rows and columns mean; words that stand close together mean one cell.
+def spoken_cells(words: Sequence[str]) -> set[str]:
+    """Returns the cells that words of rows and columns mean; words that stand close together mean one cell.
 
     Words of one clause that stand apart ("on the right, all the way at the back") may mean one cell or several.
     """

@@ -1,19 +1,20 @@
 """Finds the objects of a layout that an instruction mentions: by category, adjectives, place, relations and superlatives."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 
 import numpy as np
 
-from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
 from models.instruction_reader.sentences import split_words
+from models.semantic_reasoner.edit_planning.candidates import Candidates, adjectives_of, words_of
+from models.semantic_reasoner.edit_planning.spoken_changes import OTHER
+from models.semantic_reasoner.edit_planning.superlatives import EXTREMES, MIDDLE, PICKED_OUT, picked, words_around
 from stable_data.errors import SceneError
-from stable_data.instructions.wording.vocabulary import closeness
-from stable_data.instructions.wording.words import singular, type_words
+from stable_data.instructions.wording.words import is_plural, singular
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
 from stable_data.scene_graph.relations import cell_of, direction_of, is_held, relations_of, scene_graph
 
@@ -23,7 +24,7 @@ MISSING, AMBIGUOUS = "object_missing", "ambiguous"
 _ANY = frozenset({"a", "an", "any", "one", "some"})
 """Words before a mention of which any object may be meant."""
 
-_ALL = frozenset({"all", "every", "each", "both"})
+_ALL = frozenset({"all", "every", "each"})
 
 _ONE_OR_MANY = frozenset({"dice"})
 """Nouns whose plural may mean one object."""
@@ -34,48 +35,36 @@ _DEFINITE = frozenset({"the", "that", "this", "those", "these"})
 _OWN = frozenset({"my", "our", "your", "his", "her", "their"})
 """Words before a mention of an object that is probably there."""
 
+_ONE_OF = re.compile(r"\b(?:one|any) of (?:the|my|our|those|these) $")
+
+_MASS = frozenset({"cosmetics", "crockery", "cutlery", "food", "fruit", "silverware", "stationery", "tableware"})
+"""Nouns of all objects of several kinds."""
+
 _COLLECTIONS = frozenset({"stack", "pile", "row", "line", "heap", "bunch", "set", "group"})
 """Nouns before ``of`` and all objects of a kind."""
 
-_LETTERS = 4  # of a word that is looked for in descriptions
+_TOLD_APART = 4  # letters of a word of the text that tells several objects apart, and of its beginning
+_NEARER = 0.05  # metres by which the nearest of several has to be nearer
 
 _NEW = frozenset({"replace", "style"})  # kinds of relations whose subject, or whose target, is not in the layout
 
-_EXTREMES: Mapping[str, Callable[[SceneObject], float]] = {
-    **dict.fromkeys(("left", "leftmost"), lambda o: o.position[0]),
-    **dict.fromkeys(("right", "rightmost"), lambda o: -o.position[0]),
-    **dict.fromkeys(("front", "nearest", "closest", "near"), lambda o: o.position[1]),
-    **dict.fromkeys(("back", "rear", "furthest", "farthest", "far"), lambda o: -o.position[1]),
-    **dict.fromkeys(("tall", "taller", "tallest", "high", "higher", "highest"), lambda o: -o.size[2]),
-    **dict.fromkeys(("short", "shorter", "shortest", "lowest", "lower"), lambda o: o.size[2]),
-    **dict.fromkeys(("big", "bigger", "biggest", "large", "larger", "largest"), lambda o: -float(np.prod(o.size))),
-    **dict.fromkeys(("small", "smaller", "smallest", "little", "tiny"), lambda o: float(np.prod(o.size))),
-    **dict.fromkeys(("top", "topmost", "upper", "uppermost"), lambda o: -o.position[2]),
-    **dict.fromkeys(("bottom", "lowermost"), lambda o: o.position[2]),
-}  # fmt: skip
-"""What is least for the object that a word picks out of several."""
-
-
-_PICKED_OUT = re.compile(
-    r"(?:,? (?:that|which)(?: is|'s))?(?: lying| sitting| standing| resting)?"
-    r"(?:(?: the)? (?:farthest|furthest|nearest|closest)(?: to| on| at)?(?: the)? (?P<side>left|right|front|back|me|away)\b"
-    r"| (?:on|at)(?: the)?(?: very)? (?P<end>top|bottom)\b(?! of (?!(?:the|that|this) (?:pile|stack|heap))))"
-)
-"""Words after a mention that pick it out of several, with the side."""
 
 _WITH = re.compile(r"\b(?:with|and)(?: its| the| their)?(?: own)?\s*$")
 """Words before a carrier that goes along with what is on it."""
 
-_HANDED = re.compile(r"\b(left|right)[- ]hand\s*$")
 
 _SIDE_WORDS = {"left": ({"left"}, {"right"}), "front": ({"front", "before"}, {"behind", "beyond", "back"})}
 """Words that state the relations ``left`` and ``front``, and words that state the same with its objects exchanged."""
 
 _EXCHANGED = {"left": "right", "front": "behind"}
+_READ_AS = {side: kind for kind, side in _EXCHANGED.items()}
+
+_PLAIN = frozenset(
+    {"and", "for", "its", "one", "that", "the", "this", "with", "two", "three", "without", "make", "made", "small", "open"}
+)
+"""Words of descriptions that tell no objects apart."""
 
 _ACROSS = re.compile(r"\b(?:other|opposite|far) side of\b")
-
-_BEFORE = 2  # words before a mention that may be superlatives
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +92,19 @@ class MentionResolver:
         reading: Its reading.
         layout: The objects, with the layout's names.
         table: The table.
-        lexicon: The known nouns.
+        candidates: Finds the objects that a noun may mean.
     """
 
     def __init__(
-        self, text: str, reading: InstructionReading, layout: Sequence[SceneObject], table: Tabletop, lexicon: Lexicon
+        self,
+        text: str,
+        reading: InstructionReading,
+        layout: Sequence[SceneObject],
+        table: Tabletop,
+        candidates: Candidates,
     ) -> None:
-        self._text, self._reading, self._layout, self._table, self._lexicon = text, reading, layout, table, lexicon
+        self._text, self._reading, self._layout, self._table = text, reading, layout, table
+        self._candidates = candidates
         self._said, self._objects = split_words(text), {o.instance: o for o in layout}
         found: dict[int, list[int]] = {}
         for number, one in enumerate(reading.objects):
@@ -123,6 +118,9 @@ class MentionResolver:
         """Numbers of the mentioned objects that are not in the layout: new ones, and the words of a new look."""
         added = {k for k, o in enumerate(self._reading.objects) if o.change == "add" and not self._is_there(o)}
         for r in self._reading.goal:
+            one = self._reading.objects[r.subject]
+            if r.kind == "replace" and self._words_before(one) & _DEFINITE and self._of_category(one):
+                continue  # "the mug can have its place"
             if r.kind in _NEW:
                 added.add(r.subject if r.kind == "replace" else r.target)
             elif self._is_absent(mover := r.target if self._is_said_of_target(r) else r.subject):
@@ -136,7 +134,8 @@ class MentionResolver:
 
     def _is_there(self, one: MentionedObject) -> bool:
         """Whether an object that comes is one of the layout, as in "bring the jar nearer"."""
-        return bool(self._words_before(one) & (_DEFINITE | _OWN) and self._of_category(one))
+        is_certain = not one.categories or bool(self._words_before(one) & (_DEFINITE | _OWN | _ALL | {"both"}))
+        return is_certain and bool(self._of_category(one))
 
     def _is_said_of_target(self, r: MentionedRelation) -> bool:
         """Whether the words state a relation of its target: "the mug behind the plate" is read as the plate in front of it."""
@@ -153,7 +152,8 @@ class MentionResolver:
 
         Its kind may then be ``right``, ``behind``, or ``across`` if the object goes to the other side of the target.
         """
-        if r.kind == "near" and r.subject not in self.new and _ACROSS.search(self._text.lower()):
+        no_side = r.kind in _SIDE_WORDS and not any(words & set(self._said) for words in _SIDE_WORDS[r.kind])
+        if (r.kind == "near" or no_side) and r.subject not in self.new and _ACROSS.search(self._text.lower()):
             return replace(r, kind="across")
         is_one_new = (r.subject in self.new) != (r.target in self.new)
         if r.kind in _EXCHANGED and (r.target in self.new if is_one_new else self._is_said_of_target(r)):
@@ -198,6 +198,18 @@ class MentionResolver:
             found |= dict.fromkeys(group.numbers, tuple(names))
         return found
 
+    def is_certainly_not(self, r: MentionedRelation) -> bool:
+        """Whether two objects are certain, and not on the sides of each other that a relation with its mover first says."""
+        try:
+            found = self.resolve({r.subject, r.target}, set())
+        except SceneError:
+            return False
+        if len(found.get(r.subject, ())) != 1 or len(found.get(r.target, ())) != 1:
+            return False
+        (a,), (b,) = found[r.subject], found[r.target]
+        kind, one, other = (_READ_AS[r.kind], b, a) if r.kind in _READ_AS else (r.kind, a, b)
+        return not self._holds(kind, one, other)
+
     def comes_along(self, carrier: str) -> bool:
         """Whether the words say that an object goes where the one on it goes: "the mug with its coaster"."""
         return any(
@@ -210,14 +222,29 @@ class MentionResolver:
     def _group(self, numbers: tuple[int, ...]) -> MentionedGroup:
         one = self._reading.objects[numbers[0]]
         before = self._words_before(one)
-        head, *rest = one.words.split()
-        is_all = bool(before & _ALL) or (head in _COLLECTIONS and rest[:1] == ["of"])
-        is_open = one.is_one_of_many or is_all or one.words.split()[-1] in _ONE_OR_MANY
-        return MentionedGroup(numbers, one, is_open, bool(before & _ANY))
+        head, *rest = one.words.split() or [""]
+        is_all = bool(before & _ALL or _MASS & {*one.words.split()[-1:]}) or (head in _COLLECTIONS and rest[:1] == ["of"])
+        is_part = any(o.mentions == one.mentions and o.name != one.name for o in self._reading.objects)
+        is_plain_plural = len(numbers) == 1 and not is_part and is_plural(one.words) and not any(map(_is_pair, one.categories))
+        is_open = (
+            one.is_one_of_many
+            or is_all
+            or (is_plain_plural and bool(one.categories))
+            or bool(_ONE_OR_MANY & {*one.words.split()[-1:]})
+        )
+        is_one_of = any(_ONE_OF.search(self._text[:start].lower()) for start, _ in one.mentions)
+        if is_one_of:
+            return MentionedGroup(numbers[:1], one, False, True)
+        return MentionedGroup(numbers, one, is_open, bool(before & _ANY) and not (before & _DEFINITE or self._is_picked(one)))
+
+    def _is_picked(self, one: MentionedObject) -> bool:
+        """Whether words after a mention pick it out: ``one tablet, the one nearer to me``."""
+        return any(" the one " in self._text[end:].lower() for _, end in one.mentions)
 
     def _fitting(self) -> list[list[str]]:
         """The instances that each group may mean, by all that is said of it."""
         fitting = [self._of_category(group.first) for group in self.groups]
+        fitting = [self._spoken_of(k, fitting) for k in range(len(self.groups))]
         for k, group in enumerate(self.groups):
             fitting[k] = self._described(group, fitting[k])
             fitting[k] = self._in_region(group, fitting[k])
@@ -225,9 +252,58 @@ class MentionResolver:
             for k in range(len(self.groups)):
                 fitting[k] = self._related(k, fitting)
         for k, group in enumerate(self.groups):
+            if len(fitting[k]) > len(group.numbers):
+                fitting[k] = self._candidates.best(group.first, fitting[k])
             fitting[k] = self._extreme(group, fitting[k])
+        for r in self._reading.start:
+            if r.kind == OTHER:
+                own, kept = self._group_of[r.subject], fitting[self._group_of[r.target]]
+                fitting[own] = [name for name in fitting[own] if name not in kept]
         fitting = self._different(fitting)
-        return [self._with_its_carrier(k, fitting) for k in range(len(self.groups))]
+        fitting = [self._with_its_carrier(k, fitting) for k in range(len(self.groups))]
+        return [self._told_apart(group, fitting[k]) for k, group in enumerate(self.groups)]
+
+    def _spoken_of(self, k: int, fitting: Sequence[list[str]]) -> list[str]:
+        """The instances that a wider noun after ``that`` means of what was mentioned before: "two cereals ... that box"."""
+        one = self.groups[k].first
+        if one.mentions and self._words_before(one) & {"that", "this", "those", "these"}:
+            for j, other in enumerate(self.groups):
+                if j != k and other.first.mentions and other.first.mentions[0] < one.mentions[0]:
+                    both = [name for name in fitting[k] if name in fitting[j]]
+                    if both and len(both) < len(fitting[k]):
+                        return both
+        return fitting[k]
+
+    def _told_apart(self, group: MentionedGroup, names: list[str]) -> list[str]:
+        """The instances that a word elsewhere in the text tells from the others: "who spilt the oil? That bottle can go"."""
+        if len(names) <= len(group.numbers) or group.is_open or group.is_any:
+            return names
+        of_others = [
+            place
+            for k, one in enumerate(self._reading.objects)
+            if self._is_other(k, group) and not self._is_part(k, group, names)
+            for place in one.mentions
+        ]
+        kept = "".join(" " if any(a <= k < b for a, b in of_others) else c for k, c in enumerate(self._text.lower()))
+        said = {word for word in singular(tuple(split_words(kept))) if word not in EXTREMES and word not in _PLAIN}
+        words = {name: set(words_of(self._objects[name])) for name in names}
+        shared = set.intersection(*words.values())
+        score = {name: sum(_is_said(word, said) for word in words[name] - shared) for name in names}
+        best = [name for name in names if score[name] == max(score.values())]
+        return best if len(best) == len(group.numbers) else names
+
+    def _is_part(self, number: int, group: MentionedGroup, names: Sequence[str]) -> bool:
+        """Whether a mention is a part of objects rather than one of its own: ``the lipstick in the pink case``."""
+        relations = [r for r in self._reading.start if r.subject in group.numbers and r.target == number]
+        others = self._of_category(self._reading.objects[number])
+        return bool(relations) and not any(
+            self._holds(r.kind, name, other) for r in relations for name in names for other in others if name != other
+        )
+
+    def _is_other(self, number: int, group: MentionedGroup) -> bool:
+        """Whether the words of a mention say nothing of a group: they mean other objects, or a new look."""
+        one = self._reading.objects[number]
+        return number not in group.numbers and bool(number in self.new or one.categories)
 
     def _with_its_carrier(self, k: int, fitting: Sequence[list[str]]) -> list[str]:
         """The instances of a group that lie on, or carry, another mentioned object: ``the muffin, plate and all``.
@@ -243,53 +319,41 @@ class MentionResolver:
         return tied if len(tied) == len(group.numbers) else names
 
     def _of_category(self, one: MentionedObject) -> list[str]:
-        """The instances of its categories, or else those with most of its words in their descriptions."""
-        close = {o.instance: self._closeness(one, o) for o in self._layout}
-        if not any(close.values()):
-            words = set(singular(tuple(w for w in one.words.split() if len(w) >= _LETTERS)))
-            close = {o.instance: _common_words(words, singular(tuple(split_words(o.description)))) for o in self._layout}
-        best = max(close.values(), default=0)
-        return [name for name, how in close.items() if how == best > 0]
-
-    def _closeness(self, one: MentionedObject, o: SceneObject) -> int:
-        """How well an object fits a mention; best if the mention says its category."""
-        words, category = singular(tuple(one.words.split())), singular(type_words(o.category))
-        size = self._lexicon.noun_size(one.words.split())
-        if category and category == words[-len(category) :] and len(category) >= size:
-            return 3
-        if category and set(category) <= set(words) and set(self._lexicon.categories(category)) & set(one.categories):
-            return 2  # the ketchup of a "ketchup bottle"
-        return max((closeness(o.category, c) for c in one.categories), default=0)
+        return self._candidates.of(one)
 
     def _adjectives(self, one: MentionedObject) -> list[str]:
         """The words of a mention, and what is said of its place among others (``that is farthest to the left``)."""
-        found = one.words.split()
-        for start, end in one.mentions:
-            before = split_words(self._text[:start])[-_BEFORE:]
-            found += [word for word in before if word in _EXTREMES and word.endswith(("st", "er"))]
-            if (m := _HANDED.search(self._text[:start].lower())) is not None:
-                found.append(m[1])
-            if (m := _PICKED_OUT.match(self._text[end:].lower())) is not None:
-                side = m["side"] or m["end"]
-                found.append({"me": "front", "away": "back"}.get(side, side))
-        return found
+        return [*adjectives_of(one), *(word for start, end in one.mentions for word in words_around(self._text, start, end))]
 
     def _described(self, group: MentionedGroup, names: list[str]) -> list[str]:
         """The instances whose description has the adjectives of a mention, as far as any has them."""
-        for word in self._adjectives(group.first):
+        one = group.first
+        adjectives = self._adjectives(one)
+        if any(self._text[start:end].lower().split()[-1:] in (["one"], ["ones"]) for start, end in one.mentions):
+            spoken = [word for word in adjectives_of(one) if word not in EXTREMES]
+            having = self._candidates.described(spoken)
+            if having and not set(having) & set(names):
+                return having  # "the glass ... the felt one": no glass is of felt, but a coaster is
+        if "'" in one.words.split():  # "the elephant's tray"
+            words = one.words.split()[: one.words.split().index("'")]
+            owners = self._of_category(replace(one, words=" ".join(words), categories=self._candidates.categories(words)))
+            names = [name for name in names if any(name != o and self._holds("on", o, name) for o in owners)] or names
+        for word in adjectives:
             having = [name for name in names if word in split_words(self._objects[name].description)]
             names = having or names
         return names
 
     def _in_region(self, group: MentionedGroup, names: list[str]) -> list[str]:
         region = group.first.region
-        if not region or len(names) <= len(group.numbers):
+        is_picked = any(PICKED_OUT.match(self._text[end:].lower()) for _, end in group.first.mentions)
+        if not region or is_picked or region == group.first.goal_region or len(names) <= len(group.numbers):
             return names
         inside = [name for name in names if cell_of(self._objects[name].position, self._table.size_xy) == region]
-        if inside:
+        if inside and (len(inside) < len(names) or group.is_open):
             return inside
         for word in region.split("_"):  # "the left one" is in no cell, but to the left of the others
-            names = self._least(names, word, len(group.numbers))
+            if word not in MIDDLE:
+                names = self._least(names, word, len(group.numbers))
         return names
 
     def _extreme(self, group: MentionedGroup, names: list[str]) -> list[str]:
@@ -299,8 +363,7 @@ class MentionResolver:
         return names
 
     def _least(self, names: list[str], word: str, count: int) -> list[str]:
-        key = _EXTREMES.get(word)
-        return names if key is None else sorted(names, key=lambda name: key(self._objects[name]))[:count]
+        return [o.instance for o in picked([self._objects[name] for name in names], word, count)]
 
     def _related(self, k: int, fitting: Sequence[list[str]]) -> list[str]:
         """The instances of a group that have its stated relations to others, as far as any has them."""
@@ -310,13 +373,44 @@ class MentionResolver:
                 if self._group_of.get(one) != k or self._group_of.get(other, k) == k:
                     continue
                 others = fitting[self._group_of[other]]
+                if r.kind == OTHER:
+                    continue
+                if r.kind == "between":
+                    names = (self._between(names, r.subject, fitting) if is_subject else []) or names
+                    continue
                 holding = [
                     name
                     for name in names
                     if any(self._holds(r.kind, *((name, b) if is_subject else (b, name))) for b in others if b != name)
                 ]
+                if r.kind == "near":
+                    holding = self._nearest(holding, others, len(self.groups[k].numbers))
                 names = holding or names
         return names
+
+    def _between(self, names: Sequence[str], subject: int, fitting: Sequence[list[str]]) -> list[str]:
+        """The instances between the targets of a subject: beside the line from one to the other."""
+        targets = (self._group_of.get(r.target) for r in self._reading.start if (r.subject, r.kind) == (subject, "between"))
+        ends = [fitting[g] for g in dict.fromkeys(targets) if g is not None]
+        pairs = [(a, b) for a in ends[0] for b in ends[-1] if a != b] if ends else []
+        return [name for name in names if any(name not in pair and self._is_between(name, *pair) for pair in pairs)]
+
+    def _is_between(self, name: str, one: str, other: str) -> bool:
+        a, b, c = (np.array(self._objects[n].position[:2]) for n in (one, other, name))
+        length = float(np.linalg.norm(b - a))
+        along = float(np.dot(c - a, b - a)) / max(length, 1e-6)
+        across = float(np.linalg.norm(c - a - (b - a) * along / max(length, 1e-6)))
+        return 0 < along < length and across < _BESIDE_LINE
+
+    def _nearest(self, names: list[str], others: Sequence[str], count: int) -> list[str]:
+        """Of objects near others the nearest, if they are clearly nearer than the rest."""
+        gaps = {
+            name: min(gap_between(self._objects[name], self._objects[other]) for other in others if other != name)
+            for name in names
+        }
+        names = sorted(names, key=lambda name: gaps[name])
+        is_clear = len(names) > count and gaps[names[count]] - gaps[names[count - 1]] > _NEARER
+        return names[:count] if is_clear else names
 
     @cached_property
     def _on_in(self) -> frozenset[Relation]:
@@ -353,15 +447,23 @@ class MentionResolver:
         return left
 
 
+def _is_pair(category: str) -> bool:
+    """Whether the name of a category is a plural, such as scissors."""
+    return is_plural(category.replace("_", " "))
+
+
+def _is_said(word: str, said: Set[str]) -> bool:
+    """Whether a text has a word of a description, or one with the same beginning: ``chocolatey`` for ``chocolate``."""
+    if len(word) < _TOLD_APART:
+        return len(word) > 2 and word in said
+    return any(other == word or (len(other) >= _TOLD_APART and other.startswith(word)) for other in said)
+
+
 def _are_alike(one: MentionedObject, other: MentionedObject) -> bool:
     return (one.words, one.change) == (other.words, other.change)
 
 
-def _common_words(words: Iterable[str], of_description: Sequence[str]) -> int:
-    """The number of words that a description has, alone or as the end of a compound such as ``racquetball``."""
-    return sum(any(other.endswith(word) for other in of_description) for word in words)
-
-
+_BESIDE_LINE = 0.08  # metres from the line between two objects to what is between them
 _NEAR = 0.15  # metres between the outlines of objects that are near each other
 
 

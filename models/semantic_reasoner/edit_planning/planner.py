@@ -5,66 +5,32 @@ What goes, comes, moves, is replaced, restyled or exchanged follows from the rea
 finds the exact ones. An instruction that states no change gives no plan.
 """
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import replace
-from typing import TypeAlias
+from collections.abc import Iterator, Mapping, Sequence, Set
 
-import numpy as np
-import shapely
-
-from models.instruction_reader.reading import MentionedObject, MentionedRelation
+from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
 from models.instruction_reader.sentences import split_words
+from models.semantic_reasoner.edit_planning.candidates import Candidates, adjectives_of, head_of
+from models.semantic_reasoner.edit_planning.layout_plan import SIDES, LayoutPlan, Moves, look_words
 from models.semantic_reasoner.edit_planning.mention_resolution import MentionResolver
+from models.semantic_reasoner.edit_planning.spoken_changes import OTHER, PLACE, with_spoken_changes
 from models.semantic_reasoner.edit_planning.turns import yaw_after_turn
-from models.semantic_reasoner.language.category_statistics import LEVELS, CategoryStatistics
+from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
-from models.semantic_reasoner.replies.places import (
-    Place,
-    half_extent,
-    places_beside,
-    places_between,
-    places_on_or_in,
-    table_spots,
-)
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
-from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
+from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.errors import SceneError
-from stable_data.instructions.wording.words import type_words
-from stable_data.metrics.alignment import members
-from stable_data.scene import Relation, RelationKind, Vec3
-from stable_data.scene_graph.relations import cell_of, direction_of, yawed_rectangle
-from stable_data.scene_graph.support_from_boxes import carriers_of
-from stable_data.scene_graph.support_tree import SupportTree
+from stable_data.instructions.wording.words import singular
 
-_SIDES = {
-    "right": RelationKind.RIGHT_OF,
-    "left": RelationKind.LEFT_OF,
-    "front": RelationKind.IN_FRONT_OF,
-    "behind": RelationKind.BEHIND,
-}
-"""The directions by their names in goals; those of a thing that is only near another one are tried in this order."""
-
-_RELATIONS = {**_SIDES, "on": RelationKind.ON, "in": RelationKind.IN, "at": RelationKind.IS_AT}
-"""The relations of a scene graph by their names in goals."""
-
-_TOUCHES = 0.002  # metres by which boxes may overlap in height without sharing a place
 _SHOWN = 60  # characters of an instruction in a message
-_SMALLER, _LARGER = 0.8, 1.25  # factors of the sizes of objects that become smaller or larger
-_SIZE_WORDS = {
-    **dict.fromkeys(("smaller", "shorter", "tiny", "mini", "small", "little"), _SMALLER),
-    **dict.fromkeys(("bigger", "larger", "taller", "huge", "giant", "big", "large", "oversized"), _LARGER),
-}
-Moves: TypeAlias = Mapping[str, Mapping[str, Sequence[str]]]
-"""The wanted relations of each object that moves: instance -> kind -> the instances of their targets, or a cell."""
 
 _LOOK = "look"
 """Kind of a relation whose target has the words of a new look before its noun."""
 
-_NO_LOOK = frozenset(
-    {"a", "an", "the", "into", "in", "to", "of", "more", "much", "rather", "something", "instead", "one", "it"}
-)
-"""Words of a new look that describe nothing."""
+_NO_MOVES = frozenset({"replace", "style", _LOOK, "swap", PLACE})
+"""Kinds of goals that state no relation of their subject to their target."""
+
+Meanings = Mapping[int, Sequence[str]]
+"""The instances that each number of the reading means."""
 
 
 class EditPlanner:
@@ -85,56 +51,131 @@ class EditPlanner:
             SceneError: The instruction states no change that is understood (``edit_unread``), an object that the edit needs is
                 not in the layout (``object_missing``), or several fit (``ambiguous``).
         """
-        meant = self._interpret(question.instruction, is_edit=True)
-        plan = _Plan(question, self._statistics)
-        objects, reading = meant.reading.objects, meant.reading
-        resolver = MentionResolver(
-            question.instruction, reading, list(plan.objects.values()), question.table, self._interpret.lexicon
-        )
-        acted = {k for k, o in enumerate(objects) if o.change or o.goal_region}
-        goals = [resolver.with_mover_first(r) for r in reading.goal]
-        goals = list(_without_surroundings(goals, resolver, acted))
-        needed = acted | {n for r in goals for n in (r.subject, r.target)}
+        text, lexicon = question.instruction, self._interpret.lexicon
+        reading = with_spoken_changes(self._interpret(text, is_edit=True).reading, text, lexicon, self._is_detail)
+        plan = LayoutPlan(question, self._statistics)
+        objects, layout = reading.objects, list(plan.objects.values())
+        candidates = Candidates(layout, lexicon, self._interpret.most_similar)
+        resolver = MentionResolver(text, reading, layout, question.table, candidates)
+        goals, needed, changed = _goals(reading, resolver)
         if not needed:
-            message = f"no change is understood in {question.instruction[:_SHOWN]!r}"
-            raise SceneError(f"{message}; say what goes, comes, moves, is replaced or gets another look", "edit_unread")
-        meanings = resolver.resolve(needed, acted | {r.subject for r in goals})
+            raise _unread(text)
+        meanings = resolver.resolve(needed, changed)
         goals = [_as_style(r, objects) for r in goals]
         for k in resolver.new:
-            if objects[k].categories and not any(r.kind in ("style", _LOOK) and r.target == k for r in goals):
-                meanings[k] = (plan.create(objects[k]),)
-        for r in goals:
-            self._apply(plan, r.kind, meanings.get(r.subject, ()), meanings.get(r.target, ()), objects[r.target])
+            is_look = any(r.kind in ("style", _LOOK) and r.target == k for r in goals)
+            if not is_look and (objects[k].categories or any((r.subject, r.kind) == (k, "replace") for r in goals)):
+                meanings[k] = (plan.create(objects[k], text),)
+        goals = plan.with_contents(_without_own(goals, meanings), meanings)
+        _exchange(plan, goals, meanings)
+        _restyle(plan, goals, meanings, objects)
         for k, o in enumerate(objects):
             for name in meanings.get(k, ()) if o.change == "remove" else ():
                 plan.remove(name)
-        moves = plan.with_carriers(_moves(objects, goals, meanings, plan.placed), resolver)
-        for name, wanted in _targets_first({n: w for n, w in moves.items() if not plan.comes_along(n, w, moves)}):
-            plan.move(name, wanted)
-        return plan.reply()
+        _move(plan, goals, meanings, objects, resolver)
+        reply = plan.reply()
+        if not (reply.removed or reply.objects or plan.is_so):
+            raise _unread(text)
+        return reply
 
-    def _apply(
-        self,
-        plan: "_Plan",
-        kind: str,
-        subjects: Sequence[str],
-        targets: Sequence[str],
-        look: MentionedObject,
-    ) -> None:
-        """Applies a replacement, a new look or an exchange."""
-        match kind:
-            case "replace":
-                for new, old in zip(subjects, targets, strict=False):
-                    plan.put_in_place(new, old)
-            case "style" | "look":
-                words = look.words if kind == "style" else " ".join(look.words.split()[:-1])
-                others = [name for name in subjects if not plan.has_look(name, words)]
-                for name in others or subjects:  # of several, those that look so already stay
-                    plan.restyle(name, words)
-            case "swap" if subjects and targets and subjects[0] < targets[0]:
-                plan.exchange(subjects[0], targets[0])
-            case _:
-                pass
+    def _is_detail(self, category: str, word: str) -> bool:
+        """Whether descriptions of a category have a word, such as ``lid`` for jars."""
+        known = self._statistics.categories.get(category)
+        return known is not None and bool({word, *singular((word,))} & known.words.keys())
+
+
+def _unread(text: str) -> SceneError:
+    message = f"no change is understood in {text[:_SHOWN]!r}"
+    return SceneError(f"{message}; say what goes, comes, moves, is replaced or gets another look", "edit_unread")
+
+
+def _goals(reading: InstructionReading, resolver: MentionResolver) -> tuple[list[MentionedRelation], set[int], set[int]]:
+    """The goals with their mover first, the numbers of the objects that they need, and of those that change."""
+    acted = {k for k, o in enumerate(reading.objects) if o.change or o.goal_region}
+    goals = [resolver.with_mover_first(r) for r in reading.goal if not _is_empty_look(r, reading.objects)]
+    goals = list(_without_surroundings(goals, resolver, acted))
+    goals += _elliptic(reading, resolver, goals, acted)
+    needed = acted | {n for r in goals for n in (r.subject, r.target)}
+    needed |= {r.target for r in reading.start if r.kind == OTHER and r.subject in needed}
+    return goals, needed, acted | {r.subject for r in goals}
+
+
+def _exchange(plan: LayoutPlan, goals: Sequence[MentionedRelation], meanings: Meanings) -> None:
+    for r in goals:
+        subjects, targets = meanings.get(r.subject, ()), meanings.get(r.target, ())
+        if r.kind == "replace":
+            for new, old in _pairs(meanings, r):
+                plan.put_in_place(new, old, is_replaced=True)
+        elif r.kind == "swap" and subjects and targets and subjects[0] < targets[0]:
+            plan.exchange(subjects[0], targets[0])
+
+
+def _restyle(
+    plan: LayoutPlan, goals: Sequence[MentionedRelation], meanings: Meanings, objects: Sequence[MentionedObject]
+) -> None:
+    """Gives objects another look; of several that shall look alike, those that look so already stay."""
+    looks: dict[str, dict[str, None]] = {}
+    for r in goals:
+        if r.kind in ("style", _LOOK):
+            look = objects[r.target]
+            is_alike = bool(set(look.categories) & set(objects[r.subject].categories))
+            is_plain = is_alike and head_of(look.words) == singular((look.words.split()[-1],))[0]  # "white mugs"
+            words = (is_plain and " ".join(adjectives_of(look))) or look.words
+            looks.setdefault(words, {}).update(dict.fromkeys(meanings.get(r.subject, ())))
+    for words, names in looks.items():
+        for name in [n for n in names if not plan.has_look(n, words)] or names:
+            plan.restyle(name, words)
+
+
+def _move(
+    plan: LayoutPlan,
+    goals: Sequence[MentionedRelation],
+    meanings: Meanings,
+    objects: Sequence[MentionedObject],
+    resolver: MentionResolver,
+) -> None:
+    """Moves objects; what takes the place of another one comes last, when that has left."""
+    at_place = [pair for r in goals if r.kind == PLACE for pair in _pairs(meanings, r)]
+    moves = plan.with_carriers(_moves(objects, goals, meanings, plan.placed), resolver)
+    moves = {name: wanted for name, wanted in moves.items() if name not in dict(at_place)}
+    for name, wanted in _targets_first({n: w for n, w in moves.items() if not plan.comes_along(n, w, moves)}):
+        plan.move(name, wanted)
+    for mover, other in at_place:
+        plan.put_in_place(mover, other, is_replaced=False)
+
+
+def _pairs(meanings: Meanings, r: MentionedRelation) -> Iterator[tuple[str, str]]:
+    return zip(meanings.get(r.subject, ()), meanings.get(r.target, ()), strict=False)
+
+
+def _is_empty_look(r: MentionedRelation, objects: Sequence[MentionedObject]) -> bool:
+    """Whether the words of a new look describe nothing, as in "much handier"."""
+    words = objects[r.target].words
+    return r.kind == "style" and not look_words(words) and yaw_after_turn(split_words(words), 0) is None
+
+
+def _elliptic(
+    reading: InstructionReading, resolver: MentionResolver, goals: Sequence[MentionedRelation], acted: Set[int]
+) -> Iterator[MentionedRelation]:
+    """Goals that are read as stated of the start, where they do not hold: "the mug in grey, the case behind it".
+
+    Only an object of which nothing else is said moves so, and only in an edit of several changes.
+    """
+    said = acted | {r.subject for r in goals}
+    for stated in reading.start if said else ():
+        r = resolver.with_mover_first(stated)
+        is_open = r.kind in SIDES and r.target in said and r.subject not in said | {t.target for t in goals}
+        if is_open and resolver.is_certainly_not(r):
+            yield r
+
+
+def _without_own(goals: Sequence[MentionedRelation], meanings: Meanings) -> list[MentionedRelation]:
+    """The goals without those of an object to itself, or to all of its kind ("the pens belong together, lay this one ...")."""
+    return [
+        r
+        for r in goals
+        if r.kind in _NO_MOVES or not meanings.get(r.subject) or not set(meanings[r.subject]) <= set(meanings.get(r.target, ()))
+    ]
 
 
 def _without_surroundings(
@@ -151,18 +192,20 @@ def _as_style(r: MentionedRelation, objects: Sequence[MentionedObject]) -> Menti
     new, old = objects[r.subject], objects[r.target]
     if r.kind != "replace" or len(new.words.split()) < 2 or not set(new.categories) & set(old.categories):
         return r
+    if set(new.categories) != set(old.categories) and head_of(new.words) != head_of(old.words):
+        return r  # "the cube by a building block"
     return MentionedRelation(r.target, _LOOK, r.subject, r.score)
 
 
 def _moves(
     objects: Sequence[MentionedObject],
     goals: Sequence[MentionedRelation],
-    meanings: Mapping[int, Sequence[str]],
+    meanings: Meanings,
     placed: Set[str],
 ) -> Moves:
     moves: dict[str, dict[str, list[str]]] = {}
     for r in goals:
-        if r.kind not in ("replace", "style", _LOOK, "swap"):
+        if r.kind not in _NO_MOVES:
             for name in meanings.get(r.subject, ()):
                 moves.setdefault(name, {}).setdefault(r.kind, []).extend(meanings.get(r.target, ()))
     for name, o in ((name, o) for k, o in enumerate(objects) for name in meanings.get(k, ())):
@@ -181,209 +224,3 @@ def _targets_first(moves: Moves) -> Iterator[tuple[str, Mapping[str, Sequence[st
         name = next((n for n in left if not targets[n] & left.keys()), "")
         name = name or next(iter(left))  # they go to each other
         yield name, left.pop(name)
-
-
-def _look_words(look: str) -> list[str]:
-    return [word for word in look.split() if word not in _NO_LOOK]
-
-
-class _Plan:
-    """A layout while an edit changes it."""
-
-    def __init__(self, question: ReasonerQuestion, statistics: CategoryStatistics) -> None:
-        self._question, self._statistics, self._table = question, statistics, question.table
-        self.objects = {o.instance: o.to_scene_object() for o in question.layout}
-        self._entries = {o.instance: o for o in question.layout}
-        self.removed: list[str] = []
-        self.placed: set[str] = set()
-        self._wanted: list[Relation] = []
-        self._new: set[str] = set()
-
-    def reply(self) -> LayoutReply:
-        was = {o.instance: o for o in self._question.layout}
-        there = [o for name, o in self._entries.items() if name not in self.removed]
-        changed = tuple(o for o in there if was.get(o.instance) != o)
-        return LayoutReply(changed, tuple(self.removed), tuple(r for r in self._wanted if self._entails(r)))
-
-    def _entails(self, r: Relation) -> bool:
-        """Whether a relation is still about objects of the layout."""
-        return set(members(r)) <= self.objects.keys()
-
-    def remove(self, name: str) -> None:
-        if name not in self.removed:
-            self.removed.append(name)
-            self.objects.pop(name, None)
-
-    def create(self, one: MentionedObject) -> str:
-        """Adds an object of the usual size, not yet placed."""
-        known = [c for c in one.categories if c in self._statistics.categories and self._statistics.categories[c].sizes]
-        category = self._statistics.most_frequent(known or one.categories)
-        used = {name for name in self._entries if name.rpartition("_")[0] == category}
-        name = next(f"{category}_{k}" for k in range(len(used) + 1) if f"{category}_{k}" not in used)
-        size: Vec3 = (0.1, 0.1, 0.1)
-        if known:
-            size = self._statistics.categories[category].sizes[LEVELS.index(0.5)]
-        width, depth = self._table.size_xy
-        w, d, h = (round(100 * side, 1) for side in size)
-        article = "an" if one.words[:1] in "aeiou" else "a"
-        entry = LayoutObject(name, f"{article} {one.words}", (w, d, h), (50 * width, 50 * depth, h / 2), 0)
-        self._entries[name], self.objects[name] = entry, entry.to_scene_object()
-        self._new.add(name)
-        return name
-
-    def has_look(self, name: str, look: str) -> bool:
-        words = _look_words(look)
-        return bool(words) and set(words) <= set(split_words(self._entries[name].description))
-
-    def restyle(self, name: str, look: str) -> None:
-        """Gives an object another look or size, or turns it on the spot if the words of the look describe a turn."""
-        if name not in self.objects:
-            return  # it goes
-        entry = self._entries[name]
-        if (yaw := yaw_after_turn(split_words(look), entry.z_rotation_deg)) is not None:
-            self._store(replace(entry, z_rotation_deg=yaw))
-            return
-        words = _look_words(look)
-        factor = next((_SIZE_WORDS[word] for word in words if word in _SIZE_WORDS), 1.0)
-        w, d, h = (round(side * factor, 1) for side in entry.size_cm)
-        x, y, z = entry.position_cm
-        noun = " ".join(type_words(entry.category))
-        described = f"a {' '.join(words)} {noun}" if words else entry.description
-        place = (x, y, round(z + (h - entry.size_cm[2]) / 2, 1))
-        self._store(replace(entry, description=described, size_cm=(w, d, h), position_cm=place))
-
-    def exchange(self, one: str, other: str) -> None:
-        if not {one, other} <= self.objects.keys():
-            return  # one of them goes
-        a, b = self.objects[one], self.objects[other]
-        self._put(one, (b.position[0], b.position[1], b.bottom + a.size[2] / 2))
-        self._put(other, (a.position[0], a.position[1], a.bottom + b.size[2] / 2))
-
-    def put_in_place(self, new: str, old: str) -> None:
-        was = self.objects.get(old)
-        if was is None:
-            return
-        self.remove(old)
-        x, y, _ = was.position
-        self._put(new, (x, y, was.bottom + self.objects[new].size[2] / 2))
-
-    def with_carriers(self, moves: Moves, resolver: MentionResolver) -> Moves:
-        """The moves, with a carrier in place of an object that takes it along."""
-        carriers = carriers_of(list(self.objects.values()), self._table)
-        below = {name: carriers.get(name) for name in moves}
-        along = {name: c for name, c in below.items() if c is not None and c not in moves and resolver.comes_along(c)}
-        return {along.get(name, name): wanted for name, wanted in moves.items()}
-
-    def comes_along(self, name: str, wanted: Mapping[str, Sequence[str]], moves: Moves) -> bool:
-        """Whether an object is on or in another one that moves to the same place, and so needs no move of its own."""
-        carriers = carriers_of(list(self.objects.values()), self._table)
-        return name in self.objects and any(moves.get(other) == wanted for other in SupportTree(carriers).ancestors(name))
-
-    def move(self, name: str, wanted: Mapping[str, Sequence[str]]) -> None:
-        """Moves an object to a free place for which the first of the wanted relations holds, and the others if possible."""
-        if name not in self.objects:
-            return  # it goes
-        carriers = carriers_of(list(self.objects.values()), self._table)
-        self._wanted += (
-            Relation(name, _RELATIONS[kind], t[0]) for kind, t in wanted.items() if kind in _RELATIONS and len(t) == 1
-        )
-        first, *rest = sorted(wanted, key=lambda kind: kind == "near")
-        candidates = list(self._places(name, first, wanted[first], carriers))
-        if not candidates:
-            return
-        if first in ("in", "on") and not rest and not set(wanted[first]).isdisjoint(SupportTree(carriers).ancestors(name)):
-            return  # it is there already
-        below = set(wanted[first]) if first in ("in", "on") else set()
-        others = [self.objects[t] for kind in rest for t in wanted[kind] if t in self.objects]
-        heights = list(dict.fromkeys(z for _, _, z in candidates))  # the likeliest first
-        scored = [
-            (
-                self._is_taken(name, place, below, carriers),
-                heights.index(place[2]),
-                round(sum(math.dist(place[:2], t.position[:2]) for t in others), 2),
-            )
-            for place in candidates
-        ]
-        self._put(name, candidates[min(range(len(candidates)), key=lambda k: (scored[k], k))])
-
-    def _places(
-        self, name: str, kind: str, targets: Sequence[str], carriers: dict[str, str | None]
-    ) -> Iterator[tuple[float, float, float]]:
-        there = [t for t in targets if t in self.objects and t != name]
-        if kind == "at":
-            yield from (place for cell in targets for place in self._in_cell(name, cell))
-        elif kind == "between" and len(there) > 1:
-            between = Relation(name, RelationKind.BETWEEN, ", ".join(there[:2]))
-            yield from self._of_mover(name, places_between(between, self.objects, carriers))
-        elif kind in ("in", "on"):
-            for target in there:
-                relation = RelationKind.IN if kind == "in" else RelationKind.ON
-                yield from self._of_mover(name, places_on_or_in(self.objects[name], self.objects[target], relation))
-        elif there:
-            sides = (_SIDES[kind],) if kind in _SIDES else tuple(_SIDES.values())
-            if kind == "across":
-                now = direction_of(*np.subtract(self.objects[there[0]].position, self.objects[name].position)[:2])
-                sides = sides if now is None else (now,)
-            for side in sides:
-                beside = places_beside(Relation(name, side, there[0]), self.objects, carriers)
-                yield from self._of_mover(name, beside)
-        else:
-            yield from self._elsewhere(name)
-
-    @staticmethod
-    def _of_mover(name: str, places: Iterable[Place]) -> Iterator[tuple[float, float, float]]:
-        return (place for mover, place in places if mover == name)
-
-    def _in_cell(self, name: str, cell: str) -> Iterator[tuple[float, float, float]]:
-        """Places in a cell of the table, those in its middle first."""
-        o, size = self.objects[name], np.array(self._table.size_xy)
-        half = half_extent(o)
-        inside = [spot for spot in table_spots(size) if cell_of(spot, self._table.size_xy) == cell]
-        middle = np.mean(inside, axis=0)
-        for spot in sorted(inside, key=lambda spot: math.dist(spot, middle)):
-            x, y = np.clip(np.array(spot), half, np.maximum(half, size - half))
-            if cell_of((float(x), float(y)), self._table.size_xy) == cell:
-                yield float(x), float(y), o.size[2] / 2
-
-    def _elsewhere(self, name: str) -> Iterator[tuple[float, float, float]]:
-        """Places on the table, the nearest first; those of an object that is there already are a hand's breadth away."""
-        o, size = self.objects[name], np.array(self._table.size_xy)
-        half = half_extent(o)
-        spots = (np.clip(np.array(spot), half, np.maximum(half, size - half)) for spot in table_spots(size))
-        far = sorted((math.dist(spot, o.position[:2]), *map(float, spot)) for spot in spots)
-        for distance, x, y in far:
-            if name in self._new or distance > 0.1:
-                yield x, y, o.size[2] / 2
-
-    def _is_taken(
-        self, name: str, place: tuple[float, float, float], below: Set[str], carriers: dict[str, str | None]
-    ) -> float:
-        """How much of an object's outline would be off the table or share its place with other objects, square metres."""
-        moved = replace(self.objects[name], position=place)
-        outline = shapely.Polygon(yawed_rectangle(moved))
-        width, depth = self._table.size_xy
-        lost = outline.area - outline.intersection(shapely.box(0, 0, width, depth)).area
-        if (zone := self._table.restricted_zone) is not None:
-            lost += outline.intersection(shapely.box(zone[0], zone[2], zone[1], zone[3])).area
-        own = SupportTree(carriers).with_descendants({name})
-        for other, o in self.objects.items():
-            if other in own or other in below or other in self._new - self.placed:
-                continue
-            if moved.bottom < o.top - _TOUCHES and o.bottom < moved.top - _TOUCHES:
-                lost += outline.intersection(shapely.Polygon(yawed_rectangle(o))).area
-        return round(float(lost), 5)
-
-    def _put(self, name: str, place: tuple[float, float, float]) -> None:
-        x, y, z = (round(100 * float(value), 1) + 0.0 for value in place)
-        self._store(replace(self._entries[name], position_cm=(x, y, z)))
-        self.placed.add(name)
-
-    def _store(self, entry: LayoutObject) -> None:
-        was = self.objects[entry.instance]
-        self._entries[entry.instance] = entry
-        self.objects[entry.instance] = entry.to_scene_object()
-        step = np.subtract(self.objects[entry.instance].position, was.position)
-        carriers = carriers_of([was, *(o for o in self.objects.values() if o.instance != entry.instance)], self._table)
-        for name in SupportTree(carriers).with_descendants({entry.instance}) - {entry.instance}:
-            x, y, z = (float(v) for v in np.add(self.objects[name].position, step))
-            self.objects[name] = replace(self.objects[name], position=(x, y, z))  # apply_edit moves it with its support

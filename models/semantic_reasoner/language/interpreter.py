@@ -36,6 +36,9 @@ STEP = "understand"
 NEAR = 0.7
 """Least cosine similarity for reading an unknown noun as a known one (all-MiniLM-L6-v2, ``a doughnut`` with ``a donut``)."""
 
+ALIKE, APART = 0.4, 0.15
+"""Least cosine similarity of words with the description that they mean, and by how much less similar all others must be."""
+
 LANGUAGE = 0.5
 """Share of unknown words above which a text counts as another language than English."""
 
@@ -180,6 +183,23 @@ class InstructionInterpreter:
         similarity = self._rows @ np.asarray(self._encode([f"a {singular_noun(words)}"]))[0]
         best = int(similarity.argmax())
         return list(self._names.items())[best] if similarity[best] >= NEAR else None
+
+    def most_similar(self, words: str, texts: Sequence[str]) -> str | None:
+        """Returns the text that is clearly most similar to some words; None if there is none, or without an encoder.
+
+        Args:
+            words: The words of an object, such as ``sand timer``.
+            texts: Descriptions; equal ones count once.
+        """
+        several = tuple(dict.fromkeys(texts))
+        if self._encode is None or not several or not words.strip():
+            return None
+        rows = np.asarray(self._encode([f"the {words}", *several]))
+        similarity = rows[1:] @ rows[0]
+        best, *others = np.sort(similarity)[::-1].tolist()
+        if best < ALIKE or (others and best - others[0] < APART):
+            return None
+        return several[int(similarity.argmax())]
 
     # --- the engine's words ---
 

@@ -5,6 +5,7 @@ import pytest
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
+from models.semantic_reasoner.edit_planning.candidates import Candidates
 from models.semantic_reasoner.edit_planning.mention_resolution import AMBIGUOUS, MISSING, MentionResolver, gap_between
 from stable_data.errors import SceneError
 from stable_data.scene import SceneObject, Tabletop
@@ -37,7 +38,7 @@ def mentioned(words: str, *categories: str, name: int = 0, text: str = "", **mor
 
 def resolve(*objects: MentionedObject, start: tuple[tuple[int, str, int], ...] = (), text: str = "") -> tuple[str, ...]:
     reading = InstructionReading(objects, tuple(MentionedRelation(*r) for r in start))
-    return MentionResolver(text, reading, LAYOUT, TABLE, LEXICON).resolve([0], {0})[0]
+    return MentionResolver(text, reading, LAYOUT, TABLE, Candidates(LAYOUT, LEXICON)).resolve([0], {0})[0]
 
 
 def test_an_object_is_found_by_its_category_colour_place_and_relations() -> None:
@@ -103,7 +104,7 @@ def test_categories_that_the_reader_does_not_know_are_found_by_their_own_nouns()
     layout = (ball, ketchup, spray)
 
     def found(one: MentionedObject) -> tuple[str, ...]:
-        return MentionResolver("", InstructionReading((one,)), layout, TABLE, LEXICON).resolve([0], {0})[0]
+        return MentionResolver("", InstructionReading((one,)), layout, TABLE, Candidates(layout, LEXICON)).resolve([0], {0})[0]
 
     assert found(mentioned("ball", "ball")) == ("racquetball_0",)
     assert found(mentioned("ketchup bottle", "sauce_bottle")) == ("ketchup_0",)
@@ -114,17 +115,17 @@ def test_a_thing_and_what_carries_it_are_meant_together() -> None:
     mug, tray = mentioned("blue mug", "mug"), mentioned("tray", "serving_tray", name=1)
     layout = (*LAYOUT, box("serving_tray_1", 0.2, 0.5))
     reading = InstructionReading((mug, tray))
-    resolver = MentionResolver("the blue mug, tray and all", reading, layout, TABLE, LEXICON)
+    resolver = MentionResolver("the blue mug, tray and all", reading, layout, TABLE, Candidates(layout, LEXICON))
     assert resolver.resolve([0, 1], {0, 1}) == {0: ("mug_1",), 1: ("serving_tray_0",)}
     onto = InstructionReading((mug, tray), goal=(MentionedRelation(0, "on", 1),))
     with pytest.raises(SceneError) as caught:  # the mug is on one of the trays already, so another one is meant, or not
-        MentionResolver("", onto, layout, TABLE, LEXICON).resolve([0, 1], {0})
+        MentionResolver("", onto, layout, TABLE, Candidates(layout, LEXICON)).resolve([0, 1], {0})
     assert caught.value.code == AMBIGUOUS
 
 
 def test_of_what_an_edit_only_points_at_fewer_may_be_there() -> None:
     several = InstructionReading((mentioned("candles", "candle"),) * 3)
-    resolver = MentionResolver("", several, LAYOUT, TABLE, LEXICON)
+    resolver = MentionResolver("", several, LAYOUT, TABLE, Candidates(LAYOUT, LEXICON))
     assert resolver.resolve([0], set())[0] == ("candle_0", "candle_1")
     with pytest.raises(SceneError) as caught:
         resolver.resolve([0], {0, 1, 2})
@@ -133,7 +134,7 @@ def test_of_what_an_edit_only_points_at_fewer_may_be_there() -> None:
 
 def test_unknown_things_around_the_table_are_not_looked_for() -> None:
     resolver = MentionResolver(
-        "", InstructionReading((mentioned("washbasin"), mentioned("mug", "mug"))), LAYOUT, TABLE, LEXICON
+        "", InstructionReading((mentioned("washbasin"), mentioned("mug", "mug"))), LAYOUT, TABLE, Candidates(LAYOUT, LEXICON)
     )
     assert resolver.is_unknown(0)
     assert not resolver.is_unknown(1)
