@@ -152,7 +152,7 @@ class MentionAttention(nn.Module):
         return mentions
 
 
-class PairAttention(nn.Module):
+class MentionPairAttention(nn.Module):
     """A layer in which each pair of mentions attends to the pairs with the same first, then with the same second mention.
 
     So a thing that is on one carrier is on no other one, and chains are scored together. It changes nothing before it is trained.
@@ -221,7 +221,7 @@ class ReaderNetwork(nn.Module):
         self.goal_product = nn.Parameter(0.02 * torch.randn(len(GOAL), 65, 65))
         self.start, self.goal = nn.Linear(_PAIR, len(START)), nn.Linear(_PAIR, len(GOAL))
         self.in_sentence = MentionAttention(size)
-        self.among_pairs = nn.ModuleList(PairAttention() for _ in range(2))
+        self.among_pairs = nn.ModuleList(MentionPairAttention() for _ in range(2))
 
     def words(self, batch: WordBatch) -> Tensor:
         """Returns a row for each word, the mean of its tokens, (B, W, D) float32; words beyond the tokens are 0."""

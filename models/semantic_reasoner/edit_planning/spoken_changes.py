@@ -1,6 +1,6 @@
 """What the words of an edit say more surely than the network: contrasts, places of others, turns, things without a name, details.
 
-Each rule takes the reading of an instruction and returns it with what a fixed turn of phrase says. The rules know no nouns, so they
+Each rule changes the reading of an instruction by what a fixed turn of phrase says. The rules name no objects of a scene, so they
 hold for any scene. The reader may have found the same; then a rule changes nothing.
 """
 
