@@ -1,7 +1,7 @@
 """From the scores of the network to a reading: which mentions are one object, how many there are, which relations hold."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +11,7 @@ from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.network import CELLS, CHANGES, GOAL, GROUPS, START
 from models.instruction_reader.nouns import is_hollow
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
-from stable_data.instructions.wording.words import is_plural
+from stable_data.instructions.wording.words import is_plural, plural
 
 _PRONOUNS = frozenset(
     {
@@ -120,11 +120,14 @@ def decode(
     entities = [_entity(cluster, phrases, nouns, said, ranges) for cluster in clusters]
     parts = _parts(clusters, start, entities)
     _name_ones(entities, clusters, parts)
-    made = _objects(entities, parts)
     found = _relations(clusters, start, START[1:7], parts)
-    found = [(p, i, _carrying(kind, i, j, words, spans, clusters, entities), j) for p, i, kind, j in found]
     aims = _relations(clusters, goal, GOAL[1:], parts)
+    _name_by_contents(entities, [*found, *aims], lexicon)
+    _give_each_its_own(entities, [*found, *aims], words, [spans[cluster[0]][0] for cluster in clusters])
+    made = _objects(entities, parts)
+    found = [(p, i, _carrying(kind, i, j, words, spans, clusters, entities), j) for p, i, kind, j in found]
     relations = [*_expanded(found, made.numbers), *_groups(entities, made.numbers)]
+    relations += _beside_in_container(relations)
     kept, contradictions = _consistent(relations)
     return InstructionReading(tuple(made.objects), kept, tuple(_expanded(aims, made.numbers)), contradictions)
 
@@ -280,9 +283,17 @@ def _entity(
     scores = {name: values[cluster].mean(0) for name, values in said.items()}
     first = (named or cluster)[0]
     count = int(said["count"][first].argmax())
+    if count == 1 and _is_plural_of(phrases[head][-1], categories):
+        count = 0
     picked = {name: int(values.argmax()) for name, values in scores.items()}
     mentions = tuple(ranges[k] for k in named if ranges[k] != (0, 0))
     return _Entity(mentions, " ".join(phrases[head]), categories, bool(named), count, picked)
+
+
+def _is_plural_of(noun: str, categories: Sequence[str]) -> bool:
+    """Whether a noun is the plural of the last word of a category: ``cups`` of an egg cup, but not ``cards`` of a deck."""
+    heads = (c.rpartition("_")[2] for c in categories)
+    return any(noun == plural(head) and noun != head for head in heads)
 
 
 def _name_ones(entities: Sequence[_Entity], clusters: Sequence[list[int]], parts: Mapping[int, int]) -> None:
@@ -296,6 +307,38 @@ def _name_ones(entities: Sequence[_Entity], clusters: Sequence[list[int]], parts
         one.words = (
             f"{one.words.rpartition(' ')[0]} {entities[named].words.split()[-1]}".strip() if one.categories else one.words
         )
+
+
+def _name_by_contents(entities: Sequence[_Entity], found: Sequence[tuple[float, int, str, int]], lexicon: Lexicon) -> None:
+    """Gives a carrier whose noun may mean several the category that it has with its contents: the pot of brushes is a brush pot."""
+    for _, i, kind, j in found:
+        one, carrier = entities[i], entities[j]
+        if kind in _CARRIES and one.categories and len(carrier.categories) > 1:
+            named = lexicon.of_contents(carrier.words.split(), one.words.split())
+            carrier.categories = tuple(c for c in carrier.categories if c in named) or named or carrier.categories
+
+
+def _give_each_its_own(
+    entities: Sequence[_Entity], found: Sequence[tuple[float, int, str, int]], words: Sequence[str], starts: Sequence[int]
+) -> None:
+    """Gives as many carriers as objects where each is on its own: ``three cups, each on its own saucer``."""
+    for _, i, kind, j in found:
+        one, carrier = entities[i], entities[j]
+        if kind in _CARRIES and one.count > 1 and carrier.count < 2 and carrier.has_noun:
+            before = words[max(0, starts[j] - 2) : starts[j]]
+            if "own" in before or (carrier.count == 0 and not _is_one(carrier)):
+                carrier.count = one.count
+
+
+def _beside_in_container(relations: Sequence[MentionedRelation]) -> list[MentionedRelation]:
+    """Further contents of a container: those between which another content is."""
+    holder = {r.subject: r for r in relations if r.kind == "in"}
+    carried = {r.subject for r in relations if r.kind in _CARRIES}
+    return [
+        replace(holder[r.subject], subject=r.target)
+        for r in relations
+        if r.kind == "between" and r.subject in holder and r.target not in carried and r.target != holder[r.subject].target
+    ]
 
 
 def _parts(clusters: Sequence[list[int]], start: Scores, entities: Sequence[_Entity]) -> dict[int, int]:

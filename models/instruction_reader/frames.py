@@ -70,6 +70,7 @@ class Frame:
         counts: Fixed counts of plural objects, by name.
         pools: Pools of nouns, or nouns separated by ``|``, by name.
         is_edit: Whether it says how to change a scene.
+        source: Name of its file without the ending.
     """
 
     text: str
@@ -77,6 +78,7 @@ class Frame:
     counts: Mapping[str, int] = field(default_factory=dict)
     pools: Mapping[str, str] = field(default_factory=dict)
     is_edit: bool = False
+    source: str = field(default="", compare=False)
 
     @property
     def names(self) -> frozenset[str]:
@@ -85,12 +87,13 @@ class Frame:
         return frozenset(name for name in found if name)
 
 
-def parse_frame(line: str, is_edit: bool = False) -> Frame:
+def parse_frame(line: str, is_edit: bool = False, source: str = "") -> Frame:
     """Parses a frame.
 
     Args:
         line: The frame.
         is_edit: Whether it says how to change a scene.
+        source: Name of its file without the ending.
 
     Raises:
         ConfigError: The line is not a frame (``frame_invalid``).
@@ -108,7 +111,7 @@ def parse_frame(line: str, is_edit: bool = False) -> Frame:
             pools[m[1]] = m[2]
         else:
             facts.append(_fact(part, line))
-    frame = Frame(text.strip(), tuple(facts), counts, pools, is_edit)
+    frame = Frame(text.strip(), tuple(facts), counts, pools, is_edit, source)
     _check(frame, line)
     return frame
 
@@ -158,7 +161,7 @@ def read_frames(folder: Path = FOLDER) -> Iterator[Frame]:
     Raises:
         ConfigError: A line is not a frame (``frame_invalid``).
     """
-    return (parse_frame(line, is_edit) for line, is_edit in _lines(folder))
+    return (parse_frame(line, source.startswith("edit"), source) for line, source in _lines(folder))
 
 
 def read_texts(folder: Path = FOLDER) -> Iterator[str]:
@@ -166,11 +169,11 @@ def read_texts(folder: Path = FOLDER) -> Iterator[str]:
     return (line.partition("=>")[0] for line, _ in _lines(folder))
 
 
-def _lines(folder: Path) -> Iterator[tuple[str, bool]]:
-    """Each line once, and whether it says how to change a scene."""
+def _lines(folder: Path) -> Iterator[tuple[str, str]]:
+    """Each line once, and the name of its file without the ending; those of files ``edit*`` say how to change a scene."""
     seen = set()
     for path in sorted(folder.glob("*.txt")):
         for line in path.read_text("utf-8").splitlines():
             if line.strip() and not line.startswith("#") and line not in seen:
                 seen.add(line)
-                yield line, path.name.startswith("edit")
+                yield line, path.stem

@@ -1,6 +1,6 @@
 """The known categories that a noun phrase may mean."""
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,10 +10,13 @@ from rapidfuzz.process import extractOne
 from models.instruction_reader.nouns import NounPools
 from models.instruction_reader.sentences import split_words
 from stable_data.instructions.wording.vocabulary import classes_of
-from stable_data.instructions.wording.words import is_plural, plural
+from stable_data.instructions.wording.words import is_plural, plural, singular_noun
 
 _CLASS_NOUNS = frozenset({"fruit", "toy", "cutlery", "cosmetics", "food", "tableware"})
 """Classes of the vocabulary whose names are nouns of objects."""
+
+_PARTS = frozenset({"base", "bottom", "corner", "edge", "end", "foot", "handle", "rim", "side", "surface", "top"})
+"""Words after a noun that mean a part of its object."""
 
 _LEAST = 5  # letters of a noun that is compared with a typing error
 _LONG = 9  # letters from which two errors are accepted
@@ -26,15 +29,17 @@ class Lexicon:
     Attributes:
         nouns: The nouns of each category.
         words: Words that are not typing errors of a noun.
+        unknown: Nouns of objects of no known category, such as ``loo roll``.
     """
 
     nouns: Mapping[str, Sequence[str]]
     words: Container[str] = frozenset()
+    unknown: Sequence[str] = ()
 
     @classmethod
     def of(cls, pools: NounPools, categories: Iterable[str], words: Container[str] = frozenset()) -> "Lexicon":
         """Returns the nouns of these categories."""
-        return cls({c: pools.nouns.get(c, (c.replace("_", " "),)) for c in categories}, words)
+        return cls({c: pools.nouns.get(c, (c.replace("_", " "),)) for c in categories}, words, tuple(pools.unknown))
 
     def _nouns_of(self, category: str) -> tuple[str, ...]:
         """The nouns of a category, and those of its classes, such as ``fruit``."""
@@ -44,36 +49,55 @@ class Lexicon:
     def _by_noun(self) -> dict[str, tuple[str, ...]]:
         found: dict[str, list[str]] = {}
         for category in self.nouns:
-            for noun in self._nouns_of(category):
-                for form in (noun, *(() if is_plural(noun) else (plural(noun),))):
-                    spelt = _spelt(split_words(form))
-                    found.setdefault(spelt, []).append(category)
-                    found.setdefault(spelt.replace(" ", ""), []).append(category)
+            for spelt in _forms(self._nouns_of(category)):
+                found.setdefault(spelt, []).append(category)
+                found.setdefault(spelt.replace(" ", ""), []).append(category)
         return {noun: tuple(dict.fromkeys(categories)) for noun, categories in found.items()}
 
     @cached_property
     def _nouns(self) -> list[str]:
         return list(self._by_noun)
 
+    @cached_property
+    def _unknown(self) -> frozenset[str]:
+        return frozenset(_forms(self.unknown)) - self._by_noun.keys()
+
     def categories(self, words: Sequence[str]) -> tuple[str, ...]:
         """Returns the categories that a noun phrase may mean; none if it is unknown.
 
-        The longest end of the phrase that is a noun decides: ``red coffee mug`` is a mug. If no end is a noun, the longest one with
-        a typing error decides, and in ``mug of tea`` the words before ``of``.
+        The longest end of the phrase that is a noun decides: ``red coffee mug`` is a mug, and ``loo roll`` is no roll. If no end is
+        a noun, the longest one with a typing error decides, in ``mug of tea`` the words before ``of``, and in ``monitor base`` the
+        words before the part. ``Cup of egg`` is an egg cup if there is such a noun.
 
         Args:
             words: The phrase in lower case.
         """
+        place = words.index("of", 1) if "of" in words[1:-1] else 0
+        if place and (turned := self._by_noun.get(_spelt([*words[place + 1 :], words[place - 1]]))) is not None:
+            return turned
         ends = [_spelt(words[k:]) for k in range(len(words))]
         for end in ends:
             if end in self._by_noun:
                 return self._by_noun[end]
+            if end in self._unknown:
+                return ()
         for end in ends:
             if (near := self._nearest(end)) is not None:
                 return self._by_noun[near]
-        if "of" in words[1:]:
-            return self.categories(words[: words.index("of", 1)])
-        return ()
+        if place:
+            return self.categories(words[:place])
+        return self.categories(words[:-1]) if words[-1] in _PARTS and len(words) > 1 else ()
+
+    def of_contents(self, words: Sequence[str], contents: Sequence[str]) -> tuple[str, ...]:
+        """Returns the categories of an object by what is in or on it: a pot with brushes is a brush pot; none if no noun says so.
+
+        Args:
+            words: The phrase of the object in lower case; only one that is a noun of one word is looked up.
+            contents: The phrase of what it carries.
+        """
+        if self.noun_size(words) != 1 or not contents:
+            return ()
+        return self._by_noun.get(_spelt([singular_noun(contents[-1]), singular_noun(words[-1])]), ())
 
     def is_noun(self, word: str) -> bool:
         """Returns whether a word alone is a noun of a category."""
@@ -84,11 +108,23 @@ class Lexicon:
         return next((len(words) - k for k in range(len(words)) if _spelt(words[k:]) in self._by_noun), len(words))
 
     def _nearest(self, spelt: str) -> str | None:
-        if len(spelt) < _LEAST or all(word in self.words for word in spelt.split()):
+        spoken = spelt.split()
+        is_spelt = all(word in self.words for word in spoken)
+        if len(spelt) < _LEAST or (is_spelt and (len(spoken) < 2 or len(spelt) < _LONG)):
             return None
-        most = 2 if len(spelt) >= _LONG else 1
+        most = 2 if len(spelt) >= _LONG and not is_spelt else 1
         found = extractOne(spelt, self._nouns, scorer=OSA.distance, score_cutoff=most)
-        return None if found is None or found[0][0] != spelt[0] else str(found[0])
+        if found is None or found[0][0] != spelt[0]:
+            return None
+        # Of words that are all known one may still be a slip, as in "puzzle cub", but then the others are those of the noun.
+        return None if is_spelt and not set(spoken) & set(found[0].split()) else str(found[0])
+
+
+def _forms(nouns: Iterable[str]) -> Iterator[str]:
+    """The nouns and their plurals."""
+    for noun in nouns:
+        for form in (noun, *(() if is_plural(noun) else (plural(noun),))):
+            yield _spelt(split_words(form))
 
 
 def _spelt(words: Sequence[str]) -> str:

@@ -20,7 +20,7 @@ from models.instruction_reader.spelling import Spelling
 from models.instruction_reader.weights import DEFAULT_WEIGHTS, ReaderModel, load_reader
 from stable_data.content_id import content_id
 
-_NOUN_BONUS = 2.0
+_NOUN_BONUS = 5.0
 """What is taken from the score of "no mention" for a known noun: frames have each of the many nouns in few sentences."""
 
 _MOST_WORDS = 200

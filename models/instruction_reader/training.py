@@ -20,6 +20,7 @@ from models.settings import Count, NonNegative, Positive, PositiveCount, Setting
 from models.training.checkpoint import load_checkpoint, save_checkpoint
 from models.training.distributed import CPU, ProcessContext
 from models.training.heap import trim_heap
+from stable_data.errors import ConfigError
 from stable_data.random_seeds import named_seed
 
 HELD_OUT = 25
@@ -68,6 +69,12 @@ class ReaderTrainingSettings(Settings):
 
     masked_tokens: Share = 0.15
     """Share of the tokens that are hidden in these."""
+
+    favoured: str = ""
+    """Names of files of frames, separated by commas, whose frames are drawn more often."""
+
+    favour: PositiveCount = 3
+    """How many times as often these are drawn."""
 
     dropout: Share = 0.0
     """Dropout of the encoder's hidden values."""
@@ -201,6 +208,10 @@ class ReaderTrainer:
         self.network, self.place, self.step = network.to(place.device), place, 0
         self._tokens, self._settings, self._identity = tokens, settings, dict(identity)
         trained, held = split_frames(frames)
+        favoured = set(settings.favoured.split(",")) if settings.favoured else set()
+        if strange := sorted(favoured - {frame.source for frame in frames}):
+            raise ConfigError(f"favoured: no file of frames is called {strange[0]!r}", "frames_unknown")
+        trained += (settings.favour - 1) * [frame for frame in trained if frame.source in favoured]
         self._maker, self._held = SentenceMaker(trained, nouns), SentenceMaker(held or trained, nouns)
         network.encoder.embeddings.requires_grad_(False)
         for name, module in network.encoder.named_modules():
