@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from rapidfuzz.distance import OSA
-from rapidfuzz.process import extractOne
+from rapidfuzz.process import extract
 
 from models.instruction_reader.nouns import NounPools
 from models.instruction_reader.sentences import split_words
+from models.instruction_reader.spelling import consonants
 from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.instructions.wording.words import is_plural, plural, singular_noun
 
@@ -20,6 +21,7 @@ _PARTS = frozenset({"base", "bottom", "corner", "edge", "end", "foot", "handle",
 
 _LEAST = 5  # letters of a noun that is compared with a typing error
 _LONG = 9  # letters from which two errors are accepted
+_CANDIDATES = 12
 
 
 @dataclass(frozen=True)
@@ -113,11 +115,14 @@ class Lexicon:
         if len(spelt) < _LEAST or (is_spelt and (len(spoken) < 2 or len(spelt) < _LONG)):
             return None
         most = 2 if len(spelt) >= _LONG and not is_spelt else 1
-        found = extractOne(spelt, self._nouns, scorer=OSA.distance, score_cutoff=most)
-        if found is None or found[0][0] != spelt[0]:
-            return None
+        near = extract(spelt, self._nouns, scorer=OSA.distance, score_cutoff=most, limit=_CANDIDATES)
         # Of words that are all known one may still be a slip, as in "puzzle cub", but then the others are those of the noun.
-        return None if is_spelt and not set(spoken) & set(found[0].split()) else str(found[0])
+        fits = [
+            (distance, consonants(noun) != consonants(spelt), k)
+            for k, (noun, distance, _) in enumerate(near)
+            if noun[0] == spelt[0] and (not is_spelt or set(spoken) & set(noun.split()))
+        ]
+        return str(near[min(fits)[2]][0]) if fits else None
 
 
 def _forms(nouns: Iterable[str]) -> Iterator[str]:

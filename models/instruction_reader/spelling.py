@@ -106,11 +106,12 @@ class Spelling:
             (distance, candidate)
             for candidate, distance, _ in found
             if _begins_alike(word, candidate)
-            and (distance < 2 or len(word) >= _LONG or _consonants(word) == _consonants(candidate))
+            and (distance < 2 or len(word) >= _LONG or consonants(word) == consonants(candidate))
         ]
         if not near:
             return word
-        return min(near, key=lambda one: (one[0], -self.frequent[one[1]], one[1]))[1]
+        spoken = consonants(word)
+        return min(near, key=lambda one: (one[0], consonants(one[1]) != spoken, -self.frequent[one[1]], one[1]))[1]
 
 
 def _stems(word: str) -> tuple[str, ...]:
@@ -127,7 +128,8 @@ def _stems(word: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _consonants(word: str) -> str:
+def consonants(word: str) -> str:
+    """Returns a word without its vowels, which typing errors change most."""
     return "".join(letter for letter in word if letter not in "aeiou")
 
 
