@@ -162,8 +162,13 @@ def _relation_faults(after: Scene, named: Mapping[str, str], expected: Mapping[s
 
 
 def holds(scene: Scene, relation: Relation) -> bool:
-    """Whether a relation between objects of a scene holds: on and in by its scene graph, directions and cells by positions."""
+    """Whether a relation between objects of a scene holds: on and in by its scene graph, directions and cells by positions.
+
+    On the table is what stands on it directly; on or in an object is also what others there carry.
+    """
     objects = {o.instance: o for o in scene.objects}
+    if relation.kind in _ON_IN and relation.target == TABLE:
+        return relation in scene.relations
     if relation.kind in _ON_IN:
         return is_held({r for r in scene.relations if r.kind in _ON_IN}, relation)
     if relation.kind is RelationKind.IS_AT:

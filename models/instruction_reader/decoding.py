@@ -53,6 +53,9 @@ _SINGLING = frozenset(
 )  # fmt: skip
 """Words before a noun that single out one of several objects."""
 
+_HOLDERS = frozenset({"case", "holder", "pot", "rack", "stand"})
+"""Nouns that mean a holder of what is in it, such as a brush pot."""
+
 _SAME = 0.5
 _PART = 0.5
 _HOLDS = 0.5
@@ -315,7 +318,9 @@ def _name_by_contents(entities: Sequence[_Entity], found: Sequence[tuple[float, 
         one, carrier = entities[i], entities[j]
         if kind in _CARRIES and one.categories and len(carrier.categories) > 1:
             named = lexicon.of_contents(carrier.words.split(), one.words.split())
-            carrier.categories = tuple(c for c in carrier.categories if c in named) or named or carrier.categories
+            both = tuple(c for c in carrier.categories if c in named)
+            is_open = carrier.words.split()[-1] in _HOLDERS
+            carrier.categories = both or (named if is_open else ()) or carrier.categories
 
 
 def _give_each_its_own(

@@ -19,6 +19,9 @@ _CLASS_NOUNS = frozenset({"fruit", "toy", "cutlery", "cosmetics", "food", "table
 _PARTS = frozenset({"base", "bottom", "corner", "edge", "end", "foot", "handle", "rim", "side", "surface", "top"})
 """Words after a noun that mean a part of its object."""
 
+_TABLES = ("table", "tabletop", "table top", "worktop", "countertop", "work surface", "desktop")
+"""Nouns of the table, which are no typing errors of ``tablet``."""
+
 _LEAST = 5  # letters of a noun that is compared with a typing error
 _LONG = 9  # letters from which two errors are accepted
 _CANDIDATES = 12
@@ -41,7 +44,7 @@ class Lexicon:
     @classmethod
     def of(cls, pools: NounPools, categories: Iterable[str], words: Container[str] = frozenset()) -> "Lexicon":
         """Returns the nouns of these categories."""
-        return cls({c: pools.nouns.get(c, (c.replace("_", " "),)) for c in categories}, words, tuple(pools.unknown))
+        return cls({c: pools.nouns.get(c, (c.replace("_", " "),)) for c in categories}, words, (*pools.unknown, *_TABLES))
 
     def _nouns_of(self, category: str) -> tuple[str, ...]:
         """The nouns of a category, and those of its classes, such as ``fruit``."""
@@ -104,6 +107,15 @@ class Lexicon:
     def is_noun(self, word: str) -> bool:
         """Returns whether a word alone is a noun of a category."""
         return word in self._by_noun
+
+    def is_name(self, word: str) -> bool:
+        """Returns whether a noun is the last word of the name of a category that it may mean, such as ``mugs``."""
+        names = {c.rpartition("_")[2] for c in self._by_noun.get(word, ())}
+        return bool(names & {word, singular_noun(word)})
+
+    def is_unknown(self, words: Sequence[str]) -> bool:
+        """Returns whether the end of a phrase is a noun of no known category."""
+        return not self.categories(words) and any(_spelt(words[k:]) in self._unknown for k in range(len(words)))
 
     def noun_size(self, words: Sequence[str]) -> int:
         """Returns the number of words at the end of a phrase that are its noun; all of them if the noun is unknown."""

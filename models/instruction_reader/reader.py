@@ -20,8 +20,9 @@ from models.instruction_reader.spelling import Spelling
 from models.instruction_reader.weights import DEFAULT_WEIGHTS, ReaderModel, load_reader
 from stable_data.content_id import content_id
 
-_NOUN_BONUS = 5.0
-"""What is taken from the score of "no mention" for a known noun: frames have each of the many nouns in few sentences."""
+_NOUN_BONUS, _NAME_BONUS = 2.0, 5.0
+"""What is taken from the score of "no mention" for a known noun, and for the name of a category: frames have each of the many nouns
+in few sentences, but not all nouns always mean an object (``tea``)."""
 
 _MOST_WORDS = 200
 _MOST_MENTIONS = 40
@@ -90,7 +91,9 @@ class InstructionReader:
         network = self._model.network
         rows = network.words(self._model.tokens.batch([words]))
         tags = network.tags(rows)[0]
-        tags[[k for k, word in enumerate(words[: len(tags)]) if self.lexicon.is_noun(word)], 0] -= _NOUN_BONUS
+        for k, word in enumerate(words[: len(tags)]):
+            if self.lexicon.is_noun(word):
+                tags[k, 0] -= _NAME_BONUS if self.lexicon.is_name(word) else _NOUN_BONUS
         spans = spans_of(tags.argmax(-1).tolist())[:_MOST_MENTIONS]
         if not spans:
             return InstructionReading(())

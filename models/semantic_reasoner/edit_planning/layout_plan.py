@@ -182,6 +182,11 @@ class LayoutPlan:
         x, y, _ = was.position
         self._put(new, (x, y, was.bottom + self.objects[new].size[2] / 2))
 
+    def nearest(self, some: Iterable[str], others: Iterable[str]) -> list[str]:
+        """Returns one object of some and one of others that are nearest to each other; fewer if they are not there."""
+        pairs = [(a, b) for a in some for b in others if a != b and {a, b} <= self.objects.keys()]
+        return list(min(pairs, key=lambda pair: math.dist(*(self.objects[n].position[:2] for n in pair)), default=()))
+
     def with_contents(
         self, goals: Sequence[MentionedRelation], meanings: Mapping[int, Sequence[str]]
     ) -> list[MentionedRelation]:

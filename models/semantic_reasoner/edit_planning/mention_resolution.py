@@ -116,7 +116,12 @@ class MentionResolver:
     @cached_property
     def new(self) -> frozenset[int]:
         """Numbers of the mentioned objects that are not in the layout: new ones, and the words of a new look."""
-        added = {k for k, o in enumerate(self._reading.objects) if o.change == "add" and not self._is_there(o)}
+        moving = {r.subject if not self._is_said_of_target(r) else r.target for r in self._reading.goal if r.kind not in _NEW}
+        added = {
+            k
+            for k, o in enumerate(self._reading.objects)
+            if o.change == "add" and not self._is_there(o) and not (k in moving and self._is_called(o))
+        }
         for r in self._reading.goal:
             one = self._reading.objects[r.subject]
             if r.kind == "replace" and self._words_before(one) & _DEFINITE and self._of_category(one):
@@ -136,6 +141,11 @@ class MentionResolver:
         """Whether an object that comes is one of the layout, as in "bring the jar nearer"."""
         is_certain = not one.categories or bool(self._words_before(one) & (_DEFINITE | _OWN | _ALL | {"both"}))
         return is_certain and bool(self._of_category(one))
+
+    def _is_called(self, one: MentionedObject) -> bool:
+        """Whether an object begins a sentence without an article and is there once: "Knife to the right of the spoon"."""
+        begins = any(not self._text[:start].strip() or self._text[:start].rstrip()[-1] in ".!?;:" for start, _ in one.mentions)
+        return begins and len(self._of_category(one)) == 1
 
     def _is_said_of_target(self, r: MentionedRelation) -> bool:
         """Whether the words state a relation of its target: "the mug behind the plate" is read as the plate in front of it."""

@@ -136,7 +136,7 @@ def _move(
 ) -> None:
     """Moves objects; what takes the place of another one comes last, when that has left."""
     at_place = [pair for r in goals if r.kind == PLACE for pair in _pairs(meanings, r)]
-    moves = plan.with_carriers(_moves(objects, goals, meanings, plan.placed), resolver)
+    moves = plan.with_carriers(_moves(objects, goals, meanings, plan), resolver)
     moves = {name: wanted for name, wanted in moves.items() if name not in dict(at_place)}
     for name, wanted in _targets_first({n: w for n, w in moves.items() if not plan.comes_along(n, w, moves)}):
         plan.move(name, wanted)
@@ -201,17 +201,23 @@ def _moves(
     objects: Sequence[MentionedObject],
     goals: Sequence[MentionedRelation],
     meanings: Meanings,
-    placed: Set[str],
+    plan: LayoutPlan,
 ) -> Moves:
     moves: dict[str, dict[str, list[str]]] = {}
+    ends: dict[str, dict[tuple[str, ...], None]] = {}
     for r in goals:
         if r.kind not in _NO_MOVES:
             for name in meanings.get(r.subject, ()):
                 moves.setdefault(name, {}).setdefault(r.kind, []).extend(meanings.get(r.target, ()))
+                if r.kind == "between":
+                    ends.setdefault(name, {})[tuple(meanings.get(r.target, ()))] = None
+    for name, groups in ends.items():
+        if len(groups) == 2:
+            moves[name]["between"] = plan.nearest(*groups)  # "between the lamp and the row of books"
     for name, o in ((name, o) for k, o in enumerate(objects) for name in meanings.get(k, ())):
         if o.goal_region and name not in moves:
             moves[name] = {"at": [o.goal_region]}
-        elif o.change in ("away", "add") and name not in moves and name not in placed:
+        elif o.change in ("away", "add") and name not in moves and name not in plan.placed:
             moves[name] = {"away": []}
     return moves
 

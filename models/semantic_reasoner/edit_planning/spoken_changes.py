@@ -7,6 +7,7 @@ hold for any scene. The reader may have found the same; then a rule changes noth
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 
 from models.instruction_reader.decoding import spoken_cells
 from models.instruction_reader.lexicon import Lexicon
@@ -52,6 +53,11 @@ _TABLES = frozenset({"counter", "countertop", "desk", "desktop", "table", "table
 """Nouns of the table itself."""
 _LEAD = 12  # characters before a mention that may say that it goes: "bin the perfume"
 _STAYS = re.compile(r"^ ?(?:can |may |should |must |will )?stays?\b")
+_TAKE_OUT = re.compile(
+    r"\b(?:take (?:out|away)|get rid of|throw (?:out|away)|clear (?:away|off)|bin|remove|delete) "
+    r"(?:the|my|our|both|all|those|these|that|this)(?: [\w-]+){0,2} $"
+)
+_ALONG = re.compile(r"^,? (?:(?:along|together) with|plus|as well as|with) (?:its|their) ")
 _REST = re.compile(
     r"\bthe (?:others?(?: ones?)?|rest(?: of \w+)?|third(?: one)?|fourth(?: one)?|remaining (?:ones?|two|three|four))\b"
     r"(?! side| end| hand)"
@@ -78,6 +84,7 @@ def with_spoken_changes(reading: InstructionReading, text: str, lexicon: Lexicon
         found.corrected,
         found.without_verbs,
         found.without_colours,
+        found.looks,
         found.heads,
         found.things,
         found.unnamed,
@@ -99,6 +106,9 @@ def with_spoken_changes(reading: InstructionReading, text: str, lexicon: Lexicon
         found.as_well,
         found.owned,
         found.removed,
+        found.taken_out,
+        found.moved,
+        found.along,
     ):
         rule()
     return replace(reading, objects=tuple(found.objects), start=tuple(found.start), goal=tuple(found.goal))
@@ -242,7 +252,9 @@ class _SpokenChanges(SpokenMentions):
             for table, other in ((r.target, r.subject), (r.subject, r.target)):
                 if set(self.objects[table].words.split()[-1:]) <= _TABLES and not self.objects[table].categories:
                     self.goal.remove(r)
-                    if len(cells) == 1 and not self.objects[other].goal_region:
+                    if not cells and r.kind == "on" and not self._has_role(other) and not self._is_new(other):
+                        self._change(other, "away")  # it was on something else
+                    elif len(cells) == 1 and not self.objects[other].goal_region:
                         self.objects[other] = replace(self.objects[other], goal_region=next(iter(cells)))
                     break
 
@@ -363,3 +375,24 @@ class _SpokenChanges(SpokenMentions):
             one = unnamed[0] if unnamed else self._before(m.start(), same_sentence=False)
             if one is not None:
                 self._change(one, "remove")
+
+    def taken_out(self) -> None:
+        """Removes what is taken out, if nothing else is said of it: "take out the two candles and move the vase"."""
+        for start, _, k in self._places():
+            if not self._has_role(k) and _TAKE_OUT.search(self._text[:start]):
+                self._change(k, "remove")
+
+    def moved(self) -> None:
+        """Lets an object stay that has a place: "palette: gone. Jar: to the left of the lipstick"."""
+        for r in self.goal:
+            if r.kind not in ("replace", "style", "swap", PLACE) and self.objects[r.subject].change == "remove":
+                self._change(r.subject, "")
+
+    def along(self) -> None:
+        """Removes two that go together: "the tumbler along with its coaster"."""
+        for (_, end, k), (start, _, other) in pairwise(self._places()):
+            if _ALONG.match(self._text[end:start]):
+                changes = {self.objects[k].change, self.objects[other].change}
+                for number in (k, other) if changes == {"", "remove"} else ():
+                    if not self._has_role(number):
+                        self._change(number, "remove")

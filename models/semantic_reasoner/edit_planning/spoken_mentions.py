@@ -41,6 +41,8 @@ _AFTER_VERB = re.compile(r"^ (?:there|here|in|on|at|behind|beside|next|by|instea
 _DETAIL = re.compile(r"^,? (?:with|full of|(?P<of>of)) (?:(?:a|an|its|the|\d+|two|three|four|six|eight|twelve) )?$")
 _PURPOSE = re.compile(r"^ for (?:under )?(?:a|an|my|the|our|her|his)? ?(?:\w+ing )?$")
 
+_CONTENTS = re.compile(r"^ (?:for|with|of|holding|full of) (?:the |my |all the |our )?$")
+
 EXCHANGE = re.compile(r"\b(?:exchange|swap|replace|trade|switch|substitute|change) (?:the |that |this |my )?")
 """Verbs of exchanges."""
 
@@ -77,6 +79,23 @@ class SpokenMentions(SpokenText):
             if k not in looks and not self._lexicon.categories(one.words.split()) and set(one.words.split()) <= LOOK_WORDS:
                 self.objects[k] = replace(one, change="", goal_region="")
                 self.goal = [r for r in self.goal if k not in (r.subject, r.target)]
+
+    def looks(self) -> None:
+        """Joins the words of a look, as in "mint green", and gives it to a carrier alone: "the cup for the brushes in green"."""
+        looks = {r.target for r in self.goal if r.kind == "style"}
+        for (start, end, k), (first, stop, other) in pairwise(self._places()):
+            more = self.objects[other].words.split()
+            if k in looks - {other} and self._text[end:first] == " " and set(more) <= LOOK_WORDS and not self._has_role(other):
+                words = " ".join([*self.objects[k].words.split(), *more])
+                self.objects[k] = replace(self.objects[k], words=words, mentions=((start, stop),))
+                self.goal = [r for r in self.goal if other not in (r.subject, r.target)]
+                self._forget(other)
+        styled = {r.subject for r in self.goal if r.kind == "style"}
+        for (_, end, k), (first, _, other) in pairwise(self._places()):
+            own = self._family(other)
+            is_content = any(r.subject in own and r.target == k for r in self.start) and _CONTENTS.match(self._text[end:first])
+            if {k, other} <= styled and is_content:
+                self.goal = [r for r in self.goal if r.kind != "style" or r.subject not in own]
 
     def heads(self) -> None:
         """Finds the noun of a phrase: after ``of`` in "two bits of toy plane", but before ``with`` in "a radio with a handle"."""

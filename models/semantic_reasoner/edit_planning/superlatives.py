@@ -29,6 +29,8 @@ PICKED_OUT = re.compile(
     r" (?P<side>left|right|front|back|me|us|away)\b"
     r"| at the very (?P<very>back|front|left|right)\b"
     r"| (?:on|at)(?: the)?(?: very)? (?P<end>top|bottom)\b(?! of (?!(?:the|that|this) (?:pile|stack|heap))))"
+    r"| (?:nearer|nearest|closer|closest|farther|farthest|further|furthest)(?: to| from| away from)(?: the)? (?P<near>me|us|left|right)\b"
+    r"(?= (?:and|can|could|goes|has|in|into|is|may|might|must|needs|on|onto|should|to|wants|will|would)\b)"
     r"|,? (?:that|which)(?: is|'s) (?:on|to|at) the (?P<of_two>left|right|front|back)\b(?! (?:of|side|edge|end|corner|hand)\b)"
 )
 """Words after a mention that pick it out of several, with the side."""
@@ -36,9 +38,21 @@ PICKED_OUT = re.compile(
 MIDDLE = frozenset({"middle", "centre", "center", "central"})
 
 _LOOKS = re.compile(r",? (?:that|which)(?: is|'s) ([\w-]+)")
-_THE_ONE = re.compile(r"(?:(?!\b(?:keep|leave)\b)[^.:;!?])*,? the one(?: that is| that's)?( .*)")
+_THE_ONE = re.compile(
+    r"(?:(?!\b(?:keep|leave)\b)[^.:;!?])*,? the (?:last |first |very last |end )?one(?: that is| that's)?( .*)"
+)
 
 _HANDED = re.compile(r"\b(left|right)[- ]hand\s*$")
+_SIDE_OF = re.compile(r"(?:^|[.,;:!?(]|\b(?:the|that|this|my|our|your|his|her|and)) *(left|right|front|back|rear|top|bottom) $")
+"""A side right before a mention: "the left box"."""
+
+_ORDINAL = re.compile(r"\b(first|1st|second|2nd|third|3rd|fourth|4th|fifth|5th|last)(?: but one)? $")
+_FROM = re.compile(r"^ (?:from|on|at|to) (?:the |your |my )?(?:far )?(left|right|front|back|top|bottom)\b(?! of)")
+_PLACES = {
+    word: k
+    for k, words in enumerate(("first 1st", "second 2nd", "third 3rd", "fourth 4th", "fifth 5th"))
+    for word in words.split()
+}
 
 _BEFORE = 2  # words before a mention that may be superlatives
 
@@ -55,15 +69,18 @@ def words_around(text: str, start: int, end: int) -> Iterator[str]:
     for word in split_words(lead)[-_BEFORE:]:
         if word in ADJECTIVES or word in MIDDLE or (word in EXTREMES and word.endswith(("st", "er"))):
             yield word  # "the white" [chess piece]
-    if (m := _HANDED.search(lead)) is not None:
+    if (m := _HANDED.search(lead) or _SIDE_OF.search(lead)) is not None:
         yield m[1]
     rest = text[end:].lower()
+    inside = text[start:end].lower().rpartition(" ")[0] + " "  # an ordinal may be a word of the mention
+    if (side := _FROM.match(rest)) is not None and (m := _ORDINAL.search(lead) or _ORDINAL.search(inside)) is not None:
+        yield side[1] if m[1] == "last" else f"{_PLACES[m[1]]} {side[1]}"
     if (m := _LOOKS.match(rest)) is not None and m[1] in ADJECTIVES:
         yield m[1]
     if (m := _THE_ONE.match(rest)) is not None:
         rest = f" that is{m[1]}"
     if (m := PICKED_OUT.match(rest)) is not None:
-        side = m["side"] or m["end"] or m["of_two"] or m["very"]
+        side = m["side"] or m["end"] or m["of_two"] or m["very"] or m["near"]
         yield {"me": "front", "us": "front", "away": "back"}.get(side, side)
 
 
@@ -72,9 +89,12 @@ def picked(objects: Sequence[SceneObject], word: str, count: int) -> list[SceneO
 
     Args:
         objects: The objects.
-        word: The word.
+        word: The word, or the number of others before the object and its side, such as ``1 left`` of the second from the left.
         count: How many are meant.
     """
+    before, _, side = word.rpartition(" ")
+    if before and count == 1:
+        return sorted(objects, key=EXTREMES[side])[int(before) :][:1] or list(objects)
     if word in MIDDLE and count == 1 and len(objects) % 2:
         axis = int(np.ptp([o.position for o in objects], axis=0).argmax())  # of a row, or of a stack
         return [sorted(objects, key=lambda o: o.position[axis])[len(objects) // 2]]

@@ -178,7 +178,7 @@ class InstructionInterpreter:
 
     def _similar(self, words: str) -> tuple[str, tuple[str, ...]] | None:
         """The known noun that is most similar to an unknown one, and its categories; None if none is similar enough."""
-        if self._encode is None or not self._names:
+        if self._encode is None or not self._names or self.lexicon.is_unknown(words.split()):
             return None
         similarity = self._rows @ np.asarray(self._encode([f"a {singular_noun(words)}"]))[0]
         best = int(similarity.argmax())
