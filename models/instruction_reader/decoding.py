@@ -1,5 +1,6 @@
 """From the scores of the network to a reading: which mentions are one object, how many there are, which relations hold."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -37,6 +38,15 @@ _CENTRE = frozenset({"centre", "center", "middle", "central"})
 """Words of rows and columns of the table."""
 
 _AT_EDGE = frozenset({"corner", "edge", "end", "left", "right", "side"})  # words after "near" and "far" that mean a row
+
+_IN_CORNER = re.compile(
+    r"(?:, )?(?:that|which) (?:' s|is|was|sits|stands|lies)(?: now| still)? (?:in|at) the "
+    r"(?P<row>front|back|rear|near|far) (?:- )?(?P<column>left|right) (?:- )?(?:hand )?corner\b"
+)
+_CORNER_WORDS = 14
+
+_AFTER_JUST = frozenset({"at", "away", "behind", "beside", "by", "here", "in", "next", "now", "on", "there", "under", "up"})
+"""Words after a ``right`` that means ``just``."""
 
 _CELL_GAP = 3  # words between two that mean one cell, as in "the middle of the front edge"
 _CLAUSE = 6  # most words between two of one clause that may mean one cell
@@ -120,6 +130,7 @@ def decode(
     clusters = _clusters(start, nouns, [phrase[-1] for phrase in phrases], repeated)
     ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
     said = {**said, **{name: _of_spoken_cells(said[name], words) for name in ("region", "goal_region")}}
+    _set_stated_corners(said, words, [b for _, b in spans])
     entities = [_entity(cluster, phrases, nouns, said, ranges) for cluster in clusters]
     parts = _parts(clusters, start, entities)
     _name_ones(entities, clusters, parts)
@@ -143,6 +154,17 @@ def _of_spoken_cells(scores: Scores, words: Sequence[str]) -> Scores:
     return np.where(is_spoken | (np.arange(len(CELLS)) == 0), likely, 0).astype(np.float32)
 
 
+def _set_stated_corners(said: Mapping[str, Scores], words: Sequence[str], ends: Sequence[int]) -> None:
+    """Gives a mention the corner that a clause after it says: ``the mug that is in the back left corner``."""
+    for k, end in enumerate(ends):
+        clause = _IN_CORNER.match(" ".join(words[end + 1 : end + _CORNER_WORDS]))
+        if clause is not None:
+            cell = _cell(_ROWS[clause["row"]], _COLUMNS[clause["column"]])
+            for name, is_cell in (("region", True), ("goal_region", False)):
+                said[name][k] = 0
+                said[name][k, CELLS.index(cell if is_cell else "")] = 1
+
+
 def spoken_cells(words: Sequence[str]) -> set[str]:
     """Returns the cells that words of rows and columns mean; words that stand close together mean one cell.
 
@@ -156,7 +178,9 @@ def spoken_cells(words: Sequence[str]) -> set[str]:
             continue
         if word in ("near", "far") and not (k + 1 < len(words) and words[k + 1] in _AT_EDGE):
             continue
-        if _singles_out(words, k):
+        if _singles_out(words, k) or (
+            word == "right" and words[k - 1 : k] != ["the"] and {*words[k + 1 : k + 2]} & _AFTER_JUST
+        ):
             continue
         other = (word in _ROWS and row not in ("", "middle", _ROWS[word])) or (
             word in _COLUMNS and column not in ("", _COLUMNS[word])

@@ -91,7 +91,7 @@ class Lexicon:
                 return self._by_noun[near]
         if place:
             return self.categories(words[:place])
-        return self.categories(words[:-1]) if words[-1] in _PARTS and len(words) > 1 else ()
+        return self.categories(words[:-1]) if len(words) > 1 and words[-1] in _PARTS else ()
 
     def of_contents(self, words: Sequence[str], contents: Sequence[str]) -> tuple[str, ...]:
         """Returns the categories of an object by what is in or on it: a pot with brushes is a brush pot; none if no noun says so.
@@ -100,7 +100,7 @@ class Lexicon:
             words: The phrase of the object in lower case; only one that is a noun of one word is looked up.
             contents: The phrase of what it carries.
         """
-        if self.noun_size(words) != 1 or not contents:
+        if not words or not contents or self.noun_size(words) != 1:
             return ()
         return self._by_noun.get(_spelt([singular_noun(contents[-1]), singular_noun(words[-1])]), ())
 

@@ -99,7 +99,7 @@ class Spelling:
     def _mended(self, word: str) -> str:
         if word in _SHORT_SLIPS:
             return _SHORT_SLIPS[word]
-        if len(word) < _LEAST or not word.isalpha() or self._is_known(word):
+        if len(word) < _LEAST or not (word.isalpha() and word.isascii()) or self._is_known(word):
             return word
         found = extract(word, self._words, scorer=OSA.distance, score_cutoff=2, limit=_CANDIDATES)
         near = [

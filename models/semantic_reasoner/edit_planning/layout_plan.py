@@ -255,7 +255,7 @@ class LayoutPlan:
             between = Relation(name, RelationKind.BETWEEN, ", ".join(there[:2]))
             yield from self._of_mover(name, places_between(between, self.objects, carriers))
         elif kind in ("in", "on"):
-            for target in there:
+            for target in self._topmost(there, carriers) if kind == "on" else there:
                 relation = RelationKind.IN if kind == "in" else RelationKind.ON
                 yield from self._of_mover(name, places_on_or_in(self.objects[name], self.objects[target], relation))
         elif there:
@@ -268,6 +268,12 @@ class LayoutPlan:
                 yield from self._of_mover(name, beside)
         else:
             yield from self._elsewhere(name)
+
+    @staticmethod
+    def _topmost(names: Sequence[str], carriers: Mapping[str, str | None]) -> list[str]:
+        """The objects without those that carry others of them: on a pile is on its topmost object."""
+        below = {carrier for name in names for carrier in SupportTree(carriers).ancestors(name)}
+        return [name for name in names if name not in below] or list(names)
 
     @staticmethod
     def _of_mover(name: str, places: Iterable[Place]) -> Iterator[tuple[float, float, float]]:

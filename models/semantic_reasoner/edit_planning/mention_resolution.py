@@ -178,6 +178,12 @@ class MentionResolver:
         one = self._reading.objects[number]
         return number not in self.new and not one.categories and not self._of_category(one)
 
+    def is_idle(self, number: int) -> bool:
+        """Whether a mention without an article fits no object, so that it is in passing: "Some of us take milk!"."""
+        one = self._reading.objects[number]
+        is_bare = not self._words_before(one) & (_DEFINITE | _OWN | _ALL | _ANY)
+        return number not in self.new and is_bare and bool(one.words) and not self._of_category(one)
+
     def resolve(self, needed: Iterable[int], changed: Set[int]) -> dict[int, tuple[str, ...]]:
         """Returns the instances of each needed object; all objects of a group have the same instances.
 

@@ -94,6 +94,9 @@ def _goals(reading: InstructionReading, resolver: MentionResolver) -> tuple[list
     acted = {k for k, o in enumerate(reading.objects) if o.change or o.goal_region}
     goals = [resolver.with_mover_first(r) for r in reading.goal if not _is_empty_look(r, reading.objects)]
     goals = list(_without_surroundings(goals, resolver, acted))
+    if any(not resolver.is_idle(k) for k in acted | {r.subject for r in goals}):
+        acted = {k for k in acted if not resolver.is_idle(k)}
+        goals = [r for r in goals if not resolver.is_idle(r.subject)]
     goals += _elliptic(reading, resolver, goals, acted)
     needed = acted | {n for r in goals for n in (r.subject, r.target)}
     needed |= {r.target for r in reading.start if r.kind == OTHER and r.subject in needed}

@@ -57,7 +57,18 @@ _TAKE_OUT = re.compile(
     r"\b(?:take (?:out|away)|get rid of|throw (?:out|away)|clear (?:away|off)|bin|remove|delete) "
     r"(?:the|my|our|both|all|those|these|that|this)(?: [\w-]+){0,2} $"
 )
-_ALONG = re.compile(r"^,? (?:(?:along|together) with|plus|as well as|with) (?:its|their) ")
+_ALONG = re.compile(
+    r"^,? (?:(?:along|together) with (?:its|their|the|that|all)(?: the)?|(?:plus|as well as|with) (?:its|their)) "
+)
+_IT_HAS = (
+    r"(?:what(?:ever)?|everything|anything|all|the stuff|the things)(?:'s| is| that is| that's)? (?:in|on|inside) (?:it|them)"
+)
+_CONTENTS = re.compile(
+    rf"\b(?:and|with|plus)(?: all)? (?:{_IT_HAS}|(?:its|their|the) (?:whole |entire )?contents)\b|\bcontents and all\b"
+)
+_WHERE_IT_WAS = re.compile(
+    r"\bwhere (?:it|that|this|they|those)(?: one)? (?:is|are|was|were|stood|stands|sat|sits|lay|lies|used to be)\b"
+)
 _REST = re.compile(
     r"\bthe (?:others?(?: ones?)?|rest(?: of \w+)?|third(?: one)?|fourth(?: one)?|remaining (?:ones?|two|three|four))\b"
     r"(?! side| end| hand)"
@@ -67,7 +78,10 @@ _REPLACING = re.compile(
     r"\b(?:inst\w{1,4}d|rather|replac\w*|swap\w*|exchang\w*|switch\w*|trad\w*|substitut\w*|chang\w*|mak\w*|turn\w*|in place|place|spot|"
     r"where|for|out|could (?:that|it|this) be|over)\b"
 )
-_ELSEWHERE = re.compile(r"\b(?:back )?(?:in|into|to|on|onto|inside) (?:the|my|our|your) $")
+_ELSEWHERE = re.compile(
+    r"\b(?:back )?(?:in|into|to|on|onto|inside) (?:the|my|our|your) (?:[\w-]+ ){0,1}?"
+    rf"(?:{'|'.join(sorted({re.escape(noun) for noun in read_nouns().elsewhere}))})\b"
+)
 
 
 def with_spoken_changes(reading: InstructionReading, text: str, lexicon: Lexicon, is_detail: IsDetail) -> InstructionReading:
@@ -107,6 +121,8 @@ def with_spoken_changes(reading: InstructionReading, text: str, lexicon: Lexicon
         found.owned,
         found.removed,
         found.taken_out,
+        found.with_contents,
+        found.placed,
         found.moved,
         found.along,
     ):
@@ -220,7 +236,7 @@ class _SpokenChanges(SpokenMentions):
 
     def its_place(self) -> None:
         """Finds the place of what was last said to go: "the plant can have its place"."""
-        for m in _ITS_PLACE.finditer(self._text):
+        for m in [*_ITS_PLACE.finditer(self._text), *_WHERE_IT_WAS.finditer(self._text)]:
             new = self._before(m.start())
             if new is None:
                 continue
@@ -301,13 +317,15 @@ class _SpokenChanges(SpokenMentions):
 
     def put_away(self) -> None:
         """Removes what goes to a place off the table: "the beans can go back in the larder"."""
-        for noun in read_nouns().elsewhere:
-            for m in re.finditer(rf"\b{re.escape(noun)}\b", self._text):
-                if not _ELSEWHERE.search(self._text[: m.start()]) or any(a <= m.start() < b for a, b, _ in self._places()):
-                    continue
-                one = self._before(m.start())
-                if one is not None and not self._has_role(one) and "from" not in self._text[: m.start()].split()[-4:]:
-                    self._change(one, "remove")
+        for m in _ELSEWHERE.finditer(self._text):
+            one = self._before(m.start())
+            inside = [k for start, end, k in self._places() if start < m.end() and end > m.start()]
+            if one is None or any(self.objects[k].categories for k in inside) or "from" in self._text[: m.start()].split()[-4:]:
+                continue
+            for k in inside:
+                self._forget(k)
+            if not self._has_role(one):
+                self._change(one, "remove")
 
     def rest(self) -> None:
         """Removes the others of a kind: "keep the two pink ones, drop the third"."""
@@ -396,3 +414,23 @@ class _SpokenChanges(SpokenMentions):
                 for number in (k, other) if changes == {"", "remove"} else ():
                     if not self._has_role(number):
                         self._change(number, "remove")
+
+    def with_contents(self) -> None:
+        """Removes what a removed object carries too: "take the crate and whatever is in it"."""
+        for m in _CONTENTS.finditer(self._text):
+            carrier = self._before(m.start(), same_sentence=False)
+            if carrier is not None and self.objects[carrier].change == "remove":
+                content = self._add("", m.span(), is_open=True)
+                self._change(content, "remove")
+                self.start.append(MentionedRelation(content, "on", carrier))
+
+    def placed(self) -> None:
+        """Puts a new object of which no place is read into the only place of the table that is spoken of."""
+        cells = spoken_cells(split_words(self._text))
+        new = {one.name for one in self.objects if one.change == "add"}
+        if len(cells) != 1 or len(new) != 1:
+            return
+        for k, one in enumerate(self.objects):
+            is_placed = one.goal_region or one.region or any(k in (r.subject, r.target) for r in self.goal)
+            if one.change == "add" and not is_placed:
+                self.objects[k] = replace(one, goal_region=next(iter(cells)))

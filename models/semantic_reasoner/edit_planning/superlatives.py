@@ -31,6 +31,7 @@ PICKED_OUT = re.compile(
     r"| (?:on|at)(?: the)?(?: very)? (?P<end>top|bottom)\b(?! of (?!(?:the|that|this) (?:pile|stack|heap))))"
     r"| (?:nearer|nearest|closer|closest|farther|farthest|further|furthest)(?: to| from| away from)(?: the)? (?P<near>me|us|left|right)\b"
     r"(?= (?:and|can|could|goes|has|in|into|is|may|might|must|needs|on|onto|should|to|wants|will|would)\b)"
+    r"|,? (?:that|which)(?: is|'s) in the (?P<between>middle)\b(?! of the (?:table|desk|counter|vanity))"
     r"|,? (?:that|which)(?: is|'s) (?:on|to|at) the (?P<of_two>left|right|front|back)\b(?! (?:of|side|edge|end|corner|hand)\b)"
 )
 """Words after a mention that pick it out of several, with the side."""
@@ -80,7 +81,7 @@ def words_around(text: str, start: int, end: int) -> Iterator[str]:
     if (m := _THE_ONE.match(rest)) is not None:
         rest = f" that is{m[1]}"
     if (m := PICKED_OUT.match(rest)) is not None:
-        side = m["side"] or m["end"] or m["of_two"] or m["very"] or m["near"]
+        side = m["side"] or m["end"] or m["of_two"] or m["very"] or m["near"] or m["between"]
         yield {"me": "front", "us": "front", "away": "back"}.get(side, side)
 
 
