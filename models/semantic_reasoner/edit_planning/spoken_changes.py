@@ -67,7 +67,7 @@ _CONTENTS = re.compile(
     rf"\b(?:and|with|plus)(?: all)? (?:{_IT_HAS}|(?:its|their|the) (?:whole |entire )?contents)\b|\bcontents and all\b"
 )
 _WHERE_IT_WAS = re.compile(
-    r"\bwhere (?:it|that|this|they|those)(?: one)? (?:is|are|was|were|stood|stands|sat|sits|lay|lies|used to be)\b"
+    r"\b(?:to|into|over) where (?:it|that|this|they|those)(?: one)? (?:is|are|was|were|stood|stands|sat|sits|lay|lies|used to be)\b"
 )
 _REST = re.compile(
     r"\bthe (?:others?(?: ones?)?|rest(?: of \w+)?|third(?: one)?|fourth(?: one)?|remaining (?:ones?|two|three|four))\b"
