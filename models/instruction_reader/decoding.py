@@ -131,7 +131,11 @@ def decode(
     ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
     said = {**said, **{name: _of_spoken_cells(said[name], words) for name in ("region", "goal_region")}}
     _set_stated_corners(said, words, [b for _, b in spans])
-    entities = [_entity(cluster, phrases, nouns, said, ranges) for cluster in clusters]
+    bare = [
+        words[max(0, a - 1) : a] not in (["a"], ["an"]) and _is_plural_of(words[b], noun)
+        for (a, b), (_, noun) in zip(spans, nouns, strict=True)
+    ]
+    entities = [_entity(cluster, phrases, nouns, said, ranges, bare) for cluster in clusters]
     parts = _parts(clusters, start, entities)
     _name_ones(entities, clusters, parts)
     found = _relations(clusters, start, START[1:7], parts)
@@ -160,9 +164,8 @@ def _set_stated_corners(said: Mapping[str, Scores], words: Sequence[str], ends: 
         clause = _IN_CORNER.match(" ".join(words[end + 1 : end + _CORNER_WORDS]))
         if clause is not None:
             cell = _cell(_ROWS[clause["row"]], _COLUMNS[clause["column"]])
-            for name, is_cell in (("region", True), ("goal_region", False)):
-                said[name][k] = 0
-                said[name][k, CELLS.index(cell if is_cell else "")] = 1
+            said["region"][k] = np.eye(len(CELLS), dtype=np.float32)[CELLS.index(cell)]
+            said["goal_region"][k, CELLS.index(cell)] = 0
 
 
 def spoken_cells(words: Sequence[str]) -> set[str]:
@@ -299,6 +302,7 @@ def _entity(
     nouns: Sequence[tuple[bool, tuple[str, ...]]],
     said: Mapping[str, Scores],
     ranges: Sequence[tuple[int, int]],
+    is_bare: Sequence[bool],
 ) -> _Entity:
     named = [k for k in cluster if nouns[k][0]]
     known = [k for k in named if nouns[k][1]]
@@ -310,8 +314,7 @@ def _entity(
     scores = {name: values[cluster].mean(0) for name, values in said.items()}
     first = (named or cluster)[0]
     count = int(said["count"][first].argmax())
-    if count == 1 and _is_plural_of(phrases[head][-1], categories):
-        count = 0
+    count = 0 if count == 1 and is_bare[head] else count
     picked = {name: int(values.argmax()) for name, values in scores.items()}
     mentions = tuple(ranges[k] for k in named if ranges[k] != (0, 0))
     return _Entity(mentions, " ".join(phrases[head]), categories, bool(named), count, picked)

@@ -72,20 +72,26 @@ class Lexicon:
 
         The longest end of the phrase that is a noun decides: ``red coffee mug`` is a mug, and ``loo roll`` is no roll. If no end is
         a noun, the longest one with a typing error decides, in ``mug of tea`` the words before ``of``, and in ``monitor base`` the
-        words before the part. ``Cup of egg`` is an egg cup if there is such a noun.
+        words before the part. ``Cup of egg`` and ``cup for a boiled egg``
+        are an egg cup if there is such a noun.
 
         Args:
             words: The phrase in lower case.
         """
+        if (whole := self._by_noun.get(_spelt(words))) is not None:
+            return whole
         place = words.index("of", 1) if "of" in words[1:-1] else 0
-        if place and (turned := self._by_noun.get(_spelt([*words[place + 1 :], words[place - 1]]))) is not None:
-            return turned
+        purpose = words.index("for", 1) if "for" in words[1:-1] else 0
+        for k in filter(None, (place, purpose)):
+            for what in (words[k + 1 :], words[-1:]):
+                if (turned := self._by_noun.get(_spelt([*what, words[k - 1]]))) is not None:
+                    return turned
         ends = [_spelt(words[k:]) for k in range(len(words))]
-        for end in ends:
+        for k, end in enumerate(ends):
             if end in self._by_noun:
                 return self._by_noun[end]
             if end in self._unknown:
-                return ()
+                return self.categories(words[:place]) if k > place > 0 else ()
         for end in ends:
             if (near := self._nearest(end)) is not None:
                 return self._by_noun[near]
@@ -114,8 +120,9 @@ class Lexicon:
         return bool(names & {word, singular_noun(word)})
 
     def is_unknown(self, words: Sequence[str]) -> bool:
-        """Returns whether the end of a phrase is a noun of no known category."""
-        return not self.categories(words) and any(_spelt(words[k:]) in self._unknown for k in range(len(words)))
+        """Returns whether the end of a phrase is the table, or a compound that is not what its last word is, such as ``loo roll``."""
+        ends = [_spelt(words[k:]) for k in range(len(words))]
+        return not self.categories(words) and any(e in _TABLES or (" " in e and e in self._unknown) for e in ends)
 
     def noun_size(self, words: Sequence[str]) -> int:
         """Returns the number of words at the end of a phrase that are its noun; all of them if the noun is unknown."""

@@ -45,6 +45,10 @@ class Candidates:
         least = _SAYS_IT if _SAYS_IT in close.values() else 1
         return [name for name, how in close.items() if how >= least]
 
+    def named(self, one: MentionedObject) -> list[str]:
+        """Returns the objects whose category a mention may mean, whatever their descriptions say."""
+        return [o.instance for o in self._layout if self._fits(one, o)]
+
     def best(self, one: MentionedObject, names: Iterable[str]) -> list[str]:
         """Returns those of some objects whose category fits a mention best."""
         close, some = self._close(one), list(names)

@@ -134,8 +134,9 @@ class MentionResolver:
 
     def _is_absent(self, number: int) -> bool:
         """Whether an object has a place but is not in the layout, as in "a candle beside the mug": it comes."""
-        one = self._reading.objects[number]
-        return bool(one.categories) and not (self._of_category(one) or self._words_before(one) & _DEFINITE)
+        one, before = self._reading.objects[number], self._words_before(self._reading.objects[number])
+        there = self._candidates.named(one) if before & {"a", "an"} else self._of_category(one)
+        return bool(one.categories) and not (there or before & _DEFINITE)
 
     def _is_there(self, one: MentionedObject) -> bool:
         """Whether an object that comes is one of the layout, as in "bring the jar nearer"."""

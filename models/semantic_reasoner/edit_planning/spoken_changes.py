@@ -231,8 +231,18 @@ class _SpokenChanges(SpokenMentions):
             lead = self._text[: clause.start()]
             if new is None or re.search(r"(?:^|[.,;!?] ?)(?:and |then |and then )?$", lead):
                 new = self._after(end)
+            if new is not None and old in self._family(new) and len(self.objects[old].mentions) > 1:
+                old = self._apart(old, (start, end))  # "put a hand mirror where the mirror is"
             if new is not None and old not in self._family(new):
                 self._to_place(new, old)
+
+    def _apart(self, number: int, place: tuple[int, int]) -> int:
+        """Makes one of the mentions of an object an object of its own."""
+        for k in self._family(number):
+            rest = tuple(other for other in self.objects[k].mentions if other != place)
+            self.objects[k] = replace(self.objects[k], mentions=rest)
+        words = split_words(self._text[slice(*place)])
+        return self._add(" ".join(words), place, self._lexicon.categories(words))
 
     def its_place(self) -> None:
         """Finds the place of what was last said to go: "the plant can have its place"."""

@@ -195,7 +195,7 @@ class SpokenMentions(SpokenText):
         for (_, end, k), (start, stop, part) in pairwise(places):
             one, other = self.objects[k], self.objects[part]
             if other.name != one.name and one.categories and self._is_new(k) and _PURPOSE.match(self._text[end:start]):
-                if any(self._at(m.end(), 2) == k for m in EXCHANGE.finditer(self._text)):
+                if any(self._at(m.end(), 4) == k for m in EXCHANGE.finditer(self._text)):
                     continue  # "exchange a mug for a glass"
                 self._take_in(k, part, stop)
 

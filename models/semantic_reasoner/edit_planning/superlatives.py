@@ -74,8 +74,8 @@ def words_around(text: str, start: int, end: int) -> Iterator[str]:
         yield m[1]
     rest = text[end:].lower()
     inside = text[start:end].lower().rpartition(" ")[0] + " "  # an ordinal may be a word of the mention
-    if (side := _FROM.match(rest)) is not None and (m := _ORDINAL.search(lead) or _ORDINAL.search(inside)) is not None:
-        yield side[1] if m[1] == "last" else f"{_PLACES[m[1]]} {side[1]}"
+    if (row := _FROM.match(rest)) is not None and (m := _ORDINAL.search(lead) or _ORDINAL.search(inside)) is not None:
+        yield row[1] if m[1] == "last" else f"{_PLACES[m[1]]} {row[1]}"
     if (m := _LOOKS.match(rest)) is not None and m[1] in ADJECTIVES:
         yield m[1]
     if (m := _THE_ONE.match(rest)) is not None:
