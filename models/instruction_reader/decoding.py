@@ -357,7 +357,7 @@ def _give_each_its_own(
     for _, i, kind, j in found:
         one, carrier = entities[i], entities[j]
         if kind in _CARRIES and one.count > 1 and carrier.count < 2 and carrier.has_noun:
-            before = words[max(0, starts[j] - 2) : starts[j]]
+            before = {*words[max(0, starts[j] - 2) : starts[j]], *carrier.words.split()}
             if "own" in before or (carrier.count == 0 and not _is_one(carrier)):
                 carrier.count = one.count
 

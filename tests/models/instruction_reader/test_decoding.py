@@ -221,3 +221,34 @@ def test_what_is_taken_from_something_hollow_was_in_it(text: str, kind: str) -> 
 def test_words_that_single_an_object_out_are_no_cell_of_the_table(text: str, cell: str) -> None:
     found = sentence(text, said={0: ("region", CELLS.index("middle_right" if "right" in text else "back_middle"))})
     assert found.objects[0].region == cell
+
+
+def test_the_pot_of_pens_is_a_pen_pot() -> None:
+    pot, _ = read("the pot", "two pens", start="1 in 0", counts={1: 2}).objects[:2]
+    assert pot.categories == ("pen_holder",)
+    assert "pen_holder" not in read("the pot", "two potatoes", start="1 in 0", counts={1: 2}).objects[0].categories
+
+
+def test_each_has_its_own_carrier() -> None:
+    found = read("three cups", "its own saucer", start="0 on 1", counts={0: 3})
+    saucers = [k for k, o in enumerate(found.objects) if o.categories == ("saucer",)]
+    assert len(saucers) == 3
+    assert {target for _, _, target in facts_of(found)} == set(saucers)
+
+
+def test_things_beside_a_content_are_contents_too() -> None:
+    found = read("the pen pot", "a ruler", "a pencil", "a marker", start="1 in 0, 1 between 2, 1 between 3")
+    assert {(2, "in", 0), (3, "in", 0)} <= facts_of(found)
+
+
+@pytest.mark.parametrize("clause", ["that is in the back left corner", "which sits in the rear left - hand corner"])
+def test_a_clause_says_the_corner(clause: str) -> None:
+    mug, _ = read("the mug", "the plate", more=f"{clause} is mine").objects
+    assert mug.region == ""  # the clause is behind the plate
+    (mug,) = read("the mug").objects
+    assert mug.region == ""
+    words = ["the", "mug", *clause.split(), "goes"]
+    scores = {name: np.eye(classes)[[0]].astype(np.float32) for name, classes in SAID.items()}
+    scores["count"] = np.eye(SAID["count"])[[1]].astype(np.float32)
+    (mug,) = decode(words, [(1, 1)], scores, _pairs(1, "", START), _pairs(1, "", GOAL), LEXICON).objects
+    assert mug.region == "back_left"

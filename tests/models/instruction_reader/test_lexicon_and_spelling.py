@@ -74,3 +74,36 @@ def test_other_words_stay(word: str) -> None:
 def test_any_words_can_be_mended_and_looked_up(words: list[str]) -> None:
     assert len(SPELLING.mend(words)) == len(words)
     assert isinstance(LEXICON.categories(words), tuple)
+
+
+@pytest.mark.parametrize("phrase", ["loo roll", "music box", "tabletop", "the old tool box"])
+def test_a_compound_need_not_be_what_its_last_word_is(phrase: str) -> None:
+    assert LEXICON.categories(phrase.split()) == ()
+    assert LEXICON.is_unknown(phrase.split())
+
+
+@pytest.mark.parametrize(
+    ("phrase", "category"),
+    [
+        ("a little cup of egg", "egg_cup"),
+        ("wooden cup for a boiled egg", "egg_cup"),
+        ("slice of cake", "cake"),
+        ("monitor base", "monitor"),
+        ("can of peaches", "can"),
+        ("saucr", "saucer"),
+    ],
+)
+def test_a_phrase_is_what_its_words_together_mean(phrase: str, category: str) -> None:
+    assert category in LEXICON.categories(SPELLING.mend(phrase.split()))
+
+
+def test_contents_say_what_holds_them() -> None:
+    assert LEXICON.of_contents(["pot"], ["makeup", "brushes"]) == ("brush_holder",)
+    assert LEXICON.of_contents(["pot"], ["potatoes"]) == ()
+    assert LEXICON.of_contents(["egg", "cup"], ["brushes"]) == ()  # its noun says it
+
+
+def test_the_last_word_of_a_category_is_its_name() -> None:
+    assert LEXICON.is_name("mugs")
+    assert LEXICON.is_noun("coffee")
+    assert not LEXICON.is_name("coffee")

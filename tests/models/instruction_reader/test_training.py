@@ -190,3 +190,16 @@ def test_the_mean_of_equal_readers_is_the_reader_and_of_two_lies_between() -> No
     assert torch.allclose(average_readers([one, same], [3.0, 1.0]).network.tags.weight, was)
     middle = average_readers([one, other], [1.0, 1.0]).network.tags.weight
     assert torch.allclose(middle, (was + other.network.tags.weight) / 2)
+
+
+def test_favoured_frames_are_drawn_more_often(model: ReaderModel) -> None:
+    def drawn(favoured: str) -> int:
+        own = [frame for frame in FRAMES if frame.source in ("plain", "short_notes")]
+        settings = replace(SHORT, favoured=favoured, favour=50)
+        maker = ReaderTrainer(model.network, model.tokens, own, NOUNS, settings, {})
+        return sum(len(s.words) < 12 for batch in maker._batches(0) for s in batch)
+
+    assert drawn("short_notes") != drawn("plain")
+    with pytest.raises(ConfigError, match="'nothing'") as caught:
+        drawn("nothing")
+    assert caught.value.code == "frames_unknown"

@@ -111,3 +111,49 @@ def test_an_edit_that_changes_nothing_fails() -> None:
     with pytest.raises(SceneError, match="no change is understood") as caught:
         planned("Put the red mug on the red one.")
     assert caught.value.code in ("edit_unread", "ambiguous")
+
+
+def test_a_look_may_have_two_words() -> None:
+    (changed,) = planned("Orange is so last year, make the can mint green.").objects
+    assert changed.instance == "can_0"
+    assert {"mint", "green"} <= set(changed.description.split())
+
+
+def test_what_is_taken_out_goes() -> None:
+    assert planned("Take out the can and move the apple to the front left corner.").removed == ("can_0",)
+
+
+def test_two_go_together() -> None:
+    assert set(planned("Remove the can along with its apple.").removed) == {"can_0", "apple_0"}
+
+
+def test_a_carrier_goes_with_its_contents() -> None:
+    layout = (
+        described("serving_tray_0", "a red tray", 30, 30),
+        LayoutObject("apple_0", "a green apple", (8.0, 8.0, 8.0), (30.0, 30.0, 8.0), 0),
+        described("mug_0", "a mug", 90, 30),
+    )
+    alone = planned("Take the tray away.", layout)
+    both = planned("Take the tray away and whatever is on it.", layout)
+    assert (alone.removed, set(both.removed)) == (("serving_tray_0",), {"serving_tray_0", "apple_0"})
+
+
+def test_the_top_of_a_pile_is_where_things_go() -> None:
+    napkins = tuple(LayoutObject(f"napkin_{k}", "a napkin", (20.0, 20.0, 1.0), (40.0, 30.0, 0.5 + k), 0) for k in range(2))
+    (moved,) = planned("Put the apple on the napkins.", (*napkins, APPLE)).objects
+    assert moved.position_cm[2] > 2.0
+
+
+def test_what_is_put_on_the_table_leaves_its_carrier() -> None:
+    layout = (
+        described("serving_tray_0", "a red tray", 30, 30),
+        LayoutObject("apple_0", "a green apple", (8.0, 8.0, 8.0), (30.0, 30.0, 8.0), 0),
+    )
+    (moved,) = planned("Stand the apple on the tabletop.", layout).objects
+    assert moved.instance == "apple_0"
+    assert moved.position_cm[2] == pytest.approx(4.0)
+
+
+def test_a_new_thing_has_the_place_that_is_spoken_of() -> None:
+    (new,) = planned("Nothing stands in the back left corner. Add an orange there.").objects
+    assert (new.category, new.position_cm[0] < 40, new.position_cm[1] > 30) == ("orange", True, True)
