@@ -1,6 +1,5 @@
 """From the scores of the network to a reading: which mentions are one object, how many there are, which relations hold."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -12,6 +11,7 @@ from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.network import CELLS, CHANGES, GOAL, GROUPS, START
 from models.instruction_reader.nouns import is_hollow
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
+from models.instruction_reader.spoken_cells import CLAUSE_ENDS, SINGLING, Scores, of_spoken_cells, set_stated_corners
 from stable_data.instructions.wording.words import is_plural, plural
 
 _PRONOUNS = frozenset(
@@ -29,40 +29,6 @@ _PRONOUNS = frozenset(
 _LAST = frozenset({"back", "bottom", "last", "lower", "lowest", "outer", "rear", "rearmost", "right", "rightmost"})
 """Words of the last object of a stack, nest, row or file."""
 
-_ROWS = {
-    **dict.fromkeys(("front", "near", "nearest", "closest", "closer"), "front"),
-    **dict.fromkeys(("back", "rear", "far", "farthest", "furthest", "farther"), "back"),
-}
-_COLUMNS = {"left": "left", "leftmost": "left", "right": "right", "rightmost": "right"}
-_CENTRE = frozenset({"centre", "center", "middle", "central"})
-"""Words of rows and columns of the table."""
-
-_AT_EDGE = frozenset({"corner", "edge", "end", "left", "right", "side"})  # words after "near" and "far" that mean a row
-
-_IN_CORNER = re.compile(
-    r"(?:, )?(?:that|which) (?:' s|is|was|sits|stands|lies)(?: now| still)? (?:in|at) the "
-    r"(?P<row>front|back|rear|near|far) (?:- )?(?P<column>left|right) (?:- )?(?:hand )?corner\b"
-)
-_CORNER_WORDS = 14
-
-_AFTER_JUST = frozenset({"at", "away", "behind", "beside", "by", "here", "in", "next", "now", "on", "there", "under", "up"})
-"""Words after a ``right`` that means ``just``."""
-
-_CELL_GAP = 3  # words between two that mean one cell, as in "the middle of the front edge"
-_CLAUSE = 6  # most words between two of one clause that may mean one cell
-_STOPS = frozenset(".;!?")
-
-_CLAUSE_ENDS = frozenset({*_ROWS, *_COLUMNS, *_AT_EDGE, *_CENTRE, "me", "you", "us", "viewer", "robot"})
-"""Words that may end a clause which singles out an object by its place."""
-
-_SINGLING = frozenset(
-    {
-        "bigger", "closer", "farther", "higher", "larger", "left", "longer", "lower", "nearer", "right", "shorter", "smaller",
-        "taller", "thicker", "thinner", "upper", "wider",
-    }
-)  # fmt: skip
-"""Words before a noun that single out one of several objects."""
-
 _HOLDERS = frozenset({"case", "holder", "pot", "rack", "stand"})
 """Nouns that mean a holder of what is in it, such as a brush pot."""
 
@@ -70,8 +36,6 @@ _SAME = 0.5
 _PART = 0.5
 _HOLDS = 0.5
 _CARRIES = ("in", "on")
-
-Scores = npt.NDArray[np.float32]
 
 
 @dataclass(slots=True)
@@ -129,8 +93,8 @@ def decode(
     )
     clusters = _clusters(start, nouns, [phrase[-1] for phrase in phrases], repeated)
     ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
-    said = {**said, **{name: _of_spoken_cells(said[name], words) for name in ("region", "goal_region")}}
-    _set_stated_corners(said, words, [b for _, b in spans])
+    said = {**said, **{name: of_spoken_cells(said[name], words) for name in ("region", "goal_region")}}
+    set_stated_corners(said, words, [b for _, b in spans])
     bare = [
         words[max(0, a - 1) : a] not in (["a"], ["an"]) and _is_plural_of(words[b], noun)
         for (a, b), (_, noun) in zip(spans, nouns, strict=True)
@@ -150,74 +114,6 @@ def decode(
     return InstructionReading(tuple(made.objects), kept, tuple(_expanded(aims, made.numbers)), contradictions)
 
 
-def _of_spoken_cells(scores: Scores, words: Sequence[str]) -> Scores:
-    """The probabilities of cells of the table, without the cells that no words mean: frames teach each cell in few words."""
-    spoken = spoken_cells(words)
-    is_spoken = np.array([cell in spoken for cell in CELLS], bool)
-    likely = scores + (scores[:, :1] < _HOLDS) * is_spoken  # a place that is not "none" is one of those that are spoken of
-    return np.where(is_spoken | (np.arange(len(CELLS)) == 0), likely, 0).astype(np.float32)
-
-
-def _set_stated_corners(said: Mapping[str, Scores], words: Sequence[str], ends: Sequence[int]) -> None:
-    """Gives a mention the corner that a clause after it says: ``the mug that is in the back left corner``."""
-    for k, end in enumerate(ends):
-        clause = _IN_CORNER.match(" ".join(words[end + 1 : end + _CORNER_WORDS]))
-        if clause is not None:
-            cell = _cell(_ROWS[clause["row"]], _COLUMNS[clause["column"]])
-            said["region"][k] = np.eye(len(CELLS), dtype=np.float32)[CELLS.index(cell)]
-            said["goal_region"][k, CELLS.index(cell)] = 0
-
-
-def spoken_cells(words: Sequence[str]) -> set[str]:
-    """Returns the cells that words of rows and columns mean; words that stand close together mean one cell.
-
-    Words of one clause that stand apart ("on the right, all the way at the back") may mean one cell or several.
-    """
-    found: set[str] = set()
-    row = column = ""
-    last = -1
-    for k, word in enumerate(words):
-        if word not in _ROWS and word not in _COLUMNS and word not in _CENTRE:
-            continue
-        if word in ("near", "far") and not (k + 1 < len(words) and words[k + 1] in _AT_EDGE):
-            continue
-        if _singles_out(words, k) or (
-            word == "right" and words[k - 1 : k] != ["the"] and {*words[k + 1 : k + 2]} & _AFTER_JUST
-        ):
-            continue
-        other = (word in _ROWS and row not in ("", "middle", _ROWS[word])) or (
-            word in _COLUMNS and column not in ("", _COLUMNS[word])
-        )
-        between = words[last + 1 : k]
-        if last >= 0 and (other or len(between) >= _CELL_GAP):
-            found.add(_cell(row, column))
-            if other or len(between) > _CLAUSE or not _STOPS.isdisjoint(between):
-                row = column = ""
-            elif _cell(_ROWS.get(word, row), _COLUMNS.get(word, column)) != _cell(row, column):
-                found.add(_cell(_ROWS.get(word, ""), _COLUMNS.get(word, "")))
-        row, column = _ROWS.get(word, row), _COLUMNS.get(word, column)
-        last = k
-    return found | {_cell(row, column)} if last >= 0 else found
-
-
-def _singles_out(words: Sequence[str], k: int) -> bool:
-    """Whether a word of a row or column says which of several objects is meant, not where: ``the right-hand cup``."""
-    if tuple(words[k + 1 : k + 3]) == ("-", "hand"):
-        return not _AT_EDGE & {*words[k + 3 : k + 4]}
-    clause = words[max(0, k - 5) : k + 1]  # "that is farthest to the left"
-    return any(
-        clause[n] in ("that", "which")
-        and clause[n + 1] == "is"
-        and (clause[n + 2].endswith("est") or clause[n + 2] in _SINGLING or clause[n + 2] == "further")
-        and _STOPS.isdisjoint(clause[n:])
-        for n in range(len(clause) - 2)
-    )
-
-
-def _cell(row: str, column: str) -> str:
-    return f"{row or 'middle'}_{column or 'middle'}"
-
-
 def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...]]:
     """Whether a phrase has a noun, and its categories."""
     if all(w in _PRONOUNS or not w.isalpha() for w in phrase):
@@ -234,11 +130,11 @@ def _is_repeated(words: Sequence[str], one: tuple[int, int], other: tuple[int, i
         return False
     after, also = words[b + 1 :], words[d + 1 :]
     if not {"that", "which"} & {*after[:1], *also[:1]}:
-        return any(word in _SINGLING or word.endswith(("est", "most")) for word in words[a:b])
+        return any(word in SINGLING or word.endswith(("est", "most")) for word in words[a:b])
     size = next((k for k, (x, y) in enumerate(zip(after, also, strict=False)) if x != y), min(len(after), len(also)))
-    while size and after[size - 1] not in _CLAUSE_ENDS:
+    while size and after[size - 1] not in CLAUSE_ENDS:
         size -= 1
-    return size > 2 and not (_CLAUSE_ENDS | {"from", "of", "to"}) & {*after[size : size + 1], *also[size : size + 1]}
+    return size > 2 and not (CLAUSE_ENDS | {"from", "of", "to"}) & {*after[size : size + 1], *also[size : size + 1]}
 
 
 def _carrying(

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
-from models.instruction_reader.decoding import spoken_cells
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.reading import InstructionReading, MentionedRelation
 from models.instruction_reader.sentences import split_words
+from models.instruction_reader.spoken_cells import spoken_cells
 from models.semantic_reasoner.edit_planning.candidates import adjectives_of
 from models.semantic_reasoner.edit_planning.spoken_mentions import EXCHANGE, LOOK_WORDS, SpokenMentions
 from models.semantic_reasoner.edit_planning.spoken_text import IsDetail

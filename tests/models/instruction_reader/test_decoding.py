@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from models.instruction_reader.decoding import Scores, decode, spans_of
+from models.instruction_reader.decoding import decode, spans_of
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.network import CELLS, GOAL, GROUPS, SAID, START
 from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.reading import InstructionReading
+from models.instruction_reader.spoken_cells import Scores
 
 LEXICON = Lexicon.of(read_nouns(), read_nouns().nouns)
 

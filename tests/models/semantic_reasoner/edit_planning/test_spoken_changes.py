@@ -114,8 +114,9 @@ def test_an_edit_that_changes_nothing_fails() -> None:
 
 
 def test_a_look_may_have_two_words() -> None:
-    (changed,) = planned("Orange is so last year, make the can mint green.").objects
-    assert changed.instance == "can_0"
+    layout = (thing("tumbler_0", 30, 30), APPLE)
+    (changed,) = planned("orange is sooo 2010, make the tumbler mint green", layout).objects
+    assert changed.instance == "tumbler_0"
     assert {"mint", "green"} <= set(changed.description.split())
 
 
