@@ -114,7 +114,7 @@ def test_an_edit_that_changes_nothing_fails() -> None:
 
 
 def test_a_look_may_have_two_words() -> None:
-    layout = (thing("tumbler_0", 30, 30), APPLE)
+    layout = (LayoutObject("tumbler_0", "an orange tumbler", (8.0, 8.0, 12.0), (30.0, 30.0, 6.0), 0), APPLE)
     (changed,) = planned("orange is sooo 2010, make the tumbler mint green", layout).objects
     assert changed.instance == "tumbler_0"
     assert {"mint", "green"} <= set(changed.description.split())
