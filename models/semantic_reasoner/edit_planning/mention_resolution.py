@@ -35,7 +35,17 @@ _DEFINITE = frozenset({"the", "that", "this", "those", "these"})
 _OWN = frozenset({"my", "our", "your", "his", "her", "their"})
 """Words before a mention of an object that is probably there."""
 
-_ONE_OF = re.compile(r"\b(?:one|any) of (?:the|my|our|those|these) $")
+_ONE_OF = re.compile(
+    rf"\b(?:one|any|{'|'.join(sorted(EXTREMES))}|middle) of (?:the|my|our|those|these)(?: two| three| four)?(?: [\w-]+)? $"
+)
+_OF_THESE = re.compile(
+    r"\b(?:of|from|among) (?:the|my|our|those|these)(?: row of| pile of)?(?: two| three| four| five)?(?: [\w-]+)? $"
+)
+_THE_ONE = re.compile(r"[^.!?;]*, the (?:[\w-]+ )?one\b")
+"""Words of one of several: "the middle one of the three varnishes", "of the two jars, the taller one"."""
+
+_LOT = re.compile(r"[^a-z]{1,3}(?:all of (?:it|them)|the (?:whole )?lot|every (?:single |last )?one)\b")
+"""Words after a mention that mean all of its kind."""
 
 _MASS = frozenset({"cosmetics", "crockery", "cutlery", "food", "fruit", "silverware", "stationery", "tableware"})
 """Nouns of all objects of several kinds."""
@@ -246,12 +256,16 @@ class MentionResolver:
         is_open = (
             one.is_one_of_many
             or is_all
+            or any(_LOT.match(self._text[end:].lower()) for _, end in one.mentions)
             or (is_plain_plural and bool(one.categories))
             or bool(_ONE_OR_MANY & {*one.words.split()[-1:]})
         )
-        is_one_of = any(_ONE_OF.search(self._text[:start].lower()) for start, _ in one.mentions)
+        text = self._text.lower()
+        is_one_of = any(_ONE_OF.search(text[:start]) for start, _ in one.mentions)
+        is_one_of |= any(_OF_THESE.search(text[:start]) and _THE_ONE.match(text[end:]) for start, end in one.mentions)
         if is_one_of:
-            return MentionedGroup(numbers[:1], one, False, True)
+            picks = any(word in EXTREMES or word in MIDDLE or " " in word for word in self._adjectives(one))
+            return MentionedGroup(numbers[:1], one, False, not picks)
         return MentionedGroup(numbers, one, is_open, bool(before & _ANY) and not (before & _DEFINITE or self._is_picked(one)))
 
     def _is_picked(self, one: MentionedObject) -> bool:
