@@ -12,7 +12,15 @@ from models.instruction_reader.reading import InstructionReading, MentionedObjec
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.edit_planning.candidates import Candidates, adjectives_of, words_of
 from models.semantic_reasoner.edit_planning.spoken_changes import OTHER
-from models.semantic_reasoner.edit_planning.superlatives import EXTREMES, MIDDLE, PICKED_OUT, picked, words_around
+from models.semantic_reasoner.edit_planning.superlatives import (
+    EXTREMES,
+    MIDDLE,
+    OF_THESE,
+    ONE_OF,
+    PICKED_OUT,
+    picked,
+    words_around,
+)
 from stable_data.errors import SceneError
 from stable_data.instructions.wording.words import is_plural, singular
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
@@ -35,14 +43,8 @@ _DEFINITE = frozenset({"the", "that", "this", "those", "these"})
 _OWN = frozenset({"my", "our", "your", "his", "her", "their"})
 """Words before a mention of an object that is probably there."""
 
-_ONE_OF = re.compile(
-    rf"\b(?:one|any|{'|'.join(sorted(EXTREMES))}|middle) of (?:the|my|our|those|these)(?: two| three| four)?(?: [\w-]+)? $"
-)
-_OF_THESE = re.compile(
-    r"\b(?:of|from|among) (?:the|my|our|those|these)(?: row of| pile of)?(?: two| three| four| five)?(?: [\w-]+)? $"
-)
 _THE_ONE = re.compile(r"[^.!?;]*, the (?:[\w-]+ )?one\b")
-"""Words of one of several: "the middle one of the three varnishes", "of the two jars, the taller one"."""
+"""Words after a plural of which one is meant."""
 
 _LOT = re.compile(r"[^a-z]{1,3}(?:all of (?:it|them)|the (?:whole )?lot|every (?:single |last )?one)\b")
 """Words after a mention that mean all of its kind."""
@@ -261,8 +263,8 @@ class MentionResolver:
             or bool(_ONE_OR_MANY & {*one.words.split()[-1:]})
         )
         text = self._text.lower()
-        is_one_of = any(_ONE_OF.search(text[:start]) for start, _ in one.mentions)
-        is_one_of |= any(_OF_THESE.search(text[:start]) and _THE_ONE.match(text[end:]) for start, end in one.mentions)
+        is_one_of = any(ONE_OF.search(text[:start]) for start, _ in one.mentions)
+        is_one_of |= any(OF_THESE.search(text[:start]) and _THE_ONE.match(text[end:]) for start, end in one.mentions)
         if is_one_of:
             picks = any(word in EXTREMES or word in MIDDLE or " " in word for word in self._adjectives(one))
             return MentionedGroup(numbers[:1], one, False, not picks)

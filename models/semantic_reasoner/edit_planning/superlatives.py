@@ -47,8 +47,11 @@ _HANDED = re.compile(r"\b(left|right)[- ]hand\s*$")
 _SIDE_OF = re.compile(r"(?:^|[.,;:!?(]|\b(?:the|that|this|my|our|your|his|her|and)) *(left|right|front|back|rear|top|bottom) $")
 """A side right before a mention: "the left box"."""
 
-_ONE_OF = re.compile(r"\b([\w-]+)(?: one)? of (?:the|my|our|those|these)(?: two| three| four)?(?: [\w-]+)? $")
-_OF_THESE = re.compile(r"\b(?:of|from|among) (?:the|my|our|those|these)(?: two| three| four| five)?(?: [\w-]+)? $")
+_THESE = r"(?:the|my|our|those|these)(?: two| three| four| five)?(?: [\w-]+)? $"
+ONE_OF = re.compile(rf"\b(?:(?:(?P<word>[\w-]+) )?one|any|(?P<most>\w+(?:st|er))) of {_THESE}")
+OF_THESE = re.compile(rf"\b(?:of|from|among) (?:(?:the|a) (?:row|pile|set) of )?{_THESE}")
+"""Words before a plural of which one is meant: "the middle one of the three varnishes", "of the two jars, the taller one"."""
+
 _THE_OTHER_ONE = re.compile(r"[^.!?;]*, the ([\w-]+) one\b")
 
 _ORDINAL = re.compile(r"\b(first|1st|second|2nd|third|3rd|fourth|4th|fifth|5th|last)(?: but one)? $")
@@ -74,8 +77,8 @@ def words_around(text: str, start: int, end: int) -> Iterator[str]:
     for word in split_words(lead)[-_BEFORE:]:
         if word in ADJECTIVES or word in MIDDLE or (word in EXTREMES and word.endswith(("st", "er"))):
             yield word  # "the white" [chess piece]
-    if (m := _ONE_OF.search(lead)) is not None and (m[1] in EXTREMES or m[1] in MIDDLE):
-        yield m[1]
+    if (m := ONE_OF.search(lead)) is not None and (word := m["word"] or m["most"]) in {*EXTREMES, *MIDDLE}:
+        yield word
     if (m := _HANDED.search(lead) or _SIDE_OF.search(lead)) is not None:
         yield m[1]
     rest = text[end:].lower()
@@ -84,7 +87,7 @@ def words_around(text: str, start: int, end: int) -> Iterator[str]:
         yield row[1] if m[1] == "last" else f"{_PLACES[m[1]]} {row[1]}"
     if (m := _LOOKS.match(rest)) is not None and m[1] in ADJECTIVES:
         yield m[1]
-    if _OF_THESE.search(lead) and (m := _THE_OTHER_ONE.match(rest)) is not None and m[1] in EXTREMES:
+    if OF_THESE.search(lead) and (m := _THE_OTHER_ONE.match(rest)) is not None and m[1] in EXTREMES:
         yield m[1]  # "of the two jars, the taller one"
     if (m := _THE_ONE.match(rest)) is not None:
         rest = f" that is{m[1]}"

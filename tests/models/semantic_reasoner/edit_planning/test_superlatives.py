@@ -21,6 +21,9 @@ ROW: list[SceneObject] = [thing(f"mug_{k}", 20 + 20 * k, 30).to_scene_object() f
         ("the tablet nearer to me would be safer", "tablet", "front"),
         ("the jar that is farthest to the left", "jar", "left"),
         ("the clicker that is in the middle", "clicker", "middle"),
+        ("the middle one of the three pink varnishes leaks", "varnishes", "middle"),
+        ("the tallest of the vases", "vases", "tallest"),
+        ("of the two teal jars, the taller one is empty", "jars", "taller"),
     ],
 )
 def test_words_around_a_mention_pick_it_out(text: str, mention: str, word: str) -> None:
