@@ -28,8 +28,8 @@ def average_readers(readers: Sequence[ReaderModel], shares: Sequence[float]) -> 
 
     def mean(name: str) -> torch.Tensor:
         first: torch.Tensor = states[0][name]
-        if not first.is_floating_point():
-            return first
+        if not first.is_floating_point() or all(torch.equal(first, state[name]) for state in states):
+            return first  # the mean of equal values may differ by rounding, and files have what differs from the encoder
         parts = [share / total * state[name] for share, state in zip(shares, states, strict=True)]
         return torch.stack(parts).sum(0)
 
