@@ -80,12 +80,9 @@ class Lexicon:
         """
         if (whole := self._by_noun.get(_spelt(words))) is not None:
             return whole
+        if turned := self.of_purpose(words):
+            return turned
         place = words.index("of", 1) if "of" in words[1:-1] else 0
-        purpose = words.index("for", 1) if "for" in words[1:-1] else 0
-        for k in filter(None, (place, purpose)):
-            for what in (words[k + 1 :], words[-1:]):
-                if (turned := self._by_noun.get(_spelt([*what, words[k - 1]]))) is not None:
-                    return turned
         ends = [_spelt(words[k:]) for k in range(len(words))]
         for k, end in enumerate(ends):
             if end in self._by_noun:
@@ -98,6 +95,14 @@ class Lexicon:
         if place:
             return self.categories(words[:place])
         return self.categories(words[:-1]) if len(words) > 1 and words[-1] in _PARTS else ()
+
+    def of_purpose(self, words: Sequence[str]) -> tuple[str, ...]:
+        """Returns the categories of a compound that is said in turn, such as ``cup for a boiled egg``; none if it is no noun."""
+        for k in (words.index(link, 1) for link in ("of", "for") if link in words[1:-1]):
+            for what in (words[k + 1 :], words[-1:]):
+                if (turned := self._by_noun.get(_spelt([*what, words[k - 1]]))) is not None:
+                    return turned
+        return ()
 
     def of_contents(self, words: Sequence[str], contents: Sequence[str]) -> tuple[str, ...]:
         """Returns the categories of an object by what is in or on it: a pot with brushes is a brush pot; none if no noun says so.

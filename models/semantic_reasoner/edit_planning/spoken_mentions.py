@@ -38,8 +38,9 @@ _NO_I_MEAN = re.compile(
 )
 _LAST_OF_VERB = frozenset({"stand", "sit", "lie", "rest", "hang", "go", "live"})
 _AFTER_VERB = re.compile(r"^ (?:there|here|in|on|at|behind|beside|next|by|instead)\b")
-_DETAIL = re.compile(r"^,? (?:with|full of|(?P<of>of)) (?:(?:a|an|its|the|\d+|two|three|four|six|eight|twelve) )?$")
-_PURPOSE = re.compile(r"^ for (?:under )?(?:a|an|my|the|our|her|his)? ?(?:\w+ing )?$")
+_DETAIL = re.compile(r"^,? (?:with|without|full of|(?P<of>of)) (?:(?:a|an|its|the|\d+|two|three|four|six|eight|twelve) )?$")
+_AND_DETAIL = re.compile(r"^,? and (?:(?:a|an|its|two|three|four) )?$")
+_PURPOSE = re.compile(r"^ for (?:under )?(?:a|an|my|the|our|her|his)? ?(?:\w+ing |red |white )?$")
 
 _CONTENTS = re.compile(r"^ (?:for|with|of|holding|full of) (?:the |my |all the |our )?$")
 
@@ -174,20 +175,24 @@ class SpokenMentions(SpokenText):
                 self.start.append(MentionedRelation(*relation))
 
     def details(self) -> None:
-        """Makes parts of a new object words of its look: "a jar with a gold lid"."""
-        places = self._places()
-        for (_, end, k), (start, stop, part) in pairwise(places):
+        """Makes parts of a new object words of its look: "a jar with a gold lid and a clasp"."""
+        places, taken = self._places(), dict[int, int]()
+        for (_, end, last), (start, stop, part) in pairwise(places):
+            k = taken.get(last, last)
             one, other = self.objects[k], self.objects[part]
-            between = _DETAIL.match(self._text[end:start])
+            between = (_AND_DETAIL if last in taken else _DETAIL).match(self._text[end:start])
             if between is None or other.name == one.name or not self._is_new(k) or other.change not in ("", "add"):
                 continue
             if _CARRIES.match(self._text[stop:]) or "already" in self._text[stop:]:
                 continue
             noun = other.words.split()[-1:]
-            is_part = between["of"] or not noun or any(self._is_detail(c, noun[0]) for c in one.categories)
+            is_part = (
+                (last not in taken and between["of"]) or not noun or any(self._is_detail(c, noun[0]) for c in one.categories)
+            )
             if not is_part and self._lexicon.categories(other.words.split()):
                 continue
             self._take_in(k, part, stop)
+            taken[part] = k
 
     def purposes(self) -> None:
         """Leaves away what a new object is for: "a coaster for a glass"."""
@@ -207,5 +212,6 @@ class SpokenMentions(SpokenText):
             self.goal += [replace(r, subject=number) for r in moved]
         start = self.objects[number].mentions[0][0]
         words = " ".join(split_words(self._text[start:end]))
+        compound = self._lexicon.of_purpose(words.split())
         for k in self._family(number):
-            self.objects[k] = replace(self.objects[k], words=words)
+            self.objects[k] = replace(self.objects[k], words=words, categories=compound or self.objects[k].categories)

@@ -158,3 +158,8 @@ def test_what_is_put_on_the_table_leaves_its_carrier() -> None:
 def test_a_new_thing_has_the_place_that_is_spoken_of() -> None:
     (new,) = planned("Nothing stands in the back left corner. Add an orange there.").objects
     assert (new.category, new.position_cm[0] < 40, new.position_cm[1] > 30) == ("orange", True, True)
+
+
+def test_parts_and_purposes_of_a_new_object_are_no_objects() -> None:
+    assert categories(planned("Exchange the can for a small mug with a lid and a clasp.")) == ["mug"]
+    assert categories(planned("Add a red mug without a handle behind the apple.")) == ["mug"]
