@@ -26,6 +26,10 @@ _PRONOUNS = frozenset(
 )  # fmt: skip
 """Words of mentions without a noun."""
 
+_DETERMINERS = frozenset(
+    {"a", "an", "her", "his", "its", "my", "our", "that", "the", "their", "these", "this", "those", "your"}
+)
+
 _LAST = frozenset({"back", "bottom", "last", "lower", "lowest", "outer", "rear", "rearmost", "right", "rightmost"})
 """Words of the last object of a stack, nest, row or file."""
 
@@ -86,6 +90,7 @@ def decode(
         lexicon: The known nouns.
         places: Range of characters of each word in the text; without them the reading does not say where its objects are.
     """
+    spans = [_without_determiner(words, span) for span in spans]
     phrases = [words[a : b + 1] for a, b in spans]
     nouns = [_noun(phrase, lexicon) for phrase in phrases]
     repeated = np.array([[a != b and _is_repeated(words, a, b) for b in spans] for a in spans], bool).reshape(
@@ -112,6 +117,13 @@ def decode(
     relations += _beside_in_container(relations)
     kept, contradictions = _consistent(relations)
     return InstructionReading(tuple(made.objects), kept, tuple(_expanded(aims, made.numbers)), contradictions)
+
+
+def _without_determiner(words: Sequence[str], span: tuple[int, int]) -> tuple[int, int]:
+    """The words of a mention with a noun without the article or possessive before them."""
+    first, last = span
+    is_named = not all(w in _PRONOUNS for w in words[first : last + 1])
+    return (first + 1, last) if is_named and first < last and words[first] in _DETERMINERS else span
 
 
 def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...]]:

@@ -30,6 +30,7 @@ _TURN = re.compile(
     r"\b(?:turn|rotate|spin|swivel|twist) (?!off|on|down|up|out|into)(?:the |my |that |this )?(?![^.,;!?]* into )"
 )
 _BY = re.compile(r"(?: that is (?:[\w-]+ ){1,6}?)? ?(?<= )(?:for|with|by) (?P<one>one\b(?! of)|some\b)?")
+_ADJECTIVE_ONES = re.compile(r"((?:[\w-]+ ){1,3})ones?\b")
 _MAKE = re.compile(r"\bmake (?:that|it|this|them|those) (?:into )?(?:a|an|some) ")
 _WAS = re.compile(r"\bwhere (?:the|that|my|those|these) (?:[\w-]+ ){0,2}$")
 _IS_THERE = re.compile(r"^ ?(?:now )?(?:is|are|was|were|used to|has been|had been|stood|stands|sat|sits|lay|lies)\b")
@@ -176,16 +177,25 @@ class _SpokenChanges(SpokenMentions):
             by = _BY.match(self._text[end:])
             if by is None:
                 continue
+            own = self._family(old)
+            self.goal = [r for r in self.goal if r.kind != "replace" or r.subject not in own]  # it goes, so it does not come
             earlier = [k for start, _, k in self._places() if start < m.start() and k != old and not self._has_role(k)]
             new = (earlier[-1] if earlier else None) if by["one"] else self._at(end + by.end(), 2)
+            ones = _ADJECTIVE_ONES.match(self._text[end + by.end() :])
+            if new is None and ones is not None and set(ones[1].split()) <= LOOK_WORDS:
+                new = self._add(ones[1].strip(), (end + by.end(), end + by.end() + ones.end()))
             if new is not None and new not in self._family(old):
                 self._forget_between(new, old)
                 is_look = set(self.objects[new].words.split()) <= LOOK_WORDS  # "all jars for clear ones"
                 self.goal.append(MentionedRelation(old, "style", new) if is_look else MentionedRelation(new, "replace", old))
 
     def _has_exchange(self, number: int) -> bool:
+        """Whether an object is known to be exchanged; one that is read as coming is not, as it is what goes."""
         own = self._family(number)
-        return any(r.kind in ("replace", "swap", "style", "place") and {r.subject, r.target} & {*own} for r in self.goal)
+        return any(
+            (r.kind in ("swap", "style", PLACE) and {r.subject, r.target} & {*own}) or (r.kind == "replace" and r.target in own)
+            for r in self.goal
+        )
 
     def made(self) -> None:
         """Replaces what was spoken of: "No wine at lunch! Make that a jug of water"."""

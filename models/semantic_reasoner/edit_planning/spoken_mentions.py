@@ -44,7 +44,9 @@ _PURPOSE = re.compile(r"^ for (?:under )?(?:a|an|my|the|our|her|his)? ?(?:\w+ing
 
 _CONTENTS = re.compile(r"^ (?:for|with|of|holding|full of) (?:the |my |all the |our )?$")
 
-EXCHANGE = re.compile(r"\b(?:exchange|swap|replace|trade|switch|substitute|change) (?:the |that |this |my )?")
+EXCHANGE = re.compile(
+    r"\b(?:exchange|swap|replace|trade|switch|substitute|change) (?:all |both )?(?:the |that |this |my |these |those )?"
+)
 """Verbs of exchanges."""
 
 
