@@ -1,5 +1,6 @@
 """From the scores of the network to a reading: which mentions are one object, how many there are, which relations hold."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -10,6 +11,7 @@ import numpy.typing as npt
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.network import CELLS, CHANGES, GOAL, GROUPS, START
 from models.instruction_reader.nouns import is_hollow
+from models.instruction_reader.phrases import ADJECTIVES
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
 from models.instruction_reader.spoken_cells import CLAUSE_ENDS, SINGLING, Scores, of_spoken_cells, set_stated_corners
 from stable_data.instructions.wording.words import is_plural, plural
@@ -35,6 +37,10 @@ _LAST = frozenset({"back", "bottom", "last", "lower", "lowest", "outer", "rear",
 
 _HOLDERS = frozenset({"case", "holder", "pot", "rack", "stand"})
 """Nouns that mean a holder of what is in it, such as a brush pot."""
+
+_PILE_OF = re.compile(r"\b(?:stack|pile|tower) of (?:[\w-]+ ){0,2}$")
+_MADE = frozenset({"build", "form", "in", "into", "make"})
+"""Words before a pile that is to be made."""
 
 _SAME = 0.5
 _PART = 0.5
@@ -90,7 +96,7 @@ def decode(
         lexicon: The known nouns.
         places: Range of characters of each word in the text; without them the reading does not say where its objects are.
     """
-    spans = [_without_determiner(words, span) for span in spans]
+    spans = [_noun_phrase(words, span, before[1]) for before, span in pairwise([(-1, -1), *spans])]
     phrases = [words[a : b + 1] for a, b in spans]
     nouns = [_noun(phrase, lexicon) for phrase in phrases]
     repeated = np.array([[a != b and _is_repeated(words, a, b) for b in spans] for a in spans], bool).reshape(
@@ -100,6 +106,7 @@ def decode(
     ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
     said = {**said, **{name: of_spoken_cells(said[name], words) for name in ("region", "goal_region")}}
     set_stated_corners(said, words, [b for _, b in spans])
+    _set_piles(said, words, spans)
     bare = [
         words[max(0, a - 1) : a] not in (["a"], ["an"]) and _is_plural_of(words[b], noun)
         for (a, b), (_, noun) in zip(spans, nouns, strict=True)
@@ -119,11 +126,24 @@ def decode(
     return InstructionReading(tuple(made.objects), kept, tuple(_expanded(aims, made.numbers)), contradictions)
 
 
-def _without_determiner(words: Sequence[str], span: tuple[int, int]) -> tuple[int, int]:
-    """The words of a mention with a noun without the article or possessive before them."""
+def _set_piles(said: Mapping[str, Scores], words: Sequence[str], spans: Sequence[tuple[int, int]]) -> None:
+    """Makes a stack of what the words call so, ``a pile of thirty plates``, if the network gives it no group at the start."""
+    for k, (first, last) in enumerate(spans):
+        is_pile = _PILE_OF.search(" ".join([*words[:last], ""])) and not _MADE.intersection(words[max(0, first - 6) : first])
+        if is_pile and is_plural(words[last]) and said["group"][k].argmax() == 0:
+            said["group"][k] = np.eye(len(GROUPS), dtype=np.float32)[GROUPS.index("stack")]
+
+
+def _noun_phrase(words: Sequence[str], span: tuple[int, int], least: int) -> tuple[int, int]:
+    """The words of a mention with a noun, without an article or possessive, and with the adjectives before it after ``least``."""
     first, last = span
-    is_named = not all(w in _PRONOUNS for w in words[first : last + 1])
-    return (first + 1, last) if is_named and first < last and words[first] in _DETERMINERS else span
+    if all(w in _PRONOUNS for w in words[first : last + 1]):
+        return span
+    if first < last and words[first] in _DETERMINERS:
+        return first + 1, last
+    while first - 1 > least and words[first - 1] in ADJECTIVES:
+        first -= 1
+    return first, last
 
 
 def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...]]:

@@ -253,3 +253,24 @@ def test_a_clause_says_the_corner(clause: str) -> None:
     scores["count"] = np.eye(SAID["count"])[[1]].astype(np.float32)
     (mug,) = decode(words, [(1, 1)], scores, _pairs(1, "", START), _pairs(1, "", GOAL), LEXICON).objects
     assert mug.region == "back_left"
+
+
+def test_a_pile_of_plates_is_a_stack() -> None:
+    def stacked(*before: str) -> set[tuple[int, str, int]]:
+        words = [*before, "plates"]
+        scores = {name: np.eye(classes)[[0]].astype(np.float32) for name, classes in SAID.items()}
+        scores["count"] = np.eye(SAID["count"])[[3]].astype(np.float32)
+        last = len(words) - 1
+        return facts_of(decode(words, [(last, last)], scores, _pairs(1, "", START), _pairs(1, "", GOAL), LEXICON))
+
+    assert stacked("a", "pile", "of", "three") == {(0, "on", 1), (1, "on", 2)}
+    assert stacked("make", "a", "pile", "of", "three") == set()
+    assert stacked("three") == set()
+
+
+def test_a_mention_has_its_adjectives_and_no_article() -> None:
+    scores = {name: np.eye(classes)[[0]].astype(np.float32) for name, classes in SAID.items()}
+    scores["count"] = np.eye(SAID["count"])[[1]].astype(np.float32)
+    for words, span in ((["the", "red", "mug"], (2, 2)), (["the", "red", "mug"], (0, 2))):
+        (mug,) = decode(words, [span], scores, _pairs(1, "", START), _pairs(1, "", GOAL), LEXICON).objects
+        assert mug.words == "red mug"

@@ -181,7 +181,7 @@ def test_other_names_are_understood_in_relations() -> None:
         ("The plate should carry the cup instead of the mug. Take the mug off first.", False),
         ("I need the plate. Take the mug off and hand it to me.", False),
         ("Take the mug that is on the right off the left-hand plate.", False),
-        ("Clear the mug away into the cup.", True),
+        ("Put the mug away into the cup.", True),
         ("Sort the cup, the apple and the mug standing to the left of the plate by height.", True),
         ("Sort the cup, the apple and the mug standing to the right of the plate by height.", False),
         ("Put the mug to the right of the plate.", True),
