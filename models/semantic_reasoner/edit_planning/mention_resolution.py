@@ -60,10 +60,8 @@ _NEARER = 0.05  # metres by which the nearest of several has to be nearer
 
 _NEW = frozenset({"replace", "style"})  # kinds of relations whose subject, or whose target, is not in the layout
 
-
 _WITH = re.compile(r"\b(?:with|and)(?: its| the| their)?(?: own)?\s*$")
 """Words before a carrier that goes along with what is on it."""
-
 
 _SIDE_WORDS = {"left": ({"left"}, {"right"}), "front": ({"front", "before"}, {"behind", "beyond", "back"})}
 """Words that state the relations ``left`` and ``front``, and words that state the same with its objects exchanged."""
@@ -192,10 +190,9 @@ class MentionResolver:
         return number not in self.new and not one.categories and not self._of_category(one)
 
     def is_idle(self, number: int) -> bool:
-        """Whether a mention without an article fits no object, so that it is in passing: "Some of us take milk!"."""
+        """Whether an unknown mention is in passing, without an article: "Juice is no good for books"; a warning names it."""
         one = self._reading.objects[number]
-        is_bare = not self._words_before(one) & (_DEFINITE | _OWN | _ALL | _ANY)
-        return number not in self.new and is_bare and bool(one.words) and not self._of_category(one)
+        return not self._words_before(one) & (_DEFINITE | _OWN | _ALL | _ANY) and bool(one.words) and self.is_unknown(number)
 
     def resolve(self, needed: Iterable[int], changed: Set[int]) -> dict[int, tuple[str, ...]]:
         """Returns the instances of each needed object; all objects of a group have the same instances.

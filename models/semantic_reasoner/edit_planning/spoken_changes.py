@@ -7,6 +7,7 @@ hold for any scene. The reader may have found the same; then a rule changes noth
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 from models.instruction_reader.lexicon import Lexicon
@@ -79,10 +80,13 @@ _REPLACING = re.compile(
     r"\b(?:inst\w{1,4}d|rather|replac\w*|swap\w*|exchang\w*|switch\w*|trad\w*|substitut\w*|chang\w*|mak\w*|turn\w*|in place|place|spot|"
     r"where|for|out|could (?:that|it|this) be|over)\b"
 )
-_ELSEWHERE = re.compile(
-    r"\b(?:back )?(?:in|into|to|on|onto|inside) (?:the|my|our|your) (?:[\w-]+ ){0,1}?"
-    rf"(?:{'|'.join(sorted({re.escape(noun) for noun in read_nouns().elsewhere}))})\b"
-)
+
+
+@cache
+def _elsewhere() -> re.Pattern[str]:
+    """Places off the table that something goes to; the nouns are read when an edit first needs them."""
+    nouns = "|".join(sorted({re.escape(noun) for noun in read_nouns().elsewhere}))
+    return re.compile(rf"\b(?:back )?(?:in|into|to|on|onto|inside) (?:the|my|our|your) (?:[\w-]+ )??(?:{nouns})\b")
 
 
 def with_spoken_changes(reading: InstructionReading, text: str, lexicon: Lexicon, is_detail: IsDetail) -> InstructionReading:
@@ -337,7 +341,7 @@ class _SpokenChanges(SpokenMentions):
 
     def put_away(self) -> None:
         """Removes what goes to a place off the table: "the beans can go back in the larder"."""
-        for m in _ELSEWHERE.finditer(self._text):
+        for m in _elsewhere().finditer(self._text):
             one = self._before(m.start())
             inside = [k for start, end, k in self._places() if start < m.end() and end > m.start()]
             if one is None or any(self.objects[k].categories for k in inside) or "from" in self._text[: m.start()].split()[-4:]:

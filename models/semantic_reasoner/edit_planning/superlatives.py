@@ -54,7 +54,7 @@ OF_THESE = re.compile(rf"\b(?:of|from|among) (?:(?:the|a) (?:row|pile|set) of )?
 
 _THE_OTHER_ONE = re.compile(r"[^.!?;]*, the ([\w-]+) one\b")
 
-_ORDINAL = re.compile(r"\b(first|1st|second|2nd|third|3rd|fourth|4th|fifth|5th|last)(?: but one)? $")
+_ORDINAL = re.compile(r"\b(first|1st|second|2nd|third|3rd|fourth|4th|fifth|5th|last) $")
 _FROM = re.compile(r"^ (?:from|on|at|to) (?:the |your |my )?(?:far )?(left|right|front|back|top|bottom)\b(?! of)")
 _PLACES = {
     word: k
