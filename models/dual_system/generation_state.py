@@ -81,9 +81,11 @@ class GenerationState:
         """Replaces the scene by that of a candidate."""
         self.turns[candidate.turn] = replace(self.turns[candidate.turn], rejected="", code="")
         self.warnings += candidate.notices
-        self.supports, self.num_missing = candidate.supports, candidate.num_missing
-        self.start = replace(self.start, objects=(*self.start.objects, *candidate.found))
-        self.scene = candidate.scene
+        # The name of an object that an earlier correction dropped may be that of another object now.
+        earlier = (o for o in self.start.objects if o.instance in self.instances)
+        self.start = replace(self.start, objects=(*earlier, *candidate.found))
+        self.scene, self.num_missing = candidate.scene, candidate.num_missing
+        self.supports = {name: r for name, r in candidate.supports.items() if name in self.instances}
         if candidate.correction is not None:
             self.correction, self.is_at_rest = candidate.correction, candidate.is_at_rest
             self.dropped += candidate.correction.dropped

@@ -127,6 +127,27 @@ def test_what_nothing_keeps_still_is_left_out_though_it_stood_there_before() -> 
     assert [bool(r.fixed) for r in answers.of(CorrectionRequest)] == [False, False, False, True]  # type: ignore[union-attr]
 
 
+def test_the_name_of_a_dropped_object_may_be_used_again() -> None:
+    class Drops(Answers):
+        """Drops the second cube of the second stage, which was proposed on the first one."""
+
+        def correct(self, questions: Sequence[CorrectionRequest]) -> list[Correction]:
+            (done,), (q,) = super().correct(questions), questions
+            if q.new != {"cube_1"} or done.certified is None or len(done.certified.objects) != 2:
+                return [done]
+            left = tuple(o for o in done.certified.objects if o.instance != "cube_1")
+            return [replace(done, certified=replace(done.certified, objects=left), status=CorrectionStatus.DROPPED)]
+
+    answers = Drops(
+        staged([said("cube_0", 50, 40)], [said("cube_1", 50, 40, 15)], [said("cube_1", 20, 20), said("ball_0", 80, 40)])
+    )
+    made = driven(answers)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0", "cube_1", "ball_0"]
+    assert made.start.poses()[:, :2].tolist() == [[0.5, 0.4], [0.2, 0.2], [0.8, 0.4]]
+    assert not answers.of(CorrectionRequest)[-1].scene.relations  # type: ignore[union-attr]  # the new cube is on the table
+
+
 def test_each_stage_is_told_what_the_corrector_made_of_those_before() -> None:
     answers = Answers(CROWDED)
     made = driven(answers)
