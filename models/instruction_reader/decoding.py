@@ -1,7 +1,7 @@
 """From the scores of the network to a reading: which mentions are one object, how many there are, which relations hold."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -38,6 +38,11 @@ _LAST = frozenset({"back", "bottom", "last", "lower", "lowest", "outer", "rear",
 _HOLDERS = frozenset({"case", "holder", "pot", "rack", "stand"})
 """Nouns that mean a holder of what is in it, such as a brush pot."""
 
+_ONES = ("one", "ones")
+_AFTER_ONE = frozenset({"behind", "beside", "from", "in", "next", "on", "under", "with", "without"})
+"""Words after ``the one`` that say which other object of a kind it is."""
+
+_TOP_OF = re.compile(r"\b(?:top|topmost|uppermost|bottom|bottommost|lowest) (?:one )?of (?:the|these|those|my|our) (?:[\w-]+ ){0,2}$")
 _PILE_OF = re.compile(r"\b(?:stack|pile|tower) of (?:[\w-]+ ){0,2}$")
 _MADE = frozenset({"build", "form", "in", "into", "make"})
 """Words before a pile that is to be made."""
@@ -103,6 +108,7 @@ def decode(
         len(spans), len(spans)
     )
     clusters = _clusters(start, nouns, [phrase[-1] for phrase in phrases], repeated)
+    nouns = [(has or _is_another(words, span), found) for (has, found), span in zip(nouns, spans, strict=True)]
     ranges = [(places[a][0], places[b][1]) if places else (0, 0) for a, b in spans]
     said = {**said, **{name: of_spoken_cells(said[name], words) for name in ("region", "goal_region")}}
     set_stated_corners(said, words, [b for _, b in spans])
@@ -113,9 +119,13 @@ def decode(
     ]
     entities = [_entity(cluster, phrases, nouns, said, ranges, bare) for cluster in clusters]
     parts = _parts(clusters, start, entities)
-    _name_ones(entities, clusters, parts)
     found = _relations(clusters, start, START[1:7], parts)
     aims = _relations(clusters, goal, GOAL[1:], parts)
+    carriers = {j for _, _, kind, j in (*found, *aims) if kind in _CARRIES}
+    _name_ones(entities, clusters, parts, carriers)
+    for one in entities:
+        if not one.count and one.has_noun and lexicon.is_one_thing(one.words.split(), one.categories):
+            one.count = 1
     _name_by_contents(entities, [*found, *aims], lexicon)
     _give_each_its_own(entities, [*found, *aims], words, [spans[cluster[0]][0] for cluster in clusters])
     made = _objects(entities, parts)
@@ -129,7 +139,10 @@ def decode(
 def _set_piles(said: Mapping[str, Scores], words: Sequence[str], spans: Sequence[tuple[int, int]]) -> None:
     """Makes a stack of what the words call so, ``a pile of thirty plates``, if the network gives it no group at the start."""
     for k, (first, last) in enumerate(spans):
-        is_pile = _PILE_OF.search(" ".join([*words[:last], ""])) and not _MADE.intersection(words[max(0, first - 6) : first])
+        before = " ".join([*words[:last], ""])
+        is_pile = _TOP_OF.search(before) or (
+            _PILE_OF.search(before) and not _MADE.intersection(words[max(0, first - 6) : first])
+        )
         if is_pile and is_plural(words[last]) and said["group"][k].argmax() == 0:
             said["group"][k] = np.eye(len(GROUPS), dtype=np.float32)[GROUPS.index("stack")]
 
@@ -137,7 +150,7 @@ def _set_piles(said: Mapping[str, Scores], words: Sequence[str], spans: Sequence
 def _noun_phrase(words: Sequence[str], span: tuple[int, int], least: int) -> tuple[int, int]:
     """The words of a mention with a noun, without an article or possessive, and with the adjectives before it after ``least``."""
     first, last = span
-    if all(w in _PRONOUNS for w in words[first : last + 1]):
+    if all(w in _PRONOUNS for w in words[first : last + 1]) and not (words[last] in _ONES and words[first - 1] in ADJECTIVES):
         return span
     if first < last and words[first] in _DETERMINERS:
         return first + 1, last
@@ -151,6 +164,17 @@ def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...
     if all(w in _PRONOUNS or not w.isalpha() for w in phrase):
         return False, ()
     return True, lexicon.categories(phrase)
+
+
+def _is_another(words: Sequence[str], span: tuple[int, int]) -> bool:
+    """Whether a mention without a noun means another object of a kind: ``the small one``, ``the other one``, ``the one with ...``."""
+    first, last = span
+    if words[last] not in _ONES:
+        return False
+    before = words[max(0, first - 1) : last]
+    if {"another", "other"} & {*before} and "each" not in words:
+        return True
+    return "the" in before and bool(_AFTER_ONE & {*words[last + 1 : last + 2]})
 
 
 def _is_repeated(words: Sequence[str], one: tuple[int, int], other: tuple[int, int]) -> bool:
@@ -254,13 +278,20 @@ def _is_plural_of(noun: str, categories: Sequence[str]) -> bool:
     return any(noun == plural(head) and noun != head for head in heads)
 
 
-def _name_ones(entities: Sequence[_Entity], clusters: Sequence[list[int]], parts: Mapping[int, int]) -> None:
-    """Gives ``the yellow one`` the noun of its plural, or else of the object that is mentioned before it."""
+def _name_ones(
+    entities: Sequence[_Entity], clusters: Sequence[list[int]], parts: dict[int, int], carriers: Set[int]
+) -> None:
+    """Gives ``the yellow one`` the noun of its plural, or else of an object that is mentioned before it, which may be a plural.
+
+    In "the knife on the board is dirty, take the clean one" what is carried is meant, not its carrier.
+    """
     for k, one in enumerate(entities):
         if not one.has_noun or one.categories or one.words.split()[-1] not in ("one", "ones"):
             continue
         before = [j for j, other in enumerate(entities) if other.categories and clusters[j][0] < clusters[k][0]]
-        named = parts.get(k, max(before, key=lambda j: clusters[j][0], default=k))
+        named = parts.get(k, max(before, key=lambda j: (j not in carriers, clusters[j][0]), default=k))
+        if named != k and entities[named].count > 1 and not _is_one(entities[named]):
+            parts.setdefault(k, named)
         one.categories = entities[named].categories
         one.words = (
             f"{one.words.rpartition(' ')[0]} {entities[named].words.split()[-1]}".strip() if one.categories else one.words
@@ -374,6 +405,9 @@ def _split(made: _ObjectList, k: int, members: Sequence[int]) -> None:
     if rest:
         made.add(rest[0], max(1, left), k)
         given += made.numbers[rest[0]]
+        for i in rest[1:]:  # "the blocks: red ones in the box, blue ones ..."
+            made.add(i, entities[i].size if entities[k].count == 0 and entities[i].has_noun else 0, k)
+            given += made.numbers[i]
     else:
         made.add(k, max(0, left))
         given += made.numbers[k]

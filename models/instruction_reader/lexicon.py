@@ -22,9 +22,13 @@ _PARTS = frozenset({"base", "bottom", "corner", "edge", "end", "foot", "handle",
 _TABLES = ("table", "tabletop", "table top", "worktop", "countertop", "work surface", "desktop")
 """Nouns of the table, which are no typing errors of ``tablet``."""
 
+_WHOLE = frozenset({"scales", "kitchen scales", "weighing scales"})
+"""Plurals of one object whose singular means the same object."""
+
 _LEAST = 5  # letters of a noun that is compared with a typing error
 _LONG = 9  # letters from which two errors are accepted
 _CANDIDATES = 12
+_USUAL = 6  # the nouns of a category are listed with the usual ones first: a noun this much later in the list is no usual one
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,27 @@ class Lexicon:
         if not words or not contents or self.noun_size(words) != 1:
             return ()
         return self._by_noun.get(_spelt([singular_noun(contents[-1]), singular_noun(words[-1])]), ())
+
+    def usual(self, words: Sequence[str], categories: Sequence[str]) -> tuple[str, ...]:
+        """Returns those of the categories of a phrase for which its noun is a usual one: ``tray`` of a serving tray, not of an oven dish.
+
+        Args:
+            words: The phrase in lower case.
+            categories: Categories that it may mean.
+        """
+        ends = [[singular_noun(w) for w in words[k:]] for k in range(len(words))]
+        for spelt in map(_spelt, (*(words[k:] for k in range(len(words))), *ends)):
+            ranks = {c: self.nouns[c].index(spelt) for c in categories if spelt in self.nouns.get(c, ())}
+            if ranks:
+                return tuple(c for c in categories if c in ranks and ranks[c] <= min(ranks.values()) + _USUAL)
+        return tuple(categories)
+
+    def is_one_thing(self, words: Sequence[str], categories: Sequence[str]) -> bool:
+        """Returns whether the noun of a phrase is a plural that means one object, such as ``scales`` or ``cornflakes``."""
+        noun = _spelt(words[len(words) - self.noun_size(words) :])
+        singulars = {noun.removesuffix(last) + singular_noun(last) for last in noun.split()[-1:]}
+        named = [self.nouns[c] for c in categories if noun in self.nouns.get(c, ())]
+        return is_plural(noun) and bool(named) and all(noun in _WHOLE or not singulars & {*nouns} for nouns in named)
 
     def is_noun(self, word: str) -> bool:
         """Returns whether a word alone is a noun of a category."""

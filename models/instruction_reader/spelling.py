@@ -106,7 +106,12 @@ class Spelling:
             (distance, candidate)
             for candidate, distance, _ in found
             if _begins_alike(word, candidate)
-            and (distance < 2 or len(word) >= _LONG or consonants(word) == consonants(candidate))
+            and (
+                distance < 2
+                or len(word) >= _LONG
+                or consonants(word) == consonants(candidate)
+                or sorted(word) == sorted(candidate)  # "pichter"
+            )
         ]
         if not near:
             return word

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.reader import InstructionReader
-from models.instruction_reader.reading import InstructionReading
+from models.instruction_reader.reading import InstructionReading, MentionedObject
 from models.instruction_reader.reference import reference_of_reading
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
@@ -108,7 +108,7 @@ class InstructionInterpreter:
             return InterpretedInstruction(instruction, InstructionReading(()), 0, None, None, instruction, (), (notice,))
         reading = self._reader.read(instruction, is_edit)
         if not is_edit:  # the reader may take objects for new ones that only an edit can have
-            objects = tuple(replace(o, change="", categories=_closest(o.words, o.categories)) for o in reading.objects)
+            objects = tuple(replace(o, change="", categories=self._closest(o)) for o in reading.objects)
             reading = replace(reading, objects=objects)
         reading, notices = self._with_similar_nouns(reading, instruction)
         reading, num_objects = with_stated_counts(reading, instruction)
@@ -135,6 +135,14 @@ class InstructionInterpreter:
             return table_type, ()
         message = f"table: {_shown(table_type)} is an unknown kind of table, only its size is used; known kinds: "
         return ANY_TABLE, (Notice("table", STEP, "table_unknown", message + ", ".join(sorted(known))),)
+
+    def _closest(self, o: MentionedObject) -> tuple[str, ...]:
+        """The category with just the words that an object is called by, if there is one: ``bottle``; else the usual ones."""
+        spoken = singular(tuple(split_words(o.words)))
+        own = {c: singular(type_words(c)) for c in o.categories}
+        called = [c for c, noun in own.items() if noun and spoken[-len(noun) :] == noun]
+        longest = max((len(own[c]) for c in called), default=0)
+        return tuple(c for c in called if len(own[c]) == longest) or self.lexicon.usual(o.words.split(), o.categories)
 
     # --- unknown words ---
 
@@ -272,15 +280,6 @@ def _dangers(instruction: str, reading: InstructionReading) -> Iterator[Notice]:
     if (words := hazard_of(instruction, reading)) is not None:
         message = f"{_shown(words)} is dangerous; its start scene is made, but let no robot carry it out"
         yield Notice("instruction", STEP, "dangerous", f"instruction: {message}")
-
-
-def _closest(words: str, categories: tuple[str, ...]) -> tuple[str, ...]:
-    """The category with just the words that an object is called by, if there is one: ``bottle``; else all that may be meant."""
-    spoken = singular(tuple(split_words(words)))
-    own = {c: singular(type_words(c)) for c in categories}
-    called = [c for c, noun in own.items() if noun and spoken[-len(noun) :] == noun]
-    longest = max((len(own[c]) for c in called), default=0)
-    return tuple(c for c in called if len(own[c]) == longest) or categories
 
 
 def _own_noun(category: str) -> str:
