@@ -81,6 +81,19 @@ def spans_of(tags: Sequence[int]) -> list[tuple[int, int]]:
     return spans
 
 
+def join_purposes(words: Sequence[str], spans: Sequence[tuple[int, int]], lexicon: Lexicon) -> list[tuple[int, int]]:
+    """Joins two mentions that are one compound said in turn: ``the jar for the cotton pads`` is a cotton jar."""
+    joined: list[tuple[int, int]] = []
+    for first, last in spans:
+        link = words[joined[-1][1] + 1 : first] if joined else []
+        is_purpose = link[:1] == ["for"] and set(link[1:]) <= _DETERMINERS
+        if is_purpose and lexicon.of_purpose(words[joined[-1][0] : last + 1]):
+            joined[-1] = joined[-1][0], last
+        else:
+            joined.append((first, last))
+    return joined
+
+
 def decode(
     words: Sequence[str],
     spans: Sequence[tuple[int, int]],

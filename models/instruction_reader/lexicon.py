@@ -22,6 +22,8 @@ _PARTS = frozenset({"base", "bottom", "corner", "edge", "end", "foot", "handle",
 _TABLES = ("table", "tabletop", "table top", "worktop", "countertop", "work surface", "desktop")
 """Nouns of the table, which are no typing errors of ``tablet``."""
 
+_ARTICLES = frozenset({"a", "an", "her", "his", "my", "our", "the", "their", "your"})
+
 _WHOLE = frozenset({"scales", "kitchen scales", "weighing scales"})
 """Plurals of one object whose singular means the same object."""
 
@@ -103,8 +105,10 @@ class Lexicon:
     def of_purpose(self, words: Sequence[str]) -> tuple[str, ...]:
         """Returns the categories of a compound that is said in turn, such as ``cup for a boiled egg``; none if it is no noun."""
         for k in (words.index(link, 1) for link in ("of", "for") if link in words[1:-1]):
-            for what in (words[k + 1 :], words[-1:]):
-                if (turned := self._by_noun.get(_spelt([*what, words[k - 1]]))) is not None:
+            purpose = [w for w in words[k + 1 :] if w not in _ARTICLES]
+            singulars = [singular_noun(w) for w in purpose]
+            for what in (purpose, singulars, purpose[-1:], singulars[-1:], purpose[:1]):
+                if what and (turned := self._by_noun.get(_spelt([*what, words[k - 1]]))) is not None:
                     return turned
         return ()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from models.instruction_reader.decoding import decode, spans_of
+from models.instruction_reader.decoding import decode, join_purposes, spans_of
 from models.instruction_reader.frames import read_texts
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.nouns import read_nouns
@@ -94,7 +94,7 @@ class InstructionReader:
         for k, word in enumerate(words[: len(tags)]):
             if self.lexicon.is_noun(word):
                 tags[k, 0] -= _NAME_BONUS if self.lexicon.is_name(word) else _NOUN_BONUS
-        spans = spans_of(tags.argmax(-1).tolist())[:_MOST_MENTIONS]
+        spans = join_purposes(words, spans_of(tags.argmax(-1).tolist()), self.lexicon)[:_MOST_MENTIONS]
         if not spans:
             return InstructionReading(())
         scores = network.mention_scores(rows, torch.tensor([spans]), torch.ones(1, len(spans), dtype=torch.bool))
