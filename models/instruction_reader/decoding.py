@@ -42,7 +42,9 @@ _ONES = ("one", "ones")
 _AFTER_ONE = frozenset({"behind", "beside", "from", "in", "next", "on", "under", "with", "without"})
 """Words after ``the one`` that say which other object of a kind it is."""
 
-_TOP_OF = re.compile(r"\b(?:top|topmost|uppermost|bottom|bottommost|lowest) (?:one )?of (?:the|these|those|my|our) (?:[\w-]+ ){0,2}$")
+_TOP_OF = re.compile(
+    r"\b(?:top|topmost|uppermost|bottom|bottommost|lowest) (?:one )?of (?:the|these|those|my|our) (?:[\w-]+ ){0,2}$"
+)
 _PILE_OF = re.compile(r"\b(?:stack|pile|tower) of (?:[\w-]+ ){0,2}$")
 _MADE = frozenset({"build", "form", "in", "into", "make"})
 """Words before a pile that is to be made."""
@@ -291,9 +293,7 @@ def _is_plural_of(noun: str, categories: Sequence[str]) -> bool:
     return any(noun == plural(head) and noun != head for head in heads)
 
 
-def _name_ones(
-    entities: Sequence[_Entity], clusters: Sequence[list[int]], parts: dict[int, int], carriers: Set[int]
-) -> None:
+def _name_ones(entities: Sequence[_Entity], clusters: Sequence[list[int]], parts: dict[int, int], carriers: Set[int]) -> None:
     """Gives ``the yellow one`` the noun of its plural, or else of an object that is mentioned before it, which may be a plural.
 
     In "the knife on the board is dirty, take the clean one" what is carried is meant, not its carrier.

@@ -22,7 +22,7 @@ from models.semantic_reasoner.replies.rearrangement import rearrangements
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.metrics.alignment import members
-from stable_data.scene import Relation, RelationKind, Tabletop, Vec3
+from stable_data.scene import Relation, RelationKind, SceneObject, Tabletop, Vec3
 from stable_data.scene_graph.support_from_boxes import carriers_of
 from stable_data.scene_graph.support_tree import SupportTree, ancestors
 
@@ -141,7 +141,7 @@ def _with_all_carried(reply: LayoutReply, carried: _Moves, table: Tabletop) -> L
 def _with_one_moved(reply: LayoutReply, relation: Relation, table: Tabletop) -> Iterator[tuple[str, LayoutReply]]:
     """Instances whose move may make a relation hold, each with the reply after the move; the smallest change first."""
     objects = {o.instance: o.to_scene_object() for o in reply.objects}
-    carriers = carriers_of(list(objects.values()), table)
+    carriers: Mapping[str, str | None] = carriers_of(list(objects.values()), table)
     if relation.kind is RelationKind.IS_AT:
         found = places_in_cell(relation, objects, carriers, table)
     elif relation.kind in DIRECTION:
@@ -149,9 +149,21 @@ def _with_one_moved(reply: LayoutReply, relation: Relation, table: Tabletop) -> 
     elif relation.kind is RelationKind.BETWEEN:
         found = places_between(relation, objects, carriers)
     else:
+        if relation.subject in ancestors(carriers, relation.target):
+            reply, carriers = _with_target_below(reply, relation, objects, carriers)
+            objects = {o.instance: o.to_scene_object() for o in reply.objects}
         found = places_on_or_in(objects[relation.subject], objects[relation.target], relation.kind)
     for name, place in found:
         yield name, _with_moved(reply, name, place, carriers)
+
+
+def _with_target_below(
+    reply: LayoutReply, relation: Relation, objects: Mapping[str, SceneObject], carriers: Mapping[str, str | None]
+) -> tuple[LayoutReply, Mapping[str, str | None]]:
+    """The reply with the target of a relation, which its subject carries, where the subject stands; and the supports after that."""
+    subject, target = objects[relation.subject], objects[relation.target]
+    place = (*subject.position[:2], subject.bottom + target.size[2] / 2)
+    return _with_moved(reply, target.instance, place, carriers), {**carriers, target.instance: carriers[subject.instance]}
 
 
 def _with_moved(reply: LayoutReply, name: str, place: Vec3, carriers: Mapping[str, str | None]) -> LayoutReply:

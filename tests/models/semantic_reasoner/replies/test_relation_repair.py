@@ -60,6 +60,20 @@ def test_what_lies_on_a_thing_goes_along() -> None:
     assert off == [round(b - a, 1) for a, b in zip(plate.position_cm, mug.position_cm, strict=True)]
 
 
+def test_what_lies_the_wrong_way_round_is_turned_over() -> None:
+    plate, mug, apple = thing("plate_0", 70, 30), thing("mug_0", 70, 30, bottom=2.0), thing("apple_0", 30, 45)
+    said = ask("Take the plate off the mug.")
+    found = righted([plate, mug, apple], said)
+    assert found is not None
+    reply, told = found
+    assert not CHECK(reply, said)
+    assert [f.message.split(" so ")[0] for f in told] == ["plate_0 is moved"]
+    lower, upper = reply.objects[1], reply.objects[0]
+    assert lower.position_cm[2] == pytest.approx(lower.size_cm[2] / 2, abs=0.06)  # the mug is on the table now
+    assert upper.position_cm[2] - upper.size_cm[2] / 2 >= lower.size_cm[2] - 0.5
+    assert reply.objects[2] == apple
+
+
 def test_what_shall_be_emptied_gets_something() -> None:
     found = righted([PLATE, MUG], ask("Take everything off the plate."))
     assert found is not None
