@@ -39,6 +39,7 @@ _HOLDERS = frozenset({"case", "holder", "pot", "rack", "stand"})
 """Nouns that mean a holder of what is in it, such as a brush pot."""
 
 _ONES = ("one", "ones")
+_IS = frozenset({"are", "is", "s", "was", "were"})
 _AFTER_ONE = frozenset({"behind", "beside", "from", "in", "next", "on", "under", "with", "without"})
 """Words after ``the one`` that say which other object of a kind it is."""
 
@@ -139,7 +140,9 @@ def decode(
     carriers = {j for _, _, kind, j in (*found, *aims) if kind in _CARRIES}
     _name_ones(entities, clusters, parts, carriers)
     for one in entities:
-        if not one.count and one.has_noun and lexicon.is_one_thing(one.words.split(), one.categories):
+        turned = one.words.partition(" for ")
+        is_one = (turned[2] and not is_plural(turned[0])) or lexicon.is_one_thing(one.words.split(), one.categories)
+        if not one.count and one.has_noun and is_one:
             one.count = 1
     _name_by_contents(entities, [*found, *aims], lexicon)
     _give_each_its_own(entities, [*found, *aims], words, [spans[cluster[0]][0] for cluster in clusters])
@@ -171,7 +174,8 @@ def _noun_phrase(words: Sequence[str], span: tuple[int, int], least: int) -> tup
         return first + 1, last
     while first - 1 > least and words[first - 1] in ADJECTIVES:
         first -= 1
-    return first, last
+    is_predicate = words[last] in _ONES and words[first - 1] == "the" and words[first - 2] in _IS
+    return span if is_predicate else (first, last)
 
 
 def _noun(phrase: Sequence[str], lexicon: Lexicon) -> tuple[bool, tuple[str, ...]]:

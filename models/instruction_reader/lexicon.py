@@ -22,6 +22,7 @@ _PARTS = frozenset({"base", "bottom", "corner", "edge", "end", "foot", "handle",
 _TABLES = ("table", "tabletop", "table top", "worktop", "countertop", "work surface", "desktop")
 """Nouns of the table, which are no typing errors of ``tablet``."""
 
+_SIZES = frozenset({"big", "large", "little", "small", "tiny"})
 _ARTICLES = frozenset({"a", "an", "her", "his", "my", "our", "the", "their", "your"})
 
 _WHOLE = frozenset({"scales", "kitchen scales", "weighing scales"})
@@ -85,14 +86,14 @@ class Lexicon:
             words: The phrase in lower case.
         """
         if (whole := self._by_noun.get(_spelt(words))) is not None:
-            return whole
+            return self._with_plain(whole, _spelt(words))
         if turned := self.of_purpose(words):
             return turned
         place = words.index("of", 1) if "of" in words[1:-1] else 0
         ends = [_spelt(words[k:]) for k in range(len(words))]
         for k, end in enumerate(ends):
             if end in self._by_noun:
-                return self._by_noun[end]
+                return self._with_plain(self._by_noun[end], end)
             if end in self._unknown:
                 return self.categories(words[:place]) if k > place > 0 else ()
         for end in ends:
@@ -101,6 +102,12 @@ class Lexicon:
         if place:
             return self.categories(words[:place])
         return self.categories(words[:-1]) if len(words) > 1 and words[-1] in _PARTS else ()
+
+    def _with_plain(self, categories: tuple[str, ...], noun: str) -> tuple[str, ...]:
+        """Adds to the categories of a noun those of its name without a size: a small plate is a saucer or a plate."""
+        size, _, name = noun.partition(" ")
+        plain = (c for c in self._by_noun.get(name, ()) if c.replace("_", " ") in (name, singular_noun(name)))
+        return tuple(dict.fromkeys((*categories, *plain))) if size in _SIZES else categories
 
     def of_purpose(self, words: Sequence[str]) -> tuple[str, ...]:
         """Returns the categories of a compound that is said in turn, such as ``cup for a boiled egg``; none if it is no noun."""

@@ -16,6 +16,9 @@ _ROWS = {
     **dict.fromkeys(("front", "near", "nearest", "closest", "closer"), "front"),
     **dict.fromkeys(("back", "rear", "far", "farthest", "furthest", "farther"), "back"),
 }
+_CORNER_ROWS = {"bottom": "front", "top": "back"}
+"""Words of rows before a side and ``corner``: the table as a person sees it on paper."""
+
 _COLUMNS = {"left": "left", "leftmost": "left", "right": "right", "rightmost": "right"}
 _CENTRE = frozenset({"centre", "center", "middle", "central"})
 """Words of rows and columns of the table."""
@@ -83,6 +86,7 @@ def spoken_cells(words: Sequence[str]) -> set[str]:
 
     Words of one clause that stand apart ("on the right, all the way at the back") may mean one cell or several.
     """
+    words = [_CORNER_ROWS[w] if w in _CORNER_ROWS and _is_corner(words, k) else w for k, w in enumerate(words)]
     found: set[str] = set()
     row = column = ""
     last = -1
@@ -108,6 +112,12 @@ def spoken_cells(words: Sequence[str]) -> set[str]:
         row, column = _ROWS.get(word, row), _COLUMNS.get(word, column)
         last = k
     return found | {_cell(row, column)} if last >= 0 else found
+
+
+def _is_corner(words: Sequence[str], k: int) -> bool:
+    """Whether the words after word k are a side and ``corner``, as in ``bottom left corner`` and ``top right - hand corner``."""
+    after = [w for w in words[k + 1 : k + 5] if w not in ("-", "hand")]
+    return len(after) > 1 and after[0] in _COLUMNS and after[1] == "corner"
 
 
 def _singles_out(words: Sequence[str], k: int) -> bool:

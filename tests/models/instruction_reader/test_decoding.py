@@ -134,6 +134,8 @@ def test_regions_and_unknown_objects() -> None:
     [
         ("in the back left corner", "back_left"),
         ("at the middle of the front edge", "front_middle"),
+        ("in the bottom left corner", "front_left"),
+        ("in the top right - hand corner", "back_right"),
         ("in the far right corner at the back", "back_right"),
         ("on the right . it goes to the back", "middle_right"),
         ("near it", ""),

@@ -107,3 +107,26 @@ def test_the_last_word_of_a_category_is_its_name() -> None:
     assert LEXICON.is_name("mugs")
     assert LEXICON.is_noun("coffee")
     assert not LEXICON.is_name("coffee")
+
+
+def test_usual_categories_of_a_noun() -> None:
+    found = LEXICON.categories(["tray"])
+    assert {"serving_tray", "decor_tray", "oven_dish"} <= {*found}
+    assert {*LEXICON.usual(["dusty", "tray"], found)} == {"serving_tray", "decor_tray"}
+    assert LEXICON.usual(["jug"], LEXICON.categories(["jug"])) == ("pitcher",)
+    assert LEXICON.usual(["jugs"], LEXICON.categories(["jugs"])) == ("pitcher",)
+    assert LEXICON.usual(["violin"], ("tray",)) == ("tray",)
+
+
+def test_plurals_that_mean_one_object() -> None:
+    one = {noun: LEXICON.is_one_thing([noun], LEXICON.categories([noun])) for noun in ("scales", "cornflakes", "mugs", "pens")}
+    assert one == {"scales": True, "cornflakes": True, "mugs": False, "pens": False}
+
+
+def test_a_size_is_no_part_of_a_noun() -> None:
+    assert {*LEXICON.categories(["small", "plate"])} == {"saucer", "plate"}
+    assert LEXICON.categories(["side", "plate"]) == LEXICON.categories(["plate"])
+
+
+def test_letters_in_another_order_are_mended() -> None:
+    assert SPELLING.mend(["pichter", "cuter"]) == ["pitcher", "cuter"]

@@ -47,6 +47,30 @@ def test_counts_and_unknown_objects(reader: InstructionReader) -> None:
     assert [o.words for o in found.unknown] == ["typewriter"]
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "Leave the big pumpkin, take the small one and set it on the cake stand.",
+            ["big pumpkin", "small pumpkin", "cake stand"],
+        ),
+        ("The knife on the board is dirty, replace it with the clean one.", ["knife", "board", "clean knife"]),
+        ("Put the red mug in the crate and the other one behind the kettle.", ["red mug", "crate", "mug", "kettle"]),
+        ("Two mugs are on the tray. Put the blue one in the box.", ["blue mugs", "mugs", "tray", "box"]),
+        ("Take the jar for the cotton pads to the mirror.", ["jar for the cotton pads", "mirror"]),
+        ("Put the pear on the kitchen scales.", ["pear", "kitchen scales"]),
+    ],
+)
+def test_another_one_is_an_object_of_its_own(reader: InstructionReader, text: str, words: list[str]) -> None:
+    assert sorted(o.words for o in reader.read(text).objects) == sorted(words)
+
+
+def test_the_topmost_of_several_is_that_of_a_stack(reader: InstructionReader) -> None:
+    read = reader.read("Take the topmost of the three bowls and place it in front of the kettle.")
+    assert {(r.subject, r.kind, r.target) for r in read.start} == {(0, "on", 1), (1, "on", 2)}
+    assert {(r.subject, r.kind, r.target) for r in read.goal} == {(0, "front", 3)}
+
+
 def test_an_edit_says_what_changes(reader: InstructionReader) -> None:
     found = {o.words: o.change for o in reader.read("Get rid of the mug and add a vase behind the lamp.", is_edit=True).objects}
     assert found == {"mug": "remove", "vase": "add", "lamp": ""}
