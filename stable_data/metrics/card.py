@@ -134,7 +134,8 @@ class MetricCard:
     jitter_mm: float | None = field(
         default=None,
         metadata=_about(
-            "largest distance of an object from its mean position in the last second, 0 for a sleeping body; null where not simulated",
+            "largest distance of an object from its mean position in the last second after the settling phase, or in all of that time "
+            "if it was shorter, 0 for a sleeping body; null where not simulated",
             "mm",
         ),
     )

@@ -33,6 +33,9 @@ _TABLE_THICKNESS = 0.1
 _JITTER_SECONDS = 1.0
 _REST_SECONDS = 0.1
 _TURN_ARM = 0.05  # metres; turning counts as the speed of a point at this distance
+# A watch ends early after this time in which no object was fast enough to move far, if all are within this share of the limits:
+# an object that creeps may suddenly slip by a few millimetres.
+_CALM_SECONDS, _CALM_SHARE = 0.2, 0.5
 _FLATTEST = 1e-6  # parts thinner than this share of their length (or 1 µm) have no volume to collide with, and are left out
 
 
@@ -53,6 +56,9 @@ class PhysicsOptions:
         impratio: Ratio of the stiffness of friction to that of the normal direction; it prevents creeping with elliptic cones.
         sleep_speed: In the watch, objects slower than this, metres a second, are not simulated, with all that they touch, until
             another object touches them (0: all are simulated). They could creep a third of a millimetre in the watch.
+        rest_move: The watch ends early if for a fifth of a second the fastest object was too slow to move this far, metres, in
+            the time that is left, if it did not become faster, and if no object came half as far as a stable scene allows (0:
+            never). Turning counts as for ``rest_speed``. Later moves, drift and jitter are then not seen.
         stops_early: The scene is not watched if an object exceeded a limit in the settling: it is not stable in any case. Rest
             poses, drift and jitter are then unknown.
     """
@@ -67,6 +73,7 @@ class PhysicsOptions:
     solimp: Vec3 = (0.95, 0.99, 0.001)
     impratio: float = 10.0
     sleep_speed: float = 1e-4
+    rest_move: float = 1e-3
     stops_early: bool = False
 
 
@@ -108,7 +115,8 @@ class SettleResult:
         settle_move_max_mm: Largest of ``moves``.
         settle_turn_max_deg: Largest of ``turns``.
         drift_mm: Largest distance of a body in the watch from its position at the end of the settling.
-        jitter_mm: Largest distance of a body from its own mean position in the last second; 0 for a sleeping body.
+        jitter_mm: Largest distance of a body from its own mean position in the last second of the watch, or in all of it if it
+            was shorter; 0 for a sleeping body.
         stable: No body moved more than 10 mm or turned more than 5 degrees in all, and none drifted 50 mm.
         reason: Why ``stable`` is not True; empty if it is.
     """
@@ -174,7 +182,7 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
             watched = settled[:0]
         else:
             enable_sleeping(model, options)  # not before: a body that begins to fall is as slow as one at rest
-            watched = _simulate(model, data, options.watch_seconds, options)
+            watched = _simulate(model, data, options.watch_seconds, options, calm=_Calm(path, options))
     if not (np.isfinite(path).all() and np.isfinite(watched).all()):
         return _diverged(names, np.concatenate([path, watched])[:-1], penetration)  # the last sample is NaN
     return _verdict(names, path, watched, penetration, options)
@@ -286,19 +294,61 @@ def hull_volume(part: Mesh) -> float:
     return max(0.0, float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6)
 
 
+class _Calm:
+    """Decides when a watch can end, because its verdict will hardly change any more: see ``PhysicsOptions.rest_move``.
+
+    Args:
+        path: Poses so far, (T, N, 7), from the start.
+        options: Settings.
+    """
+
+    def __init__(self, path: FloatArray, options: PhysicsOptions) -> None:
+        self._start, self._rest_move = path[0], options.rest_move
+        self._patience = round(_CALM_SECONDS / options.sample_seconds)
+        self._moves, self._turns = _largest_movement(path)
+        self._speeds: list[float] = []  # of the latest samples in a row that are calm
+
+    def has_come(self, pose: FloatArray, speed: float, seconds_left: float) -> bool:
+        """Whether the watch can end.
+
+        Args:
+            pose: The latest poses, (N, 7).
+            speed: Speed of the fastest body, metres a second.
+            seconds_left: Time that is left of the watch.
+        """
+        moves, turns = _largest_movement(np.stack([self._start, pose]))
+        self._moves, self._turns = np.maximum(self._moves, moves), np.maximum(self._turns, turns)
+        if not (
+            speed * seconds_left < self._rest_move
+            and self._moves.max(initial=0.0) < _CALM_SHARE * MOVE_LIMIT
+            and self._turns.max(initial=0.0) < _CALM_SHARE * TURN_LIMIT
+        ):
+            self._speeds.clear()
+            return False
+        self._speeds.append(speed)
+        # What begins to fall is slow, but becomes faster.
+        return len(self._speeds) > self._patience and speed <= self._speeds[-1 - self._patience]
+
+
 def _simulate(
-    model: mujoco.MjModel, data: mujoco.MjData, seconds: float, options: PhysicsOptions, rest_speed: float = 0.0
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    seconds: float,
+    options: PhysicsOptions,
+    rest_speed: float = 0.0,
+    calm: _Calm | None = None,
 ) -> FloatArray:
     """Poses of all bodies at every sample, (T, N, 7) float64: position, quaternion xyzw; NaN from the sample that diverged.
 
-    Ends early once no body has moved faster than ``rest_speed`` for a while.
+    Ends early once no body has moved faster than ``rest_speed`` for a while, or when ``calm`` has come.
     """
     patience = round(_REST_SECONDS / options.sample_seconds)
     num_still = 0
     stride = max(1, round(options.sample_seconds / options.timestep))
-    samples = []
+    samples: list[FloatArray] = []
+    num_samples = max(1, round(seconds / options.timestep / stride))
     # Whole strides are simulated in one call, because each call from Python has a cost.
-    for _ in range(max(1, round(seconds / options.timestep / stride))):
+    while len(samples) < num_samples:
         mujoco.mj_step(model, data, nstep=stride)
         # mj_step leaves the poses of the bodies as they were before its last step; the joints are up to date.
         mujoco.mj_kinematics(model, data)
@@ -307,8 +357,12 @@ def _simulate(
             samples.append(np.full_like(pose, np.nan))
             break
         samples.append(pose)
-        num_still = num_still + 1 if _speed(data) < rest_speed else 0
-        if num_still > patience:
+        speed, num_left = _speed(data), num_samples - len(samples)
+        if data.ntree_awake == 0:  # nothing moves any more: the samples that are left are equal, bit for bit
+            samples += [pose] * num_left
+            break
+        num_still = num_still + 1 if speed < rest_speed else 0
+        if num_still > patience or (calm is not None and calm.has_come(pose, speed, num_left * stride * options.timestep)):
             break
     return np.stack(samples)
 

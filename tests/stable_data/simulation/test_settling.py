@@ -8,12 +8,16 @@ import pytest
 
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import FloatArray, Tabletop, Vec3
+from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.settling import (
+    MOVE_LIMIT,
     PhysicsOptions,
     RigidBody,
     SettleResult,
+    _Calm,
     _simulate,
     compile_bodies,
+    enable_sleeping,
     hull_volume,
     settle,
 )
@@ -88,19 +92,83 @@ def test_what_has_gone_too_far_is_not_watched_in_a_hurry_and_what_stays_is() -> 
 def test_what_sleeps_is_judged_as_what_is_looked_at(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
     num_awake = []
 
-    def run(model: Any, data: Any, *more: Any) -> FloatArray:
-        found = _simulate(model, data, *more)
+    def run(model: Any, data: Any, *more: Any, **named: Any) -> FloatArray:
+        found = _simulate(model, data, *more, **named)
         num_awake.append(data.ntree_awake)
         return found
 
     monkeypatch.setattr("stable_data.simulation.settling._simulate", run)
     bodies = [block(str(k), (0.5, 0.3, 0.05 + 0.1 * k)) for k in range(3)]
-    awake, asleep = (settle(bodies, TABLE, PhysicsOptions(sleep_speed=s)) for s in (0.0, speed))
+    awake, asleep = (settle(bodies, TABLE, PhysicsOptions(sleep_speed=s, rest_move=0.0)) for s in (0.0, speed))
     assert num_awake == [3, 3, 3, 0]
     assert awake.stable
     assert asleep.stable
     assert asleep.moves == pytest.approx(awake.moves, abs=1e-6)
     assert asleep.drift_mm == pytest.approx(awake.drift_mm, abs=0.1)
+
+
+def counted_steps(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The numbers of steps of all calls of the engine from now on."""
+    steps, step = [], mujoco.mj_step
+
+    def count(model: Any, data: Any, nstep: int = 1) -> None:
+        steps.append(nstep)
+        step(model, data, nstep=nstep)
+
+    monkeypatch.setattr(mujoco, "mj_step", count)
+    return steps
+
+
+def test_nothing_is_simulated_once_everything_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result is that of the whole watch, bit for bit."""
+    bodies = [block(str(k), (0.5, 0.3, 0.05 + 0.1 * k)) for k in range(3)]
+    model = compile_bodies(bodies, TABLE)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=500)
+    enable_sleeping(model, PhysicsOptions())
+    mujoco.mj_step(model, data, nstep=1500)
+    mujoco.mj_kinematics(model, data)
+    steps = counted_steps(monkeypatch)
+    result = settle(bodies, TABLE, PhysicsOptions(rest_move=0.0))
+    assert 500 < sum(steps) < 1000
+    np.testing.assert_array_equal(result.positions, data.xpos[1:])
+    np.testing.assert_array_equal(result.quats_xyzw, data.xquat[1:][:, [1, 2, 3, 0]])
+
+
+def test_a_watch_ends_when_nothing_can_move_far_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    bodies = [block(str(k), (0.5, 0.3, 0.05 + 0.1 * k)) for k in range(3)]
+    steps = counted_steps(monkeypatch)
+    early, whole = (settle(bodies, TABLE, PhysicsOptions(sleep_speed=0.0, rest_move=m)) for m in (1e-3, 0.0))
+    assert 2000 + 500 + 100 < sum(steps) < 2000 + 1000
+    assert early.stable is whole.stable is True
+    assert early.positions == pytest.approx(whole.positions, abs=1e-3)
+    assert early.drift_mm == pytest.approx(whole.drift_mm, abs=1)
+
+
+def test_what_is_near_a_limit_is_watched_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = counted_steps(monkeypatch)
+    fallen = settle([block("a", (0.5, 0.3, 0.05 + 0.0088))], TABLE, PhysicsOptions(sleep_speed=0.0))
+    assert fallen.stable is True
+    assert sum(steps) == 2000
+
+
+def test_a_watch_does_not_end_while_something_could_move_far() -> None:
+    start = np.array([[[0.5, 0.3, 0.05, 0.0, 0.0, 0.0, 1.0]]])
+    pose, options = start[0], PhysicsOptions()
+    calm = _Calm(start, options)
+    assert [calm.has_come(pose, 4e-4, 2.0) for _ in range(11)] == [False] * 10 + [True]
+    assert not calm.has_come(pose, 6e-4, 2.0)  # 1.2 mm in the time that is left
+    assert not calm.has_come(pose, 4e-4, 2.0)  # and the wait begins again
+    calm = _Calm(start, options)
+    assert not any(calm.has_come(pose, 1e-6 * 1.1**k, 2.0) for k in range(50))  # it may begin to fall
+    moved = start.copy()
+    moved[0, 0, 0] += 0.51 * MOVE_LIMIT
+    calm = _Calm(np.concatenate([start, moved]), options)
+    assert not any(calm.has_come(pose, 0.0, 2.0) for _ in range(100))
+    turned = start.copy()
+    turned[0, 0, 3:] = (0.0, 0.0, np.sin(np.radians(2.6) / 2), np.cos(np.radians(2.6) / 2))
+    calm = _Calm(np.concatenate([start, turned]), options)
+    assert not any(calm.has_come(pose, 0.0, 2.0) for _ in range(100))
 
 
 def test_what_only_just_begins_to_fall_does_not_fall_asleep() -> None:
