@@ -21,7 +21,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import bottom_points
 from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.collision import NEAR, ROUNDING, TOLERANCE, penetration
+from stable_data.metrics.collision import LEVELS, NEAR, ROUNDING, TOLERANCE, penetration
 from stable_data.metrics.support import carries, distance_to_surface
 from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, WorkBudget, WorkLimitError
 from stable_data.scene import TABLE, FloatArray, Scene
@@ -185,10 +185,11 @@ class PosedScene:
     Args:
         scene: The scene.
         shapes: The geometry of each object, in the scene's order.
+        most: Penetrations over this one, metres, are not measured: they are infinite. For the audit, all must be measured.
     """
 
-    def __init__(self, scene: Scene, shapes: Sequence[Shape]) -> None:
-        self.scene, self.shapes = scene, shapes
+    def __init__(self, scene: Scene, shapes: Sequence[Shape], most: float = LEVELS[-1]) -> None:
+        self.scene, self.shapes, self._most = scene, shapes, most
         self.instances = [o.instance for o in scene.objects]
         self.vertices = [shape.posed(pose) for shape, pose in zip(shapes, scene.poses(), strict=True)]
         # Column by column: reducing along the long axis of (V, 3) is slow.
@@ -238,14 +239,14 @@ class PosedScene:
         return self._pairs[first, second]
 
     def penetration(self, first: int, second: int) -> float | None:
-        """The penetration of two objects, metres; None if it is unknown."""
+        """The penetration of two objects, metres; None if it is unknown, infinite if it was not measured."""
         if not (self.shapes[first].is_exact and self.shapes[second].is_exact):
             return None
         one, other = self.first_equal[first], self.first_equal[second]
         i, j = min(one, other), max(one, other)  # pairs of coinciding objects share one answer
         if (i, j) not in self._depths:
             try:
-                self._depths[i, j] = penetration(self.surface(i), self.surface(j), self.pair(i, j, NEAR))
+                self._depths[i, j] = penetration(self.surface(i), self.surface(j), self.pair(i, j, NEAR), self._most)
             except WorkLimitError:
                 self._depths[i, j] = None
         return self._depths[i, j]

@@ -1,6 +1,7 @@
 """Collision of two objects: the smallest translation that separates two meshes that cross or nest."""
 
 import itertools
+import math
 
 import numpy as np
 
@@ -36,7 +37,9 @@ _NESTING_WORK = 4  # work of one triangle in the nesting test, in triangles test
 _ALIKE = 0.1  # normals that differ by less, about 6 degrees, give depths that differ by less than the resolution
 
 
-def penetration(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, pair: MeshPair | None = None) -> float:
+def penetration(
+    a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, pair: MeshPair | None = None, most: float = LEVELS[-1]
+) -> float:
     """Computes how deep two meshes are in each other (docs/audit.md).
 
     The depth is zero if they neither cross nor nest. Else it is the smallest translation that separates them along a contact
@@ -46,9 +49,11 @@ def penetration(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, 
         a: Triangles of one object, (F, 3, 3) float64, metres, world frame.
         b: Triangles of the other object, (G, 3, 3).
         pair: The two meshes as a pair with a margin of NEAR, if it exists already. All work is counted in its budget.
+        most: Depths over this one, metres, need not be measured.
 
     Returns:
-        Depth, metres; DEEPEST if no translation up to 50 mm separates them, and for a mesh inside a solid.
+        Depth, metres; DEEPEST if no translation up to 50 mm separates them, and for a mesh inside a solid; infinite if it is
+        over ``most`` and was not measured.
 
     Raises:
         WorkLimitError: The work limit of the pair is reached.
@@ -62,6 +67,8 @@ def penetration(a: FloatArray | PosedTriangles, b: FloatArray | PosedTriangles, 
     directions = _directions(contact.normals)
     below, bound = 0.0, np.inf
     for level in LEVELS:
+        if below >= most:
+            return math.inf
         if below == TOLERANCE:  # the limit of the first pair's margin
             pair = MeshPair(first, second, LEVELS[-1] + ROUNDING, pair.budget)
             directions, bound = _rank_directions(first, second, directions)

@@ -111,7 +111,7 @@ def _relations(scene: Scene, shapes: Sequence[Shape], audit: Audit | None) -> Se
 
 def _contacts(scene: Scene, shapes: Sequence[Shape]) -> tuple[dict[str, tuple[str, ...]], DepthTest]:
     """The supports of each object, and a test for deep penetration."""
-    posed = PosedScene(scene, shapes)
+    posed = PosedScene(scene, shapes, TOLERANCE)  # how deep the deep ones are does not matter
     number = {name: k for k, name in enumerate(posed.instances)}
 
     def is_deep(one: str, other: str) -> bool:

@@ -16,6 +16,7 @@ from stable_data.metrics.audit import (
     audit_posed_scene,
     audit_scene,
 )
+from stable_data.metrics.collision import TOLERANCE
 from stable_data.scene import Scene
 from tests.scenes import Placed, ball, ball_in_bowl, bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
 
@@ -119,6 +120,21 @@ def test_the_tolerance_moves_every_verdict() -> None:
     ]
     assert audit_scene(*scene_of(placed)).card().clean is False
     assert audit_scene(*scene_of(placed), tolerance=3e-3).card().clean is True
+
+
+def test_what_is_deeper_than_asked_is_infinite_and_all_else_is_as_ever() -> None:
+    placed: list[Placed] = [
+        ("left", CUBE, (0.2, 0.2, 0.05, 0.0)),
+        ("right", CUBE, (0.2997, 0.2, 0.05, 0.0)),  # 0.3 mm
+        ("deep", CUBE, (0.2, 0.295, 0.05, 0.0)),  # 5 mm
+        ("unknown", UNKNOWN, (0.2, 0.11, 0.05, 0.0)),
+    ]
+    scene, shapes = scene_of(placed)
+    whole, brief = PosedScene(scene, shapes), PosedScene(scene, shapes, TOLERANCE)
+    assert brief.penetration(0, 1) == whole.penetration(0, 1) == pytest.approx(3e-4, rel=0.02)
+    assert whole.penetration(0, 2) == pytest.approx(5e-3, rel=0.02)
+    assert brief.penetration(0, 2) == np.inf
+    assert brief.penetration(0, 3) is None
 
 
 def test_an_empty_scene_is_clean() -> None:

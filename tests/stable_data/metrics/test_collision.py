@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.collision import DEEPEST, LEVELS, is_nested, penetration
+from stable_data.metrics.collision import DEEPEST, LEVELS, TOLERANCE, is_nested, penetration
 from stable_data.metrics.triangle_intersection import MeshPair
 from tests.scenes import ball, bowl, box, hollow, sheet, triangles
 
@@ -110,3 +110,11 @@ def test_the_hollow_of_a_closed_shell_is_not_its_inside() -> None:
 def test_a_pair_that_was_thinned_for_support_serves() -> None:
     a, b = triangles(CUBE), triangles(CUBE, (0.098, 0.0, 0.0, 0.0))
     assert penetration(a, b, MeshPair(a, b, 5e-4)) == penetration(a, b)
+
+
+@pytest.mark.parametrize("depth", [5e-6, 3e-4, TOLERANCE, 7e-4, 4e-3, 0.08])
+def test_a_depth_over_the_greatest_that_is_measured_is_infinite_and_others_are_as_ever(depth: float) -> None:
+    a, b = triangles(CUBE), triangles(CUBE, (0.1 - depth, 0.0, 0.0, 0.0))
+    whole = penetration(a, b)
+    assert penetration(a, b, most=TOLERANCE) == (np.inf if whole > TOLERANCE else whole)
+    assert penetration(a, b, most=1.5e-3) == (np.inf if whole > 2e-3 else whole)  # the levels are steps
