@@ -265,7 +265,7 @@ class GenerateWork(ShardStep[Task]):
         progress.step = "settle"
         rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
-        card = _with_movement(add_counts(audit.card(), scene), made.start, scene, posed, audit, opened.answers.certifier.store)
+        card = _with_movement(add_counts(audit.card(), scene), made, scene, posed, audit, opened.answers.certifier.store)
         card, not_as_said = _with_alignment(card, seen, containers, made.task, opened.interpret)
         if rest is not None:
             card = _with_rest(card, rest)
@@ -344,16 +344,19 @@ def _opened(work: GenerateWork) -> GenerateWorkerState:
 
 
 def _with_movement(
-    card: MetricCard, start: Scene, scene: Scene, posed: PosedScene, audit: Audit, store: AssetStore
+    card: MetricCard, made: GenerationResult, scene: Scene, posed: PosedScene, audit: Audit, store: AssetStore
 ) -> MetricCard:
     """Adds to a card how far the corrections moved the proposed objects, and how many relations they kept."""
-    there = {o.instance for o in start.objects}
+    start, there = made.start, {o.instance for o in made.start.objects}
     if there != {o.instance for o in scene.objects}:
         return card
     order = {o.instance: k for k, o in enumerate(scene.objects)}
     start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
     start, shapes, _ = store.resolved(start)  # with the proposed tilts
-    kept = relations_kept(start, scene, shapes, posed.shapes, audits=(None, audit))
+    # The objects of a stage were judged at their proposed poses before they were corrected.
+    corrections = [correction for turn in made.turns for correction in turn.corrections]
+    known = [(c.start, c.audit_before) for c in corrections if c.audit_before is not None]
+    kept = relations_kept(start, scene, shapes, posed.shapes, audits=(None, audit), known=known)
     return add_movement(card, start, scene, kept)
 
 

@@ -6,6 +6,7 @@ the work limit of a scene are unknown too. Objects with the same triangles in th
 """
 
 import hashlib
+import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence, Set
@@ -24,7 +25,7 @@ from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import LEVELS, NEAR, ROUNDING, TOLERANCE, penetration
 from stable_data.metrics.support import carries, distance_to_surface
 from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, WorkBudget, WorkLimitError
-from stable_data.scene import TABLE, FloatArray, Scene
+from stable_data.scene import TABLE, FloatArray, Scene, SceneObject
 
 BOUNDS_SLACK = 1e-3
 """How far a footprint may reach over an edge, metres: the rounding of the format."""
@@ -204,6 +205,33 @@ class PosedScene:
         self._gaps: dict[int, float | None] = {}
         self._bottoms: dict[int, FloatArray] = {}
 
+    def reuse(self, scene: Scene, audit: Audit) -> None:
+        """Takes over the answers of an audit of another scene, on pairs of objects that are alike in both: nothing is judged twice.
+
+        Args:
+            scene: The audited scene, with the same assets.
+            audit: Its audit.
+        """
+        if audit.is_cut_short:
+            return
+        number = {o.instance: k for k, o in enumerate(self.scene.objects)}
+        verdicts = {o.instance: o for o in audit.objects}
+        depths = {(p.first, p.second): p.penetration for p in audit.pairs}
+        # An object that coincides with another one is judged by that one's triangles.
+        same = [
+            (number[o.instance], verdicts[o.instance])
+            for o in scene.objects
+            if (k := number.get(o.instance)) is not None
+            and _geometry(o) == _geometry(self.scene.objects[k])
+            and verdicts[o.instance].has_mesh
+            and self.shapes[k].is_exact
+            and self.first_equal[k] == k
+        ]
+        for (i, one), (j, other) in itertools.permutations(same, 2):
+            self._carries[i, j, audit.tolerance + ROUNDING] = other.instance in one.supports
+            if i < j and (other.instance, one.instance) not in depths:
+                self._depths[i, j] = depths.get((one.instance, other.instance), 0.0)
+
     @cached_property
     def first_equal(self) -> list[int]:
         """For each object, the first object with the same triangles in the same place: itself, unless objects coincide."""
@@ -368,6 +396,10 @@ def audit_posed_scene(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
     objects = _mark_support_cycles(tuple(o for o, _ in judged), {o.instance for o, is_uncertain in judged if is_uncertain})
     num_tilted = sum(o.tilt_angle > math.radians(5) for o in posed.scene.objects)
     return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance, posed.budget.is_spent)
+
+
+def _geometry(o: SceneObject) -> tuple[object, ...]:
+    return o.asset_id, o.scale, o.size, o.tilt_quat_xyzw, o.position, o.yaw
 
 
 def _judge_object(posed: PosedScene, index: int, tolerance: float) -> tuple[ObjectVerdict, bool]:

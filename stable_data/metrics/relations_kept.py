@@ -63,6 +63,7 @@ def relations_kept(
     shapes_after: Sequence[Shape] | None = None,
     *,
     audits: tuple[Audit | None, Audit | None] = (None, None),
+    known: Sequence[tuple[Scene, Audit]] = (),
 ) -> RelationsKept:
     """Compares the scene graphs of a scene before and after a correction.
 
@@ -76,13 +77,15 @@ def relations_kept(
         shapes_after: The geometry of the objects of ``after``, in its order, if it differs: an object that tips over has
             another tilt.
         audits: The audits of both scenes, if they are known: contacts are then not computed again.
+        known: Audited scenes with some of the objects of ``before`` or ``after``, with the same geometry: where a scene has no audit,
+            the contacts of objects that are at the same poses are taken from these.
     """
     present = {o.instance for o in after.objects}
     shape = {o.instance: s for o, s in zip(before.objects, shapes, strict=True)}
     kept = replace(before, objects=tuple(o for o in before.objects if o.instance in present))
     shapes_kept = [shape[o.instance] for o in kept.objects]
     shapes_after = shapes_after or [shape[o.instance] for o in after.objects]
-    graphs = [_relations(kept, shapes_kept, audits[0]), _relations(after, shapes_after, audits[1])]
+    graphs = [_relations(kept, shapes_kept, audits[0], known), _relations(after, shapes_after, audits[1], known)]
     on_in_before, on_in_after = ({r for r in found if r.kind in _ON_IN and r.target != TABLE} for found in graphs)
     directional = [r for r in graphs[0] if r.kind in DIRECTIONAL]
     asked = [r for r in before.relations if {r.subject, r.target} <= present]
@@ -102,16 +105,22 @@ def relations_kept(
     )
 
 
-def _relations(scene: Scene, shapes: Sequence[Shape], audit: Audit | None) -> Set[Relation]:
-    contacts, is_deep = _contacts(scene, shapes) if audit is None else _audited_contacts(audit, scene)
+def _relations(
+    scene: Scene, shapes: Sequence[Shape], audit: Audit | None, known: Sequence[tuple[Scene, Audit]]
+) -> Set[Relation]:
+    contacts, is_deep = _contacts(scene, shapes, known) if audit is None else _audited_contacts(audit, scene)
     footprints = {o.instance: s.posed_footprint(p) for o, s, p in zip(scene.objects, shapes, scene.poses(), strict=True)}
     found = relations_of(scene_graph(scene, contacts, footprints))
     return {r for r in found if r.kind not in _ON_IN or r.target == TABLE or not is_deep(r.subject, r.target)}
 
 
-def _contacts(scene: Scene, shapes: Sequence[Shape]) -> tuple[dict[str, tuple[str, ...]], DepthTest]:
+def _contacts(
+    scene: Scene, shapes: Sequence[Shape], known: Sequence[tuple[Scene, Audit]]
+) -> tuple[dict[str, tuple[str, ...]], DepthTest]:
     """The supports of each object, and a test for deep penetration."""
     posed = PosedScene(scene, shapes, TOLERANCE)  # how deep the deep ones are does not matter
+    for judged in known:
+        posed.reuse(*judged)
     number = {name: k for k, name in enumerate(posed.instances)}
 
     def is_deep(one: str, other: str) -> bool:

@@ -93,6 +93,7 @@ class Correction:
         card_before: Metric card of the start; None if it could not be judged.
         card_raw: Metric card of the raw scene; None without a flow, or if it was not requested.
         card_after: Metric card of the clean scene, with its movement and its preserved relations; None if infeasible.
+        audit_before: The exact audit of the start; None if it could not be judged.
         audit: The exact audit of the clean scene; None if infeasible.
         kept: Counts of the relations of the start that still hold; None if infeasible.
         rest: MuJoCo's verdict on ``certified``; None if there was no simulation.
@@ -108,6 +109,7 @@ class Correction:
     card_before: MetricCard | None = None
     card_raw: MetricCard | None = None
     card_after: MetricCard | None = None
+    audit_before: Audit | None = None
     audit: Audit | None = None
     kept: RelationsKept | None = None
     rest: "SettleResult | None" = None
@@ -178,6 +180,7 @@ def build_correction(
         card_before=start.audit.card(),
         card_raw=card_raw,
         card_after=card_after,
+        audit_before=start.audit,
         audit=result.audit,
         kept=kept,
         rest=result.rest,

@@ -17,6 +17,7 @@ from stable_data.metrics.audit import (
     audit_scene,
 )
 from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.triangle_intersection import MeshPair
 from stable_data.scene import Scene
 from tests.scenes import Placed, ball, ball_in_bowl, bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
 
@@ -135,6 +136,41 @@ def test_what_is_deeper_than_asked_is_infinite_and_all_else_is_as_ever() -> None
     assert whole.penetration(0, 2) == pytest.approx(5e-3, rel=0.02)
     assert brief.penetration(0, 2) == np.inf
     assert brief.penetration(0, 3) is None
+
+
+def test_answers_of_another_audit_are_reused_for_objects_that_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    placed: list[Placed] = [
+        ("lower", CUBE, (0.2, 0.2, 0.05, 0.0)),
+        ("upper", CUBE, (0.2, 0.2, 0.149, 0.0)),
+        ("beside", CUBE, (0.295, 0.2, 0.05, 0.0)),
+        ("unknown", UNKNOWN, (0.2, 0.11, 0.05, 0.0)),
+        ("twin", CUBE, (0.2, 0.2, 0.05, 0.0)),
+    ]
+    scene, shapes = scene_of(placed)
+    audit = audit_scene(scene, shapes)
+    again = PosedScene(scene, shapes)
+    again.reuse(scene, audit)
+    assert audit_posed_scene(again) == audit
+    judged: list[frozenset[str]] = []
+    pair = PosedScene.pair
+
+    def note(self: PosedScene, first: int, second: int, margin: float) -> MeshPair:
+        judged.append(frozenset((self.instances[first], self.instances[second])))
+        return pair(self, first, second, margin)
+
+    monkeypatch.setattr(PosedScene, "pair", note)
+    less = scene_of([*placed[:2], ("beside", CUBE, (0.295, 0.2, 0.05, 0.1)), ("new", CUBE, (0.2, 0.295, 0.05, 0.0))])
+    turned = PosedScene(*less)
+    turned.reuse(scene, audit)
+    found = audit_posed_scene(turned)
+    assert frozenset(("lower", "upper")) not in judged
+    assert {frozenset(("lower", "beside")), frozenset(("lower", "new"))} <= set(judged)
+    assert found == audit_scene(*less)
+    judged.clear()
+    cut = PosedScene(scene, shapes)
+    cut.reuse(scene, replace(audit, is_cut_short=True))
+    assert audit_posed_scene(cut) == audit
+    assert frozenset(("lower", "upper")) in judged
 
 
 def test_an_empty_scene_is_clean() -> None:

@@ -29,7 +29,10 @@ def kept(before: Scene, after: Scene, shapes: list[Shape]) -> RelationsKept:
     there = {o.instance for o in after.objects}
     later = [shape for o, shape in zip(before.objects, shapes, strict=True) if o.instance in there]
     found = relations_kept(before, after, shapes)
-    assert relations_kept(before, after, shapes, audits=(audit_scene(before, shapes), audit_scene(after, later))) == found
+    audits = audit_scene(before, shapes), audit_scene(after, later)
+    assert relations_kept(before, after, shapes, audits=audits) == found
+    for known in ([(before, audits[0])], [(after, audits[1])], list(zip((before, after), audits, strict=True))):
+        assert relations_kept(before, after, shapes, known=known) == found
     return found
 
 
