@@ -3,6 +3,8 @@
 Colliders are the convex parts of the objects; the table is a box whose top is z = 0. World frame, metres, kilograms, seconds.
 """
 
+import hashlib
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -36,6 +38,7 @@ _TURN_ARM = 0.05  # metres; turning counts as the speed of a point at this dista
 # A watch ends early after this time in which no object was fast enough to move far, if all are within this share of the limits:
 # an object that creeps may suddenly slip by a few millimetres.
 _CALM_SECONDS, _CALM_SHARE = 0.2, 0.5
+_MAX_CACHED_BYTES = 64 * 2**20  # hulls that MuJoCo keeps for further models: about 5,000
 _FLATTEST = 1e-6  # parts thinner than this share of their length (or 1 µm) have no volume to collide with, and are left out
 
 
@@ -194,7 +197,14 @@ def compile_bodies(bodies: Sequence[RigidBody], table: Tabletop, options: Physic
     Raises:
         MeshError: A body has no solid part (code ``no_collider``) or no mass, or MuJoCo refuses the model (``engine``).
     """
-    return compile_spec(spec_of(bodies, table, options))
+    cache = mujoco.mj_getCache()
+    if mujoco.mj_getCacheSize(cache) > _MAX_CACHED_BYTES:
+        mujoco.mj_clearCache(cache)  # when it is full, it would keep the old hulls and take no new ones
+    files: dict[str, bytes] = {}
+    spec = _spec_of(bodies, table, options, files)
+    spec.assets = files
+    spec.compiler.usethread = False  # threads cost more than they save
+    return compile_spec(spec)
 
 
 def spec_of(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions = PhysicsOptions()) -> mujoco.MjSpec:
@@ -212,6 +222,16 @@ def spec_of(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOption
     Raises:
         MeshError: A body has no solid part (code ``no_collider``) or no mass.
     """
+    return _spec_of(bodies, table, options, None)
+
+
+def _spec_of(
+    bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions, files: dict[str, bytes] | None
+) -> mujoco.MjSpec:
+    """The description of a scene; its meshes are added to ``files``, name -> content, if that is not None.
+
+    The model is the same. But MuJoCo keeps the hulls of files for further models, and else computes them for each.
+    """
     spec = mujoco.MjSpec()
     _configure(spec, options)
     collider = spec.add_default(COLLIDER, spec.default)
@@ -225,7 +245,7 @@ def spec_of(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOption
     )
     meshes: dict[int, str] = {}
     for body in bodies:
-        _add_body(spec, body, meshes, collider)
+        _add_body(spec, body, meshes, collider, files)
     return spec
 
 
@@ -258,7 +278,13 @@ def _configure(spec: mujoco.MjSpec, options: PhysicsOptions) -> None:
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
-def _add_body(spec: mujoco.MjSpec, body: RigidBody, meshes: dict[int, str], collider: mujoco.MjsDefault) -> None:
+def _add_body(
+    spec: mujoco.MjSpec,
+    body: RigidBody,
+    meshes: dict[int, str],
+    collider: mujoco.MjsDefault,
+    files: dict[str, bytes] | None,
+) -> None:
     if not np.isfinite((*body.position, body.yaw)).all():
         raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
     if not 0 < body.mass < np.inf:
@@ -275,10 +301,20 @@ def _add_body(spec: mujoco.MjSpec, body: RigidBody, meshes: dict[int, str], coll
         if volume > 0:
             if id(part) not in meshes:  # objects of one asset share its parts
                 meshes[id(part)] = f"part_{len(meshes)}"
-                inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-                spec.add_mesh(name=meshes[id(part)], uservert=part.vertices.ravel(), inertia=inertia)
+                mesh = spec.add_mesh(name=meshes[id(part)], inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+                if files is None:
+                    mesh.uservert = part.vertices.ravel()
+                else:
+                    mesh.file, content = _mesh_file(part)
+                    files[mesh.file] = content
             mass = body.mass * volume / sum(volumes)
             added.add_geom(collider, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass)
+
+
+def _mesh_file(part: Mesh) -> tuple[str, bytes]:
+    """The vertices of a part as a file of MuJoCo's format MSH: its name, a hash of the content, and the content."""
+    content = struct.pack("=4i", len(part.vertices), 0, 0, 0) + part.vertices.astype(np.float32).tobytes()
+    return f"{hashlib.sha256(content).hexdigest()}.msh", content
 
 
 @lru_cache(maxsize=1024)

@@ -17,9 +17,11 @@ from stable_data.simulation.settling import (
     _Calm,
     _simulate,
     compile_bodies,
+    compile_spec,
     enable_sleeping,
     hull_volume,
     settle,
+    spec_of,
 )
 
 pytestmark = pytest.mark.sim
@@ -289,6 +291,22 @@ def test_what_is_not_known_to_stay_is_restless() -> None:
 
 def test_body_without_mass_is_unknown() -> None:
     assert is_unknown(settle([RigidBody("a", (box(0.1, 0.1, 0.1),), 0.0, (0.5, 0.3, 0.1))], TABLE))
+
+
+@pytest.mark.parametrize("kept", [0, 64 * 2**20])
+def test_a_model_of_kept_hulls_is_the_same(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stable_data.simulation.settling._MAX_CACHED_BYTES", kept)
+    pole, brick = box(0.02, 0.02, 0.4), box(0.2, 0.1, 0.05)
+    bodies = [
+        RigidBody("both", (pole, Mesh(np.add(brick.vertices, (0.05, 0.0, 0.0)), brick.faces)), 0.4, (0.3, 0.3, 0.2), 0.4),
+        RigidBody("held", (brick,), 0.2, (0.7, 0.3, 0.025), movable=False),
+        RigidBody("again", (pole,), 0.1, (0.5, 0.3, 0.2)),
+    ]
+    plain = compile_spec(spec_of(bodies, TABLE))
+    for _ in range(2):
+        model = compile_bodies(bodies, TABLE)
+        arrays = [name for name in dir(plain) if not name.startswith("_") and isinstance(getattr(plain, name), np.ndarray)]
+        assert {name for name in arrays if not np.array_equal(getattr(model, name), getattr(plain, name))} <= {"mesh_pathadr"}
 
 
 def test_flat_part_beside_a_solid_one_is_left_out() -> None:
