@@ -1,15 +1,15 @@
 """The Physics Corrector: turns coarse layouts into scenes that are exactly clean.
 
-The learned flow moves all objects at once; ``certify`` proves the result or repairs it. A
-:class:`~models.physics_corrector.certify.correction.Correction` reports both: the raw result of the flow and the certified
-result, with the cards of these and of the input.
+The learned flow moves all objects at once, the batched refinement separates them and rests what is carried, the exact audit verifies,
+and ``certify`` repairs what is left. A :class:`~models.physics_corrector.certify.correction.Correction` reports the raw result of the
+flow and the corrected scene, with the cards of these and of the input, and which step made it clean.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
-from models.physics_corrector.certify import CertifyOptions
+from models.physics_corrector.certify import CertificationResult, Certifier, CertifyOptions, CorrectionStatus
 from models.physics_corrector.certify.correction import (
     Assets,
     CertificationRequest,
@@ -17,15 +17,21 @@ from models.physics_corrector.certify.correction import (
     CorrectionOptions,
     Fixed,
     InputScene,
+    PreparedLayout,
+    SolvedBy,
     build_correction,
     shapes_by_instance,
 )
-from models.physics_corrector.certify.flow_start import certify_moved
+from models.physics_corrector.certify.flow_start import certify_moved, choose_start
+from models.physics_corrector.certify.layout_search import remaining_faults
+from models.physics_corrector.certify.mesh_queries import MeshQueries
+from models.physics_corrector.certify.support_inference import TABLE_TOP, expected_carriers, infer_carriers
+from models.physics_corrector.refinement.refiner import LayoutToRefine, Refiner
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
-from stable_data.scene import Scene
+from stable_data.scene import TABLE, Scene
 
 Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
 """Moves the objects of scenes: scenes, the shapes of their objects, the fixed instances of each -> the moved scenes."""
@@ -33,22 +39,32 @@ Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence
 _DEFAULT_OPTIONS = CorrectionOptions()
 
 
+Polish: TypeAlias = Literal["off", "verify", "certify"]
+"""What follows the flow: nothing, so that its own result is published; the refinement, of which the exact audit tells whether it is
+clean; or certification of what the refinement leaves.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class PhysicsCorrector:
-    """Corrects scenes: the flow moves all scenes as one batch, then each scene is certified.
+    """Corrects scenes: the flow moves all scenes as one batch, the refinement makes most of them clean, the others are certified.
 
-    :meth:`correct` does both. A job that certifies scenes in separate processes calls :meth:`move` once and :meth:`certify` for
+    :meth:`correct` does all. A job that certifies scenes in separate processes calls :meth:`move` once and :meth:`certify` for
     each request.
 
     Attributes:
-        flow: The learned part, such as :class:`~models.physics_corrector.learned_flow.LearnedFlow`; None certifies without it.
+        flow: The learned part, such as :class:`~models.physics_corrector.learned_flow.LearnedFlow`; None corrects without it.
         options: Options of `certify`.
         judges_raw: Whether the raw result of the flow is audited too; this costs one more audit per scene.
+        refiner: The batched refinement; None certifies all scenes.
+        polish: What follows the flow.
     """
 
     flow: Flow | None = None
     options: CertifyOptions = field(default_factory=CertifyOptions)
     judges_raw: bool = True
+    refiner: Refiner | None = None
+    polish: Polish = "certify"
 
     def correct(
         self,
@@ -57,7 +73,7 @@ class PhysicsCorrector:
         options: CorrectionOptions | Sequence[CorrectionOptions] = _DEFAULT_OPTIONS,
         audits: Sequence[Audit] | None = None,
     ) -> list[Correction]:
-        """Corrects scenes; a result does not depend on the other scenes, except for rounding in the flow's batch.
+        """Corrects scenes; a result does not depend on the other scenes, except for rounding in the batches.
 
         Args:
             scenes: The scenes; with stages if task objects are known, so that these are not dropped.
@@ -72,7 +88,8 @@ class PhysicsCorrector:
             ConfigError: MuJoCo is needed, or tilts may change, and ``assets`` is not an :class:`AssetStore`
                 (``assets_missing``).
         """
-        return [self.certify(request, assets) for request in self.move(scenes, assets, options, audits)]
+        requests = self.prepare(self.move(scenes, assets, options, audits), assets)
+        return [self.certify(request, assets) for request in requests]
 
     def move(
         self,
@@ -81,7 +98,7 @@ class PhysicsCorrector:
         options: CorrectionOptions | Sequence[CorrectionOptions] = _DEFAULT_OPTIONS,
         audits: Sequence[Audit] | None = None,
     ) -> list[CertificationRequest]:
-        """The first half of :meth:`correct`, with the same arguments: moves the objects of all scenes by the flow, in one batch.
+        """The first part of :meth:`correct`, with the same arguments: moves the objects of all scenes by the flow, in one batch.
 
         Returns:
             One request per scene, in order; without a flow, objects do not move.
@@ -95,51 +112,152 @@ class PhysicsCorrector:
         known = [None] * len(scenes) if audits is None else audits
         return [CertificationRequest(*request) for request in zip(found, raws, each, known, strict=True)]
 
-    def certify(self, request: CertificationRequest, assets: Assets) -> Correction:
-        """The second half of :meth:`correct`: proves or repairs one scene after the flow.
+    def prepare(self, requests: Sequence[CertificationRequest], assets: Assets) -> list[CertificationRequest]:
+        """The second part of :meth:`correct`: drops new objects onto their carriers, and refines all scenes as one batch.
 
         Args:
-            request: The scene.
-            assets: Geometry of its objects.
+            requests: The requests.
+            assets: Geometry of their objects.
+
+        Returns:
+            The requests with prepared layouts. Scenes that are clean already or of which more is asked than the refinement knows
+            are not refined.
+
+        Raises:
+            ConfigError: As for :meth:`correct`.
         """
+        dropped = [self._dropped(request, assets) for request in requests]
+        layouts, chosen = [], []
+        for k, (request, (layout, steady)) in enumerate(zip(requests, dropped, strict=True)):
+            options = request.options
+            is_clean = request.audit is not None and request.audit.card().clean is True
+            if self.refiner is None or self.polish == "off" or options.asked or options.still:
+                continue
+            if is_clean and not options.may_tilt:
+                continue
+            start, shapes, _ = assets.resolved(choose_start(layout.scene, layout.raw))
+            start = _with_carriers(start, shapes)
+            earlier = {o.instance for o in start.objects} - options.new if options.may_tilt else set()
+            layouts.append(LayoutToRefine(start, shapes, self.options.fixed | options.fixed, steady | earlier))
+            chosen.append(k)
+        prepared = [layout for layout, _ in dropped]
+        if self.refiner is not None:
+            for k, found in zip(chosen, self.refiner.refine(layouts), strict=True):
+                if found is not None:
+                    prepared[k] = replace(prepared[k], refined=found.scene, audit=found.audit, is_solved=found.is_solved)
+        return [replace(request, prepared=layout) for request, layout in zip(requests, prepared, strict=True)]
+
+    def _dropped(self, request: CertificationRequest, assets: Assets) -> tuple[PreparedLayout, frozenset[str]]:
+        """The layout with its new objects dropped, if tilts may change; and the objects that have settled on their carriers."""
+        if not request.options.may_tilt:
+            return PreparedLayout(request.scene, request.raw), frozenset()
+        # Imported here because MuJoCo's import is slow.
+        from models.physics_corrector.stabilization.drop_simulation import drop_new_objects
+
+        fixed = self.options.fixed | request.options.fixed
+        dropped = drop_new_objects(request.scene, request.options.new, fixed, _asset_store(request.scene, assets))
+        raw = None if request.raw is None else dropped.with_motion_of(request.raw)
+        return PreparedLayout(dropped.scene, raw), frozenset(dropped.carriers)
+
+    def certify(self, request: CertificationRequest, assets: Assets) -> Correction:
+        """The last part of :meth:`correct`: proves or repairs one scene after the flow and the refinement.
+
+        Args:
+            request: The scene; it is prepared alone if it is not yet.
+            assets: Geometry of its objects.
+
+        Raises:
+            ConfigError: As for :meth:`correct`.
+        """
+        layout = request.prepared or self.prepare([request], assets)[0].prepared
+        assert layout is not None
         wanted = request.options
         start = InputScene.of(request.scene, assets, request.audit)
+        card_raw = None
+        if request.raw is not None and self.judges_raw:
+            card_raw = audit_scene(request.raw, start.shapes).card()
+        scene, shapes, _ = assets.resolved(layout.scene)
+        raw = layout.raw
+        if start.audit.card().clean and not wanted.may_tilt:
+            raw = None  # a clean scene stays as it is, whatever the flow proposes
+        result, certifier, solved_by = self._polished(start, replace(layout, scene=scene, raw=raw), shapes, wanted)
+        shape_of = shapes_by_instance(scene, shapes)
+        if not wanted.asks_engine:
+            done = build_correction(start, result, shape_of, raw=request.raw, card_raw=card_raw)
+            return replace(done, solved_by=solved_by)
+        # Imported here because MuJoCo's import is slow.
+        from models.physics_corrector.stabilization.settle_repair import repair_settling
+        from models.physics_corrector.stabilization.stabilize import stabilize
+        from stable_data.simulation.collision_bodies import bodies_of
+
+        store, fault = _asset_store(scene, assets), ""
+        if not wanted.may_tilt and self.polish == "certify":
+            try:
+                result = repair_settling(certifier, result, bodies_of(scene, shapes, store))
+            except MeshError as error:
+                fault = str(error)
+        done = build_correction(start, result, shape_of, raw=request.raw, card_raw=card_raw)
+        done = replace(done, engine_fault=fault, solved_by=solved_by)
+        if not wanted.may_tilt or self.polish != "certify":
+            return done
+        stable = stabilize(done, start, certifier.options, store)
+        has_moved = stable.certified is not None and stable.certified is not done.certified
+        return replace(stable, solved_by=SolvedBy.CERTIFY if has_moved else stable.solved_by)
+
+    def _polished(
+        self, start: InputScene, layout: PreparedLayout, shapes: Sequence[Shape], wanted: CorrectionOptions
+    ) -> tuple[CertificationResult, Certifier, SolvedBy | None]:
+        """What follows the flow and the refinement, by ``polish``; the result, its certifier, and what made it clean."""
         options = replace(
             self.options,
             fixed=self.options.fixed | wanted.fixed,
             asked=self.options.asked | wanted.asked,
             still=self.options.still | wanted.still,
         )
-        scene, raw, shapes = start.scene, request.raw, start.shapes
-        card_raw = audit_scene(raw, shapes).card() if raw is not None and self.judges_raw else None
-        if start.audit.card().clean and not wanted.may_tilt:
-            raw = None  # a clean scene stays as it is, whatever the flow proposes
-        if not (wanted.may_tilt or wanted.asks_engine):
-            result, _ = certify_moved(scene, raw, shapes, options)
-            return build_correction(start, result, shapes_by_instance(scene, shapes), raw=request.raw, card_raw=card_raw)
-        if not isinstance(assets, AssetStore):
-            found = type(assets).__name__
-            raise ConfigError(f"{scene.scene_id}: assets is {found}, expected an AssetStore to simulate with", "assets_missing")
-        # Imported here because MuJoCo's import is slow.
-        from models.physics_corrector.stabilization.drop_simulation import drop_new_objects
-        from models.physics_corrector.stabilization.settle_repair import repair_settling
-        from models.physics_corrector.stabilization.stabilize import stabilize
-        from stable_data.simulation.collision_bodies import bodies_of
+        if self.polish == "certify" and not layout.is_solved:
+            # What the refinement has reached is the better start, but the scene itself remains the other one.
+            result, certifier = certify_moved(layout.scene, layout.refined or layout.raw, shapes, options)
+            moved = result.scene is not None and _has_moved(start.scene, result.scene)
+            return result, certifier, _solved_by(result, SolvedBy.CERTIFY if moved or result.dropped else SolvedBy.START)
+        end = layout.refined or layout.raw or layout.scene
+        audit = layout.audit if layout.refined is not None and layout.audit is not None else audit_scene(end, shapes)
+        certifier = Certifier(end, shapes, options, layout.scene)
+        result = certifier.conclude(end, audit)
+        if audit.card().clean is False:
+            faults = remaining_faults(audit)
+            result = CertificationResult(end, CorrectionStatus.UNCLEAN, f"not clean, and not certified: {faults}", audit=audit)
+        step = SolvedBy.REFINE
+        if layout.raw is not None and not _has_moved(layout.raw, end):
+            step = SolvedBy.FLOW
+        if not _has_moved(start.scene, end):
+            step = SolvedBy.START
+        return result, certifier, _solved_by(result, step)
 
-        if wanted.may_tilt:
-            dropped = drop_new_objects(scene, wanted.new, options.fixed, assets)
-            scene, shapes, _ = assets.resolved(dropped.scene)
-            raw = None if raw is None else dropped.with_motion_of(raw)
-        bodies, fault = None, ""
-        if wanted.asks_engine and not wanted.may_tilt:
-            try:
-                bodies = bodies_of(scene, shapes, assets)
-            except MeshError as error:
-                fault = str(error)
-        result, certifier = certify_moved(scene, raw, shapes, options)
-        if bodies is not None:
-            result = repair_settling(certifier, result, bodies)
-        done = build_correction(start, result, shapes_by_instance(scene, shapes), raw=request.raw, card_raw=card_raw)
-        if wanted.asks_engine and wanted.may_tilt:
-            return stabilize(done, start, options, assets)
-        return replace(done, engine_fault=fault)
+
+def _solved_by(result: CertificationResult, step: SolvedBy) -> SolvedBy | None:
+    """The step that made a result clean; None if it is not known to be clean."""
+    is_clean = result.scene is not None and result.audit is not None and result.audit.card().clean is True
+    return step if is_clean else None
+
+
+def _has_moved(before: Scene, after: Scene) -> bool:
+    """Whether the objects of a scene are at other poses, or are others."""
+    return [(o.instance, o.position, o.yaw) for o in before.objects] != [(o.instance, o.position, o.yaw) for o in after.objects]
+
+
+def _with_carriers(scene: Scene, shapes: Sequence[Shape]) -> Scene:
+    """Returns a scene whose objects all have a support: where one is unknown, those that the layout suggests."""
+    if all(o.support is not None for o in scene.objects):
+        return scene
+    meshes = MeshQueries([s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes])
+    choices = infer_carriers(meshes, scene.poses(), expected_carriers(scene))
+    names = [o.instance for o in scene.objects]
+    carriers = [TABLE if choice[0].parent == TABLE_TOP else names[choice[0].parent] for choice in choices]
+    return replace(scene, objects=tuple(replace(o, support=c) for o, c in zip(scene.objects, carriers, strict=True)))
+
+
+def _asset_store(scene: Scene, assets: Assets) -> AssetStore:
+    if isinstance(assets, AssetStore):
+        return assets
+    found = type(assets).__name__
+    raise ConfigError(f"{scene.scene_id}: assets is {found}, expected an AssetStore to simulate with", "assets_missing")

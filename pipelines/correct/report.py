@@ -36,6 +36,7 @@ def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: Ass
         (f"{by_status.get('certified', 0)} / {manifest['num_scenes']}", "scenes certified clean"),
         (str(by_status.get("dropped", 0)), "clean after removing objects"),
         (str(by_status.get("infeasible", 0)), "infeasible"),
+        *([(str(by_status["unclean"]), "not clean: not certified")] if "unclean" in by_status else []),
         (str(by_status.get("unknown", 0)), "unknown: a mesh is missing"),
         (str(counts["failures"]), "rows in failures"),
         (str(counts["warnings"]), "warnings"),

@@ -14,11 +14,14 @@ from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, D
 from models.physics_corrector.certify.correction import Correction
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
+from models.physics_corrector.refinement.refiner import Refiner
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import ProcessFailure, run_isolated, time_limited
 from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_isolated, rows_or_failure
-from pipelines.sources.scenes import SceneSource, SourceScene
+from pipelines.sources.scenes import SceneSource, SourceScene, contact_grid_cache
+from stable_data.assets.contact_grids import ContactGrids
+from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, Notice
 
 S = TypeVar("S", bound=CorrectSettings)
@@ -142,16 +145,19 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         self.opened()
 
 
-def corrector_of(settings: CorrectSettings, *, flows: bool = True) -> PhysicsCorrector:
+def corrector_of(settings: CorrectSettings, store: AssetStore, *, flows: bool = True) -> PhysicsCorrector:
     """The corrector for the settings of a job.
 
     Args:
         settings: The settings.
+        store: Meshes of the assets.
         flows: Whether the flow moves objects before certification, if there are weights.
     """
     when_full: WhenFull = "infeasible" if settings.when_full == "infeasible" else "drop"
     options = CertifyOptions(when_full=when_full, restore=settings.restore)
-    return PhysicsCorrector(load_flow(settings.weights, settings.steps) if flows else None, options, settings.judge_raw)
+    flow = load_flow(settings.weights, settings.steps) if flows else None
+    refiner = Refiner(store, ContactGrids(contact_grid_cache())) if settings.refine else None
+    return PhysicsCorrector(flow, options, settings.judge_raw, refiner, settings.polish)
 
 
 def dropped_notice(dropped: DroppedObject, scene_id: str) -> Notice:

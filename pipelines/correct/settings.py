@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, cast
 
+from models.physics_corrector.corrector import Polish
 from models.settings import Count, Positive, Settings
 from pipelines.execution.shard_size import shard_size
 from pipelines.preprocess.convention import ConventionChoice
@@ -24,6 +25,16 @@ class CorrectSettings(Settings):
 
     steps: Count = 0
     """Solver steps of the flow; 0 takes the number that is stored with the weights."""
+
+    refine: bool = False
+    """Whether layouts are refined in batches after the flow. Four of five need no certification then, but on a CPU that takes longer
+    than certification alone.
+    """
+
+    polish: Polish = "certify"
+    """What follows the flow: ``certify`` certifies what the refinement leaves, ``verify`` only audits the refined scenes, ``off``
+    publishes the result of the flow itself. Scenes that are not clean then have the status ``unclean``.
+    """
 
     when_full: Literal["drop", "infeasible"] = "drop"
     """What happens where not all objects fit: ``drop`` removes the least important background object, ``infeasible`` reports

@@ -19,14 +19,14 @@ from stable_data.errors import ConfigError, Notice
 from stable_data.metrics.audit import PosedScene
 from stable_data.metrics.card import add_counts
 from stable_data.metrics.related_scene import relate_scene
-from stable_data.scene import FloatArray, Scene
+from stable_data.scene import Scene
 from stable_data.storage import schemas
 from stable_data.storage.table_rows import card_row, notice_row, scene_row
 
 
 @dataclass(frozen=True, slots=True)
-class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
-    """The work of one shard: an item is a scene id, its answer the poses from the flow, (N, 4) float64, metres and radians."""
+class CorrectWork(SceneWork[CorrectSettings, str, CertificationRequest]):
+    """The work of one shard: an item is a scene id, its answer the scene after the flow and the refinement."""
 
     TABLES: ClassVar = ("warnings", "failures", "corrections", "scenes")
     UNIT: ClassVar = "scene"
@@ -43,30 +43,28 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
         """Reads a scene."""
         self.take(item, progress)
 
-    def answers(self, items: Sequence[str]) -> list[FloatArray | None]:
-        """The poses from the flow for each scene; None without a flow."""
+    def answers(self, items: Sequence[str]) -> list[CertificationRequest]:
+        """The scenes after the flow and the refinement."""
         opened, taken = self.opened(), [self.take(scene_id, ItemProgress("read")) for scene_id in items]
-        options = [CorrectionOptions(self.settings.fixed_in(t.scene)) for t in taken]
-        requests = opened.corrector.move([t.scene for t in taken], opened.source.store, options)
-        return [None if r.raw is None else r.raw.poses() for r in requests]
+        options = [CorrectionOptions(self.settings.fixed_in(t.scene), asks_engine=self.settings.settle) for t in taken]
+        audits, store = [t.audit for t in taken], opened.source.store
+        return opened.corrector.prepare(opened.corrector.move([t.scene for t in taken], store, options, audits), store)
 
     def unanswered(self, loss: ProcessFailure, items: Sequence[str]) -> ConfigError:
         """The error if the process of the flow was lost."""
         found = f"the flow {str(loss).replace('_', ' ')} over {len(items)} scenes such as {items[0]}"
         return ConfigError(f"{found}; free memory, set scenes_per_shard lower, or set weights to none", "flow_failed")
 
-    def finished(self, item: str, answer: FloatArray | None) -> Rows:
-        """The rows of one scene from its poses after the flow."""
+    def finished(self, item: str, answer: CertificationRequest) -> Rows:
+        """The rows of one scene from what the flow and the refinement made of it."""
         progress = ItemProgress("certify")
         return rows_or_failure(item, progress, lambda: self._rows(item, answer, progress))
 
-    def _rows(self, scene_id: str, raw_poses: FloatArray | None, progress: ItemProgress) -> Rows:
+    def _rows(self, scene_id: str, request: CertificationRequest, progress: ItemProgress) -> Rows:
         taken = self.take(scene_id, progress)
         progress.step = "certify"
-        raw = None if raw_poses is None else taken.scene.with_poses(raw_poses)
-        options = CorrectionOptions(self.settings.fixed_in(taken.scene), asks_engine=self.settings.settle)
         opened, notices = self.opened(), list(taken.notices)
-        done = opened.corrector.certify(CertificationRequest(taken.scene, raw, options, taken.audit), opened.source.store)
+        done = opened.corrector.certify(request, opened.source.store)
         if done.engine_fault:
             message = f"{scene_id}: the physics engine was not used: {done.engine_fault}"
             notices.append(Notice(scene_id, "certify", "not_settled", message))
@@ -87,7 +85,8 @@ class CorrectWork(SceneWork[CorrectSettings, str, FloatArray | None]):
 
 @lru_cache(maxsize=1)
 def _opened(work: CorrectWork) -> SceneWorkerState:
-    return SceneWorkerState(scene_source(work.scenes), corrector_of(work.settings))
+    source = scene_source(work.scenes)
+    return SceneWorkerState(source, corrector_of(work.settings, source.store))
 
 
 def correction_row(done: Correction) -> schemas.Row:
@@ -98,6 +97,7 @@ def correction_row(done: Correction) -> schemas.Row:
         "scene_id": done.start.scene_id,
         "status": str(done.status),
         "reason": done.reason,
+        "solved_by": None if done.solved_by is None else str(done.solved_by),
         "dropped": [{"instance": d.instance, "reason": d.reason} for d in done.dropped],
         "start": _pose_rows(done.start),
         "raw": None if done.raw is None else _pose_rows(done.raw),

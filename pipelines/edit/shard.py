@@ -228,7 +228,8 @@ class _Opened(SceneWorkerState):
 @lru_cache(maxsize=1)
 def _opened(work: EditWork) -> _Opened:
     settings, shelf = work.settings, AssetLibraries(work.assets, scenes=work.scenes)
-    source, corrector = scene_source(work.scenes, shelf), corrector_of(settings, flows=settings.correct)
+    source = scene_source(work.scenes, shelf)
+    corrector = corrector_of(settings, source.store, flows=settings.correct)
     return _Opened(source, corrector, settings=settings, shelf=shelf, finder=AssetFinder(source, shelf))
 
 

@@ -20,6 +20,10 @@ Certify: TypeAlias = Callable[[CertificationRequest], Correction]
 """Certifies one scene, in a separate process if a mesh may crash this one."""
 
 
+STEPS = ("propose", "retrieve", "flow", "refine", "certify")
+"""Steps whose time is measured."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalCertifier:
     """Certifies scenes in this process.
@@ -60,7 +64,8 @@ class LocalRequestHandler:
         settles: Whether the last correction of a scene simulates it in MuJoCo.
         certify: Certifies one scene; None uses ``certifier``.
         fault_of: Returns why an asset cannot be used; None uses the certifier's store.
-        seconds: Time spent so far, by kind of request.
+        prepares: Whether scenes are refined as a batch; otherwise each where it is certified.
+        seconds: Time spent so far, by step.
     """
 
     reasoner: SemanticReasoner
@@ -70,7 +75,8 @@ class LocalRequestHandler:
     settles: bool = True
     certify: Certify | None = None
     fault_of: Callable[[str], str | None] | None = None
-    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("propose", "retrieve", "flow", "certify"), 0.0))
+    prepares: bool = True
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STEPS, 0.0))
 
     def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
         """Proposes the objects of stages; later requests join the engine's running batch."""
@@ -96,17 +102,30 @@ class LocalRequestHandler:
         return found
 
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterator[Correction]:
-        """Corrects scenes: the flow moves all of them as one batch, then each is certified alone."""
+        """Corrects scenes: the flow moves and the refinement refines all of them as one batch, then each is certified alone."""
         began = perf_counter()
         corrector, certify = self.certifier.corrector, self.certify or self.certifier
         options = [CorrectionOptions(q.fixed, q.new, may_tilt=True, asks_engine=q.is_last and self.settles) for q in questions]
         requests = corrector.move([q.scene for q in questions], self.certifier.store, options)
         self.seconds["flow"] += perf_counter() - began
+        began = perf_counter()
+        if self.prepares:
+            requests = self._prepared(requests)
+        self.seconds["refine"] += perf_counter() - began
         for request in requests:
             began = perf_counter()
             found = certify(request)
             self.seconds["certify"] += perf_counter() - began
             yield found
+
+    def _prepared(self, requests: list[CertificationRequest]) -> list[CertificationRequest]:
+        """The requests with refined layouts; after an unexpected error each is prepared alone, when it is certified."""
+        try:
+            return self.certifier.corrector.prepare(requests, self.certifier.store)
+        except NOT_OF_AN_ITEM:
+            raise
+        except Exception:  # noqa: BLE001 - the scene is identified when it is certified
+            return requests
 
 
 def failed_correction(request: CertificationRequest, reason: str) -> Correction:

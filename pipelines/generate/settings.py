@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, cast
 from annotated_types import Interval
 
 from models.dual_system.algorithm1 import Corrects, LoopSettings
+from models.physics_corrector.corrector import Polish
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted
@@ -57,6 +58,16 @@ class GenerateSettings(Settings):
 
     steps: Count = 0
     """Solver steps of the flow; 0 takes the number that is stored with the weights."""
+
+    refine: bool = False
+    """Whether layouts are refined in batches after the flow. Four of five need no certification then, but on a CPU that takes longer
+    than certification alone.
+    """
+
+    polish: Polish = "certify"
+    """What follows the flow: ``certify`` certifies what the refinement leaves, ``verify`` only audits the refined scenes, ``off``
+    publishes the result of the flow itself.
+    """
 
     settle: bool = True
     """Whether the last correction simulates physics to find objects that do not stay at rest, and moves them."""

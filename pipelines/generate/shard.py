@@ -22,6 +22,7 @@ from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.certify.correction import CertificationRequest, Correction
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
+from models.physics_corrector.refinement.refiner import Refiner
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
@@ -46,6 +47,8 @@ from pipelines.generate.answers import LocalCertifier, LocalRequestHandler, fail
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import Task
+from pipelines.sources.scenes import contact_grid_cache
+from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, Notice, SceneError
 from stable_data.geometry.shape import Shape
@@ -156,6 +159,7 @@ class GenerateWork(ShardStep[Task]):
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, process=process)
+        opened.answers.prepares = process is None
         opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, process=process))
         rows: Rows = defaultdict(list)
         tasks = list(self._tasks(shard, rows))
@@ -324,10 +328,10 @@ def _open_certifier(work: GenerateWork) -> LocalCertifier:
 
 
 def _certifier(settings: GenerateSettings, shelf: AssetLibraries) -> LocalCertifier:
-    options = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False)
-    return LocalCertifier(
-        PhysicsCorrector(load_flow(settings.weights, settings.steps), options, judges_raw=False), AssetStore(shelf)
-    )
+    options, store = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False), AssetStore(shelf)
+    refiner = Refiner(store, ContactGrids(contact_grid_cache()), _DEPTH) if settings.refine else None
+    flow = load_flow(settings.weights, settings.steps)
+    return LocalCertifier(PhysicsCorrector(flow, options, False, refiner, settings.polish), store)
 
 
 @lru_cache(maxsize=1)
@@ -430,6 +434,7 @@ def _turn_row(name: str, number: int, turn: Turn) -> schemas.Row:
         "unmatched": [] if turn.assigned is None else sorted(turn.assigned.unmatched),
         "coarse": None if done is None else _poses(done.start),
         "corrected": None if done is None or done.certified is None else _poses(done.certified),
+        "solved_by": None if done is None or done.solved_by is None else str(done.solved_by),
         "card_before": None if done is None or done.card_before is None else asdict(done.card_before),
         "card_after": None if done is None or done.card_after is None else asdict(done.card_after),
         "dropped": [] if done is None else [asdict(d) for d in done.dropped],

@@ -220,6 +220,11 @@ def mesh_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / "meshes"
 
 
+def contact_grid_cache() -> Path:
+    """The folder of the grids with which layouts are refined, named by content hash and shared by all processes of a user."""
+    return mesh_cache().with_name("contact_grids")
+
+
 def _ids_by_file(folder: RunFolder) -> dict[str, tuple[str, ...]]:
     """Scene ids by their file of ``scenes``.
 

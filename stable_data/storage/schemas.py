@@ -121,6 +121,9 @@ _scene_head = [
 ]
 
 _dropped = _column("dropped", pa.list_(DROPPED), "objects that were removed because they could not be placed, with the reason")
+_solved_by = _column(
+    "solved_by", _text, "step that made the scene clean: start (it was), flow, refine or certify; null if it is not clean"
+)
 _aspect = _column("aspect", _numbers, "scale divided by its largest component, rounded to steps of 5 %")
 
 SCHEMAS: dict[str, pa.Schema] = {
@@ -160,9 +163,11 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column(
                 "status",
                 _text,
-                "certified, dropped (clean after objects were removed), infeasible, or unknown (a mesh is missing)",
+                "certified, dropped (clean after objects were removed), infeasible, unclean (not certified), or unknown (a mesh is "
+                "missing)",
             ),
             _column("reason", _text, "reason for a status other than certified; empty if certified"),
+            _solved_by,
             _dropped,
             _column("start", pa.list_(POSE), "input pose of each object, including removed objects", "m, rad"),
             _column(
@@ -193,6 +198,7 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("unmatched", _texts, "instances without a matching asset"),
             _column("coarse", pa.list_(POSE), "object poses before the correction; null without a correction", "m, rad"),
             _column("corrected", pa.list_(POSE), "object poses after the correction; null if none or infeasible", "m, rad"),
+            _solved_by,
             _column("card_before", CARD, "metric card before the correction; null without a correction"),
             _column("card_after", CARD, "metric card after the correction; null without a correction or if it is infeasible"),
             _dropped,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import TYPE_CHECKING, TypeAlias
 
 from models.physics_corrector.certify import CertificationResult, CorrectionStatus, DroppedObject
@@ -19,6 +20,22 @@ if TYPE_CHECKING:  # MuJoCo takes long to import
 
 Fixed: TypeAlias = frozenset[str]
 """Instances of a scene that must not move."""
+
+
+class SolvedBy(StrEnum):
+    """The step that made a scene clean."""
+
+    START = "start"
+    """None: it was clean already."""
+
+    FLOW = "flow"
+    """The learned flow."""
+
+    REFINE = "refine"
+    """The batched refinement."""
+
+    CERTIFY = "certify"
+    """The certification."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +69,33 @@ class CertificationRequest:
         raw: The scene after the flow; None without a flow.
         options: The permitted changes.
         audit: The exact audit of ``scene``; None if it is not known.
+        prepared: The layout with which certification starts, if it was prepared with others as a batch.
     """
 
     scene: Scene
     raw: Scene | None
     options: CorrectionOptions = CorrectionOptions()
     audit: Audit | None = None
+    prepared: "PreparedLayout | None" = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedLayout:
+    """A layout after the drop of its new objects and the refinement.
+
+    Attributes:
+        scene: The scene before the flow; if tilts may change, with its new objects dropped onto their carriers.
+        raw: The scene after the flow, whose dropped objects have moved with their carriers; None without a flow.
+        refined: The scene after the refinement; None without one.
+        audit: The exact audit of ``refined``.
+        is_solved: Whether the refinement has left nothing to certify.
+    """
+
+    scene: Scene
+    raw: Scene | None = None
+    refined: Scene | None = None
+    audit: Audit | None = None
+    is_solved: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +136,7 @@ class Correction:
         kept: Counts of the relations of the start that still hold; None if infeasible.
         rest: MuJoCo's verdict on ``certified``; None if there was no simulation.
         engine_fault: Why the simulation failed; empty if it did not, or was not requested.
+        solved_by: The step that made the scene clean; None if it is not.
     """
 
     status: CorrectionStatus
@@ -114,6 +153,7 @@ class Correction:
     kept: RelationsKept | None = None
     rest: "SettleResult | None" = None
     engine_fault: str = ""
+    solved_by: SolvedBy | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -94,7 +94,7 @@ class LayoutSearch:
                 break
         if audit is None or not audit.card().clean:
             self.reason = self.reason or (
-                f"not clean after {self._options.rounds} rounds of exact checks: {_remaining_faults(audit)}"
+                f"not clean after {self._options.rounds} rounds of exact checks: {remaining_faults(audit)}"
             )
             return None
         self.num_broken = self._count_broken()
@@ -284,7 +284,7 @@ class LayoutSearch:
             if o.floats or o.table_penetration > TOLERANCE:
                 changed |= self._rest_again(number[o.instance])
         if not changed:
-            self.reason = f"the exact audit refuses objects that cannot be moved: {_remaining_faults(audit)}"
+            self.reason = f"the exact audit refuses objects that cannot be moved: {remaining_faults(audit)}"
         return changed
 
     def _rest_again(self, k: int) -> bool:
@@ -320,7 +320,8 @@ def build_scene(layout: LayoutState) -> Scene:
     return replace(layout.scene, objects=tuple(objects))
 
 
-def _remaining_faults(audit: Audit | None) -> str:
+def remaining_faults(audit: Audit | None) -> str:
+    """Returns what is not clean, the first five faults."""
     if audit is None:
         return "nothing was checked"
     pairs = [f"{p.first} is in {p.second}" for p in audit.pairs if p.penetration is None or p.penetration > audit.tolerance]

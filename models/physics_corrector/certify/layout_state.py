@@ -9,7 +9,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Scene, Stage
 
 # A task object moves least; a background object that is far from it moves first, and is dropped first.
-_STIFFNESS = {Stage.TASK: 10.0, Stage.IMPORTANT: 3.0, Stage.SECONDARY: 1.0, None: 1.0}
+STIFFNESS = {Stage.TASK: 10.0, Stage.IMPORTANT: 3.0, Stage.SECONDARY: 1.0, None: 1.0}
 _STILL = 30.0  # factor of the weight of an object that shall move less than all others
 
 
@@ -42,7 +42,7 @@ class LayoutState:
         self.carried = list(carried)
         self.is_there = [True] * len(shapes)
         self.is_fixed = [o.instance in fixed for o in scene.objects]
-        self._weights = [_STIFFNESS[o.stage] * (_STILL if o.instance in still else 1.0) for o in scene.objects]
+        self._weights = [STIFFNESS[o.stage] * (_STILL if o.instance in still else 1.0) for o in scene.objects]
 
     def present(self) -> list[int]:
         """Returns the objects that have not been dropped."""
@@ -110,7 +110,7 @@ class LayoutState:
 
     def rank(self, k: int) -> tuple[float, float, str]:
         """Returns the importance by stage, the footprint in square metres, and the instance, by which objects to drop are chosen."""
-        importance = max(_STIFFNESS[self.scene.objects[m].stage] for m in self.tree(k))
+        importance = max(STIFFNESS[self.scene.objects[m].stage] for m in self.tree(k))
         x, y = self.shapes[k].size[:2]
         return importance, float(x * y), self.scene.objects[k].instance
 

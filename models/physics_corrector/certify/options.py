@@ -25,6 +25,9 @@ class CorrectionStatus(StrEnum):
     INFEASIBLE = "infeasible"
     """No clean layout was found without a change that is not allowed."""
 
+    UNCLEAN = "unclean"
+    """Not clean, because it was not certified (``polish``)."""
+
     UNKNOWN = "unknown"
     """A mesh is missing: clean with a box in its place, which proves nothing."""
 

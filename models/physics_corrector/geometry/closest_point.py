@@ -54,7 +54,7 @@ def posed_distance(
     Returns:
         Distances, (E,), metres, negative inside.
     """
-    turn, offset = _in_host(poses, queries)
+    turn, offset = in_host(poses, queries)
     c, s = turn.cos(), turn.sin()
     x, y, z = points.to(poses.dtype).unbind(1)
     local = torch.stack([c * x - s * y, s * x + c * y, z], dim=1) + offset
@@ -106,6 +106,30 @@ def _closest(
     limit: Tensor,
     is_unsigned: bool,
 ) -> tuple[Tensor, Tensor]:
+    query, sample, distance = near_samples(poses, batch, geometry, queries, samples, limit, is_unsigned=is_unsigned)
+    # Samples per query differ in number after the filter: scatter_reduce replaces a minimum over a padded matrix.
+    smallest = torch.full_like(limit, torch.inf).scatter_reduce(0, query, distance, "amin")
+    is_smallest = distance == smallest[query]  # "amin" of sample indices below: the first of equal samples, on any device
+    first = torch.full_like(queries.scene, samples.shape[1] - 1)
+    return first.scatter_reduce(0, query[is_smallest], sample[is_smallest], "amin"), smallest
+
+
+@torch.no_grad()
+def near_samples(
+    poses: Tensor,
+    batch: LayoutBatch,
+    geometry: ShapeTensors,
+    queries: ClosestPointQueries,
+    samples: Tensor,
+    limit: Tensor,
+    *,
+    is_unsigned: bool = False,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Finds all samples of each guest that are nearer to its host than a limit; arguments as for :func:`closest_sample`.
+
+    Returns:
+        The query, the sample, (S,) int64 each, and its distance, (S,), metres.
+    """
     host = batch.shape_index[queries.scene, queries.host]
     grid_index, factor = geometry.grid_index[host], geometry.metres_per_unit[host].to(poses.dtype)
     low, high = (corner.to(poses.dtype) for corner in geometry.atlas.box(grid_index))
@@ -119,19 +143,14 @@ def _closest(
     units = geometry.atlas.sample(grid_index[query], torch.stack([values[query, sample] for values in axes], dim=1))
     distance = factor[query] * (units.abs() if is_unsigned else units)
     counts = distance < limit[query]
-    query, sample, distance = query[counts], sample[counts], distance[counts]
-    # Samples per query differ in number after the filter: scatter_reduce replaces a minimum over a padded matrix.
-    smallest = torch.full_like(limit, torch.inf).scatter_reduce(0, query, distance, "amin")
-    is_smallest = distance == smallest[query]  # "amin" of sample indices below: the first of equal samples, on any device
-    first = torch.full_like(host, samples.shape[1] - 1).scatter_reduce(0, query[is_smallest], sample[is_smallest], "amin")
-    return first, smallest
+    return query[counts], sample[counts], distance[counts]
 
 
 def _samples_in_host(
     poses: Tensor, batch: LayoutBatch, geometry: ShapeTensors, queries: ClosestPointQueries, samples: Tensor
 ) -> list[Tensor]:
     """Transforms samples of the guests to the unit frame of their hosts' grids: x, y and z, (E, P) each."""
-    turn, offset = _in_host(poses, queries)
+    turn, offset = in_host(poses, queries)
     c, s = turn.cos(), turn.sin()
     affine = geometry.unit_from_yaw[batch.shape_index[queries.scene, queries.host]].to(poses.dtype)
     x, y, z = samples[batch.shape_index[queries.scene, queries.guest]].to(poses.dtype).unbind(2)
@@ -145,7 +164,7 @@ def _samples_in_host(
     return axes
 
 
-def _in_host(poses: Tensor, queries: ClosestPointQueries) -> tuple[Tensor, Tensor]:
+def in_host(poses: Tensor, queries: ClosestPointQueries) -> tuple[Tensor, Tensor]:
     """Returns the guest's pose in the host's yaw frame: yaw (E,) and position (E, 3)."""
     guest, host = poses[queries.scene, queries.guest], poses[queries.scene, queries.host]
     x, y, z = (guest[:, :3] - host[:, :3]).unbind(1)

@@ -66,6 +66,14 @@ class SdfAtlas:
             return distance
         return self._read(grid_index, points, with_gradient=False)[0]
 
+    def sample_with_gradient(self, grid_index: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Reads the signed distance and its gradient; arguments as for :meth:`sample`.
+
+        Returns:
+            Distances, (M,), units, and gradients, (M, 3); neither is differentiable.
+        """
+        return self._read(grid_index, points.detach(), with_gradient=True)
+
     def _read(self, grid_index: Tensor, points: Tensor, *, with_gradient: bool) -> tuple[Tensor, Tensor]:
         """Returns values (M,) and, on request, gradients (M, 3)."""
         shape, spacing = self.shape[grid_index], self.spacing[grid_index].to(points.dtype)

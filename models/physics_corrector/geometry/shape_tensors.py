@@ -80,9 +80,25 @@ class ShapeTensors:
         Returns:
             Distances, (M,), dtype of the points, negative inside, metres.
         """
-        affine = self.unit_from_yaw[shape_index].to(points.dtype)
-        units = (affine[:, :, :3] * points[:, None]).sum(dim=2) + affine[:, :, 3]
+        units = self._in_units(shape_index, points)[0]
         return self.metres_per_unit[shape_index] * self.atlas.sample(self.grid_index[shape_index], units)
+
+    def signed_distance_with_normal(self, shape_index: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Computes D_s and the direction in which it grows; arguments as for :meth:`signed_distance`.
+
+        Returns:
+            Distances, (M,), metres, and unit vectors, (M, 3), yaw frame; the zero vector where D_s has no slope.
+        """
+        units, linear = self._in_units(shape_index, points)
+        value, slope = self.atlas.sample_with_gradient(self.grid_index[shape_index], units)
+        normal = torch.nn.functional.normalize((linear * slope[:, :, None]).sum(dim=1), dim=1)
+        return self.metres_per_unit[shape_index] * value, normal
+
+    def _in_units(self, shape_index: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns points in the frames of the grids, (M, 3), and the linear parts of the maps, (M, 3, 3)."""
+        affine = self.unit_from_yaw[shape_index].to(points.dtype)
+        linear = affine[:, :, :3]
+        return (linear * points[:, None]).sum(dim=2) + affine[:, :, 3], linear
 
 
 class ShapeCollector:
@@ -159,13 +175,11 @@ class ShapeCollector:
             self._points[asset_id] = surface_points(mesh, max(1024, self._num_surface))[0].astype(np.float64)
         surface = (self._points[asset_id][: self._num_surface] * scale) @ rotation.T - centre
         metres_per_unit = grid.extent * max(scale)
-        # The shell of an open mesh, and the diagonal of a cell, one corner of which may be negative.
-        reach = STRETCH * metres_per_unit * (grid.shell_thickness / 2 + math.sqrt(3) * grid.spacing)
         return _Shape(
             grid_index=self._grid_order.setdefault((asset_id, steps), len(self._grid_order)),
             unit_from_yaw=np.concatenate([linear, (linear @ centre)[:, None]], axis=1),
             metres_per_unit=metres_per_unit,
-            reach=reach,
+            reach=shell_reach(grid, max(scale)),
             surface=surface.astype(np.float32),
             bottom=bottom_points(shape.vertices, shape.faces, self._num_bottom),
         )
@@ -185,6 +199,17 @@ class ShapeCollector:
             grid = build_grid(mesh, aspect=aspect_of(steps)) if is_box else self.store.grid(asset_id, scale)
             self._grids[asset_id, steps] = grid
         return self._grids[asset_id, steps]
+
+
+def shell_reach(grid: SdfGrid, factor: float) -> float:
+    """Computes how far outside a shape's box its grid may be negative, metres.
+
+    Args:
+        grid: Its grid.
+        factor: The largest component of its scale.
+    """
+    # The shell of an open mesh, and the diagonal of a cell, one corner of which may be negative.
+    return STRETCH * grid.extent * factor * (grid.shell_thickness / 2 + math.sqrt(3) * grid.spacing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -50,7 +50,7 @@ class Things:
         if before is not None:
             scene = fit_tilts(scene, before, edited, store)
         audit = audit_posed_scene(PosedScene(scene, store.shapes(scene)[0]))
-        done = EditCorrector(SMALL, corrector_of(SMALL), store).correct(scene, audit, edited, edited.untouched)
+        done = EditCorrector(SMALL, corrector_of(SMALL, store), store).correct(scene, audit, edited, edited.untouched)
         if done.certified is not None:
             assert done.card_after is not None
             assert done.card_after.clean

@@ -1,0 +1,188 @@
+"""The shapes of objects as the refinement reads them: signed distances, samples, and outlines seen from above."""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from models.physics_corrector.certify.static_stability import centre_of_mass
+from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
+from models.physics_corrector.geometry.shape_tensors import ShapeTensors, shell_reach
+from stable_data.assets.contact_grids import ContactGrids
+from stable_data.assets.store import AssetStore, aspect_of, aspect_steps
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.sdf.grid import SdfGrid
+from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface_sampling import surface_points
+from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
+
+_NUM_SAMPLES = 512  # samples of a shape
+_NUM_CORNERS = 160  # of these at most so many are corners of its convex hull, which touch first
+_NUM_SIDES = 32  # corners of an outline
+_MOST_UNITS = 5_000  # shapes of scale 1 in memory, 8 kB each
+_DIGITS = 6  # decimals by which two relative scales are equal
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactShapes:
+    """K shapes.
+
+    Attributes:
+        tensors: Their signed distances.
+        samples: Points of their surfaces, (K, 512, 3) float32, metres, yaw frame.
+        outline: Corners of their outlines seen from above, (K, 32, 2) float32, metres, yaw frame.
+        middle: Their centres of mass, (K, 3) float32, metres, yaw frame.
+    """
+
+    tensors: ShapeTensors
+    samples: Tensor
+    outline: Tensor
+    middle: Tensor
+
+    def to(self, device: torch.device | str) -> "ContactShapes":
+        """Copies the tensors to a device."""
+        return ContactShapes(*(getattr(self, name).to(device) for name in self.__slots__))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _UnitShape:
+    """A shape whose largest factor of scale is 1; all lengths grow with that factor, and the offset of the map does not."""
+
+    linear: FloatArray
+    offset: FloatArray
+    samples: npt.NDArray[np.float32]
+    outline: npt.NDArray[np.float32]
+    middle: npt.NDArray[np.float32]
+
+
+class ContactShapeCache:
+    """Makes the contact shapes of batches of scenes; what does not depend on the size of an asset is made once.
+
+    Args:
+        store: Meshes of the assets.
+        grids: Their signed-distance grids.
+    """
+
+    def __init__(self, store: AssetStore, grids: ContactGrids) -> None:
+        self._store, self._grids = store, grids
+        self._points: OrderedDict[str, FloatArray] = OrderedDict()
+        self._units: OrderedDict[tuple[str, Vec3, QuatXyzw], _UnitShape] = OrderedDict()
+
+    def shapes_of(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]]) -> tuple[ContactShapes, list[list[int]]]:
+        """Returns the shapes of scenes, and the index of each object's shape.
+
+        Args:
+            scenes: The scenes, resolved (``AssetStore.resolved``).
+            shapes: The geometry of the objects of each scene, in order.
+        """
+        order: dict[tuple[object, ...], int] = {}
+        grids: dict[tuple[str, tuple[int, int, int]], tuple[int, SdfGrid]] = {}
+        rows: list[tuple[_UnitShape, float, int, SdfGrid]] = []
+        indices: list[list[int]] = []
+        for scene, own in zip(scenes, shapes, strict=True):
+            indices.append([])
+            for o, shape in zip(scene.objects, own, strict=True):
+                asset_id, mesh, scale, tilt = self._source(o, shape)
+                key = (asset_id, scale, tilt)
+                if key not in order:
+                    order[key] = len(rows)
+                    steps = aspect_steps(scale)
+                    if (asset_id, steps) not in grids:
+                        is_sheet = bool(asset_id) and self._store.asset(asset_id).report.is_sheet
+                        grids[asset_id, steps] = len(grids), self._grids.grid(mesh, steps, is_sheet=is_sheet)
+                    number, grid = grids[asset_id, steps]
+                    rows.append((self._unit(asset_id, mesh, scale, tilt, shape, grid), max(scale), number, grid))
+                indices[-1].append(order[key])
+        return _stacked(rows, [grid for _, grid in grids.values()]), indices
+
+    def _source(self, o: SceneObject, shape: Shape) -> tuple[str, Mesh, Vec3, QuatXyzw]:
+        """Returns asset, mesh, scale and tilt of a shape; a unit cube, scaled, if the object has no mesh."""
+        mesh = self._store.mesh_of(o) if shape.is_exact else None
+        if mesh is not None and o.asset_id is not None and o.scale is not None:
+            return o.asset_id, mesh, o.scale, o.tilt_quat_xyzw
+        cube = Shape.box((1.0, 1.0, 1.0))
+        x, y, z = np.maximum(shape.size, 1e-3 * shape.size.max()).tolist()  # a flat box has no inside
+        return "", Mesh(cube.vertices, cube.faces), (x, y, z), (0.0, 0.0, 0.0, 1.0)
+
+    def _unit(self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, shape: Shape, grid: SdfGrid) -> _UnitShape:
+        factor = max(scale)
+        x, y, z = (round(s / factor, _DIGITS) for s in scale)
+        key = (asset_id, (x, y, z), tilt)
+        if key not in self._units:
+            while len(self._units) >= _MOST_UNITS:
+                self._units.popitem(last=False)
+            self._units[key] = self._made(asset_id, mesh, np.array(scale) / factor, tilt, shape, factor, grid)
+        self._units.move_to_end(key)
+        return self._units[key]
+
+    def _made(
+        self, asset_id: str, mesh: Mesh, scale: FloatArray, tilt: QuatXyzw, shape: Shape, factor: float, grid: SdfGrid
+    ) -> _UnitShape:
+        rotation = Rotation.from_quat(tilt).as_matrix()
+        # The map undoes tilt and scale; a grid belongs to the rounded aspect, and the map makes up for the rounding.
+        unit_per_mesh = np.array(aspect_of(aspect_steps((scale[0], scale[1], scale[2])))) / grid.extent
+        linear = (unit_per_mesh / scale)[:, None] * rotation.T
+        # The yaw frame's origin is the centre of the tilted box; one vertex in both frames gives the offset.
+        centre = rotation @ (mesh.vertices[0] * scale) - shape.vertices[0] / factor
+        if asset_id not in self._points:
+            while len(self._points) >= _MOST_UNITS:
+                self._points.popitem(last=False)
+            self._points[asset_id] = surface_points(mesh, _NUM_SAMPLES)[0].astype(np.float64)
+        samples = (self._points[asset_id] * scale) @ rotation.T - centre
+        corners = _hull_corners(shape) / factor
+        samples[_NUM_SAMPLES - len(corners) :] = corners  # the first ones, farthest-point ordered, cover the surface evenly
+        return _UnitShape(
+            linear,
+            linear @ centre,
+            samples.astype(np.float32),
+            (_outline(shape) / factor).astype(np.float32),
+            (centre_of_mass(shape) / factor).astype(np.float32),
+        )
+
+
+def _stacked(rows: Sequence[tuple[_UnitShape, float, int, SdfGrid]], grids: Sequence[SdfGrid]) -> ContactShapes:
+    """Scales unit shapes and joins them; each row is a unit shape, its factor, and the index of its grid and the grid."""
+
+    def joined(parts: list[npt.NDArray[np.float32]], shape: tuple[int, ...]) -> Tensor:
+        return torch.from_numpy(np.array(parts, np.float32).reshape(-1, *shape))
+
+    affine = [np.concatenate([unit.linear / f, unit.offset[:, None]], axis=1) for unit, f, _, _ in rows]
+    metres = torch.tensor([grid.extent * f for _, f, _, grid in rows], dtype=torch.float32)
+    samples = joined([f * unit.samples for unit, f, _, _ in rows], (_NUM_SAMPLES, 3))
+    tensors = ShapeTensors(
+        atlas=SdfAtlas.from_grids(grids),
+        grid_index=torch.tensor([number for _, _, number, _ in rows], dtype=torch.int64),
+        unit_from_yaw=joined([a.astype(np.float32) for a in affine], (3, 4)),
+        metres_per_unit=metres,
+        reach=torch.tensor([shell_reach(grid, f) for _, f, _, grid in rows], dtype=torch.float32),
+        surface=samples,
+        bottom=samples[:, :0],
+    )
+    outline = joined([f * unit.outline for unit, f, _, _ in rows], (_NUM_SIDES, 2))
+    return ContactShapes(tensors, samples, outline, joined([f * unit.middle for unit, f, _, _ in rows], (3,)))
+
+
+def _hull_corners(shape: Shape) -> FloatArray:
+    """Returns corners of the convex hull, at most ``_NUM_CORNERS``, the extreme ones of directions all around if it has more."""
+    try:
+        corners = shape.vertices[ConvexHull(shape.vertices).vertices]
+    except QhullError:  # a flat shape
+        corners = np.unique(shape.vertices, axis=0)
+    if len(corners) > _NUM_CORNERS:
+        k = np.arange(_NUM_CORNERS) + 0.5
+        polar, around = np.arccos(1 - 2 * k / _NUM_CORNERS), np.pi * (1 + 5**0.5) * k  # a Fibonacci sphere
+        ways = np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)])
+        corners = corners[np.unique((corners @ ways).argmax(axis=0))]
+    return np.asarray(corners)
+
+
+def _outline(shape: Shape) -> FloatArray:
+    """Returns the corners of the footprint that are extreme in evenly spaced directions, (32, 2)."""
+    angles = 2 * np.pi * np.arange(_NUM_SIDES) / _NUM_SIDES
+    return np.asarray(shape.footprint[(shape.footprint @ np.stack([np.cos(angles), np.sin(angles)])).argmax(axis=0)])

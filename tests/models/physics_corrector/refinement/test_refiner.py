@@ -1,0 +1,141 @@
+"""Refined layouts are judged exactly: solved only if nothing is left to certify."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.physics_corrector.certify import CorrectionStatus
+from models.physics_corrector.certify.correction import SolvedBy
+from models.physics_corrector.corrector import PhysicsCorrector, Polish
+from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout, Refiner
+from stable_data.assets.contact_grids import ContactGrids
+from stable_data.geometry.mesh import Mesh
+from stable_data.metrics.audit import audit_scene
+from stable_data.scene import Relation, RelationKind, Scene
+from tests.models.physics_corrector.geometry.shapes import SHAPES, scene, store, thing
+from tests.models.physics_corrector.refinement.layouts import shapes_of
+
+GRIDS = ContactGrids()
+REFINER = Refiner(store(), GRIDS)
+
+CROWDED = scene(
+    thing("plate", (0.4, 0.4, 0.03, 0.2), support="table"),
+    thing("ball", (0.42, 0.4, 0.11, 0), support="plate"),
+    thing("cube_0", (0.52, 0.42, 0.05, 0.4), support="table"),
+    thing("cube_1", (0.55, 0.48, 0.05, 0), support="table"),
+    thing("cup", (0.98, 0.1, 0.05, 0), support="table"),
+)
+CLEAN = scene(thing("cube_0", (0.2, 0.2, 0.05, 0.1), support="table"), thing("ball", (0.7, 0.5, 0.05, 0), support="table"))
+
+
+def refined(of: Scene, **options: frozenset[str]) -> RefinedLayout:
+    (found,) = REFINER.refine([LayoutToRefine(of, shapes_of(of), **options)])
+    assert found is not None
+    return found
+
+
+def test_a_crowded_table_becomes_clean_and_everything_stays_where_it_belongs() -> None:
+    assert audit_scene(CROWDED, shapes_of(CROWDED)).card().clean is False
+    found = refined(CROWDED)
+    assert found.is_solved
+    assert found.audit.card().clean
+    assert found.audit == audit_scene(found.scene, shapes_of(CROWDED))
+    assert {o.instance: o.supports for o in found.audit.objects}["ball"] == ("plate",)
+    moved = np.linalg.norm(found.scene.poses()[:, :2] - CROWDED.poses()[:, :2], axis=1)
+    assert moved.max() < 0.08
+    assert (found.scene.poses()[:, 3] == CROWDED.poses()[:, 3]).all()
+
+
+def test_a_clean_scene_and_fixed_objects_stay_bit_by_bit() -> None:
+    assert refined(CLEAN).scene == CLEAN
+    found = refined(CROWDED, fixed=frozenset({"cube_0", "plate"}))
+    assert found.scene["cube_0"] is CROWDED["cube_0"]
+    assert found.scene["plate"] is CROWDED["plate"]
+
+
+def test_a_scene_is_refined_alone_as_among_others() -> None:
+    layouts = [LayoutToRefine(of, shapes_of(of)) for of in (CLEAN, CROWDED, CLEAN)]
+    among = REFINER.refine(layouts)[1]
+    assert among is not None
+    assert among.scene.poses() == pytest.approx(refined(CROWDED).scene.poses(), abs=1e-5)
+
+
+def test_what_cannot_become_clean_is_not_solved() -> None:
+    full = scene(*(thing(f"plate_{k}", (0.5, 0.4, 0.005, 0.1 * k), support="table") for k in range(40)))
+    found = refined(full)
+    assert not found.is_solved
+    assert found.audit.card().clean is False
+
+
+def test_a_lost_carrier_is_not_solved() -> None:
+    """The cube is clean on the table, but the scene says that it is on the plate; it cannot get there, because it is fixed."""
+    apart = scene(thing("plate", (0.3, 0.3, 0.005, 0)), thing("cube", (0.7, 0.5, 0.05, 0)))
+    asked = replace(apart, relations=(Relation("cube", RelationKind.ON, "plate"),))
+    assert refined(apart).is_solved
+    found = refined(asked, fixed=frozenset({"cube", "plate"}))
+    assert found.audit.card().clean
+    assert not found.is_solved
+
+
+def test_what_would_tip_is_moved_or_not_solved() -> None:
+    over = scene(thing("plate", (0.4, 0.4, 0.005, 0), support="table"), thing("cube", (0.51, 0.4, 0.06, 0), support="plate"))
+    assert audit_scene(over, shapes_of(over)).card().clean
+    assert not refined(over, steady=frozenset()).is_solved or refined(over).scene["cube"].position[0] < 0.5
+    assert refined(over, steady=frozenset({"cube"})).is_solved  # a simulation has said that it stays
+
+
+def test_an_unknown_mesh_is_never_clean() -> None:
+    lost = replace(CLEAN, objects=(CLEAN.objects[0], replace(CLEAN.objects[1], asset_id=None)))
+    found = refined(lost)
+    assert found.audit.card().clean is None
+    assert not found.is_solved
+
+
+def test_an_empty_scene_is_not_refined() -> None:
+    assert REFINER.refine([LayoutToRefine(scene(), [])]) == [None]
+
+
+@pytest.mark.parametrize(
+    ("polish", "status", "solved_by"),
+    [
+        ("off", CorrectionStatus.UNCLEAN, None),
+        ("verify", CorrectionStatus.CERTIFIED, SolvedBy.REFINE),
+        ("certify", CorrectionStatus.CERTIFIED, SolvedBy.REFINE),
+    ],
+)
+def test_what_follows_the_flow(polish: Polish, status: CorrectionStatus, solved_by: SolvedBy | None) -> None:
+    (done,) = PhysicsCorrector(refiner=REFINER, polish=polish).correct([CROWDED], store())
+    assert (done.status, done.solved_by) == (status, solved_by)
+    assert done.card_after is not None
+    assert done.card_after.clean is (solved_by is not None)
+    assert bool(done.reason) is (solved_by is None)
+
+
+def test_what_the_refinement_leaves_is_certified() -> None:
+    over = scene(thing("plate", (0.4, 0.4, 0.005, 0)), thing("cube", (0.42, 0.4, 0.3, 0)))
+    asked = replace(over, relations=(Relation("cube", RelationKind.ON, "plate"),))
+    by = {p: PhysicsCorrector(refiner=REFINER, polish=p).correct([asked, CLEAN], store()) for p in ("verify", "certify")}
+    assert [done.solved_by for done in by["certify"]] == [SolvedBy.REFINE, SolvedBy.START]
+    (without,) = PhysicsCorrector().correct([asked], store())
+    assert without.solved_by is SolvedBy.CERTIFY
+    assert without.certified is not None
+    assert by["certify"][0].certified is not None
+    assert by["certify"][0].certified["cube"].position == pytest.approx(without.certified["cube"].position, abs=1e-3)
+
+
+def test_grids_are_read_from_their_files_and_built_again_if_these_are_broken(tmp_path: Path) -> None:
+    mesh = Mesh(SHAPES["cup"].vertices, SHAPES["cup"].faces)
+    first = ContactGrids(tmp_path).grid(mesh, (0, 0, 0), is_sheet=False)
+    (file,) = tmp_path.iterdir()
+    read = ContactGrids(tmp_path).grid(mesh, (0, 0, 0), is_sheet=False)
+    assert np.array_equal(read.values, first.values)
+    assert np.array_equal(read.origin, first.origin)
+    assert (read.spacing, read.extent, read.max_error) == (first.spacing, first.extent, first.max_error)
+    file.write_bytes(b"no grid")
+    again = ContactGrids(tmp_path).grid(mesh, (0, 0, 0), is_sheet=False)
+    assert np.array_equal(again.values, first.values)
+    assert file.stat().st_size > 1000
+    ContactGrids(tmp_path).grid(mesh, (1, 0, 0), is_sheet=False)
+    assert len(list(tmp_path.iterdir())) == 2
