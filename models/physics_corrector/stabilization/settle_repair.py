@@ -134,16 +134,15 @@ class SettleRepair:
             moved: Indices of the objects that move.
         """
         layout = self._layout
-        best = moved, layout.poses.copy(), list(layout.carried)
+        best = len(moved), layout.poses.copy(), list(layout.carried)
         for _ in range(_ROUNDS):
             self._moved = self._find_moving_by_tree()
             while self._moved and self._relocate_moving():
                 self._moved = self._find_moving_by_tree()
-            moved = self._find_moving(self._trial(layout.present(), []))
-            if len(moved) < len(best[0]):
-                best = moved, layout.poses.copy(), list(layout.carried)
-            self._moved = moved
-            if not moved or not self._relocate_moving():
+            self._moved, num_restless = self._find_moving(self._trial(layout.present(), []))
+            if num_restless < best[0]:
+                best = num_restless, layout.poses.copy(), list(layout.carried)
+            if not self._moved or not self._relocate_moving():
                 break
         layout.poses[:], layout.carried[:] = best[1], best[2]
 
@@ -155,16 +154,17 @@ class SettleRepair:
             around = self._around(*self._box(tree), _HELD_GAP)
             key = (*tree, TABLE_TOP, *around), layout.poses[[*tree, *around]].tobytes()
             if key not in self._seen:
-                self._seen[key] = self._find_moving(self._trial(tree, around))
+                self._seen[key] = self._find_moving(self._trial(tree, around))[0]
             moved += self._seen[key]
         return moved
 
-    def _find_moving(self, trial: SettleTrial) -> list[int]:
-        stays = trial.stays(self._layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn)
-        moved = [k for k, stay in zip(trial.free, stays.tolist(), strict=True) if not stay]
+    def _find_moving(self, trial: SettleTrial) -> tuple[list[int], int]:
+        """Returns the free objects of a trial that move, and how many are not known to stay: more, if the simulation diverges."""
+        stays, moves = trial.judge(self._layout.poses, VERDICT_SECONDS, STAYS.move, STAYS.turn)
+        moved = [k for k, is_moving in zip(trial.free, moves.tolist(), strict=True) if is_moving]
         for k in moved:
             self._refused[k].append(self._layout.poses[k].copy())
-        return moved
+        return moved, int((~stays).sum())
 
     def _box(self, members: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Returns the box around objects, two (3,) metres."""

@@ -47,7 +47,7 @@ class SettleTrial:
         self._data = mujoco.MjData(self._model)
 
     def stays(self, poses: FloatArray, seconds: float, move: float, turn: float) -> BoolArray:
-        """Returns which free objects never move farther or turn more than the limits, (F,).
+        """Returns which free objects never move farther or turn more than the limits, (F,); none if the simulation diverges.
 
         Args:
             poses: Start poses of all objects, (N, 4); those of held objects are not used.
@@ -55,8 +55,16 @@ class SettleTrial:
             move: The limit, metres.
             turn: The limit, degrees.
         """
+        return self.judge(poses, seconds, move, turn)[0]
+
+    def judge(self, poses: FloatArray, seconds: float, move: float, turn: float) -> tuple[BoolArray, BoolArray]:
+        """Returns which free objects stay, and which of them move: two (F,), with the arguments of :meth:`stays`.
+
+        If the simulation diverges, those move that had exceeded a limit before, because objects at rest do not make it diverge;
+        all, if none had. Of the others neither is known.
+        """
         _, moves, turns = self._run(poses, seconds, move, turn)
-        return np.asarray((moves <= move) & (turns <= turn))
+        return np.asarray((moves <= move) & (turns <= turn)), np.asarray((moves > move) | (turns > turn))
 
     def all_stay(self, poses: FloatArray, seconds: float, move: float, turn: float) -> bool:
         """Whether all free objects stay; like :meth:`stays`, but the trial ends with the first that does not."""
@@ -77,7 +85,10 @@ class SettleTrial:
     def _run(
         self, poses: FloatArray, seconds: float, move: float, turn: float, *, ends_at_first: bool = False
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Returns the last poses (F, 7) with quaternions wxyz, the largest moves (F,) in metres and turns (F,) in degrees."""
+        """Returns the last poses (F, 7) with quaternions wxyz, the largest moves (F,) in metres and turns (F,) in degrees.
+
+        If the simulation diverges, both are infinite for the objects that caused it, and NaN for the others.
+        """
         model, data = self._model, self._data
         mujoco.mj_resetData(model, data)
         # Sleep is enabled only after the settling time, as for the verdict on stability; a run before this one enabled it.
@@ -95,8 +106,10 @@ class SettleTrial:
                     enable_sleeping(model, _OPTIONS)
                 mujoco.mj_step(model, data, nstep=self._stride)
                 now = np.array(data.qpos).reshape(-1, 7)
-                if not np.isfinite(now).all():  # the simulation diverged: every object counts as moved
-                    return start, np.full(len(start), np.inf), np.full(len(start), np.inf)
+                if not np.isfinite(now).all():  # the simulation diverged
+                    gone = (moves > move) | (turns > turn)
+                    unknown = np.where(gone | ~gone.any(), np.inf, np.nan)
+                    return start, unknown, unknown
                 moves = np.maximum(moves, np.linalg.norm(now[:, :3] - start[:, :3], axis=1))
                 cosine = np.abs((now[:, 3:] * start[:, 3:]).sum(axis=1))
                 turns = np.maximum(turns, np.degrees(2 * np.arccos(np.minimum(cosine, 1.0))))

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.scene import RelationKind, Scene
+from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.settling import RigidBody, settle
 from tests.models.physics_corrector.certify.things import bowl, box, cylinder, laid, mesh_shape
 
@@ -180,6 +182,27 @@ def test_a_trial_lets_go_of_what_is_free_alone() -> None:
     assert ended[1] == pytest.approx(poses[2], abs=2e-3)
     turned = np.add(poses, (0.0, 0.0, 0.0, 2.5))
     assert trial.outcome(turned, 0.1)[1, 3] == pytest.approx(2.5, abs=1e-2)
+
+
+@pytest.mark.parametrize(("seconds", "moved"), [(0.5, [True, False]), (0.01, [True, True])])
+def test_a_trial_that_diverges_blames_what_had_moved_before(
+    seconds: float, moved: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether the others would have stayed is not known; where nothing had moved, any may be to blame."""
+    scene, shapes = laid(("falls", CUP, 0.2, 0.3, 0.4), ("stands", CUP, 0.6, 0.3, 0.0))
+    poses, step = scene.poses(), mujoco.mj_step
+
+    def diverge(model: Any, data: Any, nstep: int) -> None:
+        step(model, data, nstep=nstep)
+        if data.time > seconds:
+            data.qpos[:] = np.nan
+
+    monkeypatch.setattr(mujoco, "mj_step", diverge)
+    trial = SettleTrial(bodies(scene, shapes), poses, [0, 1], [], scene.table)
+    stays, moves = trial.judge(poses, 4.0, 0.01, 5.0)
+    assert stays.tolist() == trial.stays(poses, 4.0, 0.01, 5.0).tolist() == [False, False]
+    assert moves.tolist() == moved
+    assert not trial.all_stay(poses, 4.0, 0.01, 5.0)
 
 
 def test_what_leans_keeps_its_relations_where_it_can() -> None:
