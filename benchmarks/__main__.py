@@ -43,6 +43,7 @@ def main() -> None:
             "corrector_losses": ([run, data], ["--batch", "8"]),
             "correction": ([data, *layouts], ["--per-bucket", "1"]),
             "correction_cost": ([data], ["--scenes", "4", "--rounds", "1"]),
+            "refinement": ([data, "--layouts", "64"], ["--layouts", "4"]),
             "flow_gain": ([run, data, *layouts], ["--scenes", "2", "--per-bucket", "1"]),
             "corrector_ablation": ([run], ["--steps", "20"]),
             "retrieval": ([data], ["--assets", "1000", "--queries", "100"]),

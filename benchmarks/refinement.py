@@ -222,7 +222,8 @@ def main(
     scenes = proposals(run) if is_run else folder_scenes(MesaTaskDataset(Path(place)))
     starts = start_layouts(scenes, store, layouts)
     if not starts:
-        raise typer.BadParameter(f"{place}: no layout is known not to be clean, expected some")
+        print(f"{place}: no layout is known not to be clean, so nothing is to be refined")
+        return
     grids = ContactGrids(contact_grid_cache())
     ContactShapeCache(store, grids).shapes_of([one.scene for one in starts], [one.shapes for one in starts])
     figures: dict[str, Any] = {}
