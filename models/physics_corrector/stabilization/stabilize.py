@@ -138,14 +138,20 @@ class _Stabilization:
         return replace_result(done, build_correction(self.start, result, shapes_by_instance(scene, shapes)))
 
     def without_unstable(self, done: Correction) -> Correction | None:
-        """Returns the correction without its unstable objects; None if others do not stay either, or one is a task object or fixed."""
+        """Returns the correction without its unstable objects; None if others do not stay either.
+
+        Task objects and fixed ones stay: they may move only because a falling object pushes them.
+        """
         assert done.certified is not None
         assert done.rest is not None
         scene, rest, dropped = done.certified, done.rest, list(done.dropped)
         for _ in range(_DROP_ROUNDS):
-            names = SupportTree.of(scene.objects).with_descendants(set(rest.unsteady))
+            supports = SupportTree.of(scene.objects)
+            kept = {o.instance for o in scene.objects if o.stage is Stage.TASK} | self.options.fixed
+            trees = [supports.with_descendants({name}) for name in rest.unsteady]
+            names = set[str]().union(*(tree for tree in trees if kept.isdisjoint(tree)))
             gone = [o for o in scene.objects if o.instance in names]
-            if any(o.stage is Stage.TASK or o.instance in self.options.fixed for o in gone):
+            if not gone:
                 return None
             dropped += [DroppedObject(o.instance, f"it or its carrier would not stay at rest: {rest.reason}") for o in gone]
             left = tuple(o for o in scene.objects if o not in gone)

@@ -109,6 +109,18 @@ def test_a_task_object_that_nothing_keeps_still_is_told_and_stays() -> None:
     assert done.rest.settle_turn_max_deg > 60
 
 
+def test_a_task_object_that_a_falling_one_pushes_stays() -> None:
+    """The pole falls onto a cup of the task, and is left out."""
+    cup = replace(thing("cup", (0.5, 0.33, 0.05, 0.0)), stage=Stage.TASK)
+    given = store().resolved(scene(cup, replace(POLE, stage=Stage.SECONDARY)))[0]
+    assert settle(bodies_of(given, store().shapes(given)[0], store()), given.table).unsteady == ("cup", "cube")
+    done = steady(given, places=0)
+    assert done.certified is not None
+    assert [o.instance for o in done.certified.objects] == ["cup"]
+    assert done.rest is not None
+    assert done.rest.stable
+
+
 @pytest.mark.parametrize(("stage", "places"), [(Stage.TASK, 20), (Stage.SECONDARY, 5)])
 def test_more_places_are_tried_for_what_must_not_be_left_out(
     stage: Stage, places: int, monkeypatch: pytest.MonkeyPatch
