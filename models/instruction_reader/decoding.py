@@ -168,13 +168,15 @@ def _set_piles(said: Mapping[str, Scores], words: Sequence[str], spans: Sequence
 def _noun_phrase(words: Sequence[str], span: tuple[int, int], least: int) -> tuple[int, int]:
     """The words of a mention with a noun, without an article or possessive, and with the adjectives before it after ``least``."""
     first, last = span
-    if all(w in _PRONOUNS for w in words[first : last + 1]) and not (words[last] in _ONES and words[first - 1] in ADJECTIVES):
+    is_one = words[last] in _ONES and first - 1 > least and words[first - 1] in ADJECTIVES  # "the small one"
+    if all(w in _PRONOUNS for w in words[first : last + 1]) and not is_one:
         return span
     if first < last and words[first] in _DETERMINERS:
         return first + 1, last
     while first - 1 > least and words[first - 1] in ADJECTIVES:
         first -= 1
-    is_predicate = words[last] in _ONES and words[first - 1] == "the" and words[first - 2] in _IS
+    before = words[max(0, first - 2) : first]
+    is_predicate = words[last] in _ONES and before[-1:] == ["the"] and not _IS.isdisjoint(before)
     return span if is_predicate else (first, last)
 
 

@@ -49,15 +49,15 @@ clean; or certification of what the refinement leaves.
 class PhysicsCorrector:
     """Corrects scenes: the flow moves all scenes as one batch, the refinement makes most of them clean, the others are certified.
 
-    :meth:`correct` does all. A job that certifies scenes in separate processes calls :meth:`move` once and :meth:`certify` for
-    each request.
+    :meth:`correct` does all. A job that certifies scenes in separate processes calls :meth:`move` and :meth:`prepare` once, and
+    :meth:`certify` for each request.
 
     Attributes:
         flow: The learned part, such as :class:`~models.physics_corrector.learned_flow.LearnedFlow`; None corrects without it.
         options: Options of `certify`.
         judges_raw: Whether the raw result of the flow is audited too; this costs one more audit per scene.
         refiner: The batched refinement; None certifies all scenes.
-        polish: What follows the flow.
+        polish: What follows the flow. MuJoCo is asked only after certification.
     """
 
     flow: Flow | None = None

@@ -10,6 +10,7 @@ from pipelines.execution.shard_size import shard_size
 from pipelines.preprocess.convention import ConventionChoice
 from pipelines.preprocess.scene import SceneSettings
 from pipelines.sources.scenes import SceneSource
+from stable_data.errors import ConfigError
 from stable_data.mesatask import PositionConvention
 from stable_data.scene import Scene
 
@@ -77,6 +78,15 @@ class CorrectSettings(Settings):
 
     seconds_per_item: Positive = 600.0
     """Seconds; a scene that takes longer is a failure. Not enforced without worker processes."""
+
+    def check(self) -> None:
+        """Refuses a simulation after no certification, which would not take place; see the base class."""
+        if self.settle and self.polish != "certify":
+            raise ConfigError(
+                f"setting {self.section}.settle needs certification, but polish is {self.polish}; "
+                "set polish to certify, or settle to false",
+                "config_invalid",
+            )
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows; a run is resumed only if they are equal."""

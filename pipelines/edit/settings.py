@@ -7,6 +7,7 @@ from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from pipelines.correct.settings import CorrectSettings
 from pipelines.sources.scenes import SceneSource
+from stable_data.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,12 @@ class EditSettings(CorrectSettings):
 
     reasoner: ReasonerSettings = field(default_factory=ReasonerSettings)
     """How the language model is asked."""
+
+    def check(self) -> None:
+        """Refuses edits without certification, which alone knows what an edit asks for; see the base class."""
+        CorrectSettings.check(self)
+        if self.polish != "certify":
+            raise ConfigError(f"setting {self.section}.polish is {self.polish}, expected certify for edits", "config_invalid")
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows; a run is resumed only if they are equal.

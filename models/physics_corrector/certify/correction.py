@@ -126,13 +126,13 @@ class Correction:
         reason: Why the scene is not certified; empty if it is.
         start: The scene before the correction.
         raw: The scene after the flow, before certification; None without a flow.
-        certified: The clean scene; None if infeasible.
+        certified: The corrected scene, which is clean unless the status is ``unclean`` or ``unknown``; None if infeasible.
         dropped: Objects for which no place was found.
         card_before: Metric card of the start; None if it could not be judged.
         card_raw: Metric card of the raw scene; None without a flow, or if it was not requested.
-        card_after: Metric card of the clean scene, with its movement and its preserved relations; None if infeasible.
+        card_after: Metric card of the corrected scene, with its movement and its preserved relations; None if infeasible.
         audit_before: The exact audit of the start; None if it could not be judged.
-        audit: The exact audit of the clean scene; None if infeasible.
+        audit: The exact audit of the corrected scene; None if infeasible.
         kept: Counts of the relations of the start that still hold; None if infeasible.
         rest: MuJoCo's verdict on ``certified``; None if there was no simulation.
         engine_fault: Why the simulation failed; empty if it did not, or was not requested.

@@ -27,7 +27,7 @@ from stable_data.geometry.sdf.build import build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import bottom_points, surface_points
-from stable_data.scene import FloatArray, SceneObject, Vec3
+from stable_data.scene import FloatArray, QuatXyzw, SceneObject, Vec3
 
 GridKey: TypeAlias = tuple[str, tuple[int, int, int]]
 """Asset and its aspect in steps of 5 % (``stable_data.assets.store.aspect_steps``)."""
@@ -163,14 +163,11 @@ class ShapeCollector:
         )
 
     def _prepare(self, o: SceneObject, shape: Shape) -> "_Shape":
-        asset_id, mesh, scale, tilt = self._source(o, shape)
+        asset_id, mesh, scale, tilt = source_of(o, shape, self.store)
         steps = aspect_steps(scale)
         grid = self._grid(asset_id, mesh, scale, steps)
         rotation = Rotation.from_quat(tilt).as_matrix()
-        unit_per_mesh = np.array(aspect_of(steps)) / grid.extent
-        linear = (unit_per_mesh / np.array(scale))[:, None] * rotation.T
-        # The yaw frame's origin is the centre of the tilted box; one vertex in both frames gives the offset.
-        centre = rotation @ (mesh.vertices[0] * scale) - shape.vertices[0]
+        linear, centre = grid_map(mesh, scale, rotation, shape.vertices[0], grid)
         if asset_id not in self._points:
             self._points[asset_id] = surface_points(mesh, max(1024, self._num_surface))[0].astype(np.float64)
         surface = (self._points[asset_id][: self._num_surface] * scale) @ rotation.T - centre
@@ -184,21 +181,45 @@ class ShapeCollector:
             bottom=bottom_points(shape.vertices, shape.faces, self._num_bottom),
         )
 
-    def _source(self, o: SceneObject, shape: Shape) -> tuple[str, Mesh, Vec3, tuple[float, float, float, float]]:
-        """Returns asset, mesh, scale and tilt of a shape; a unit cube, scaled, if the object has no mesh."""
-        mesh = self.store.mesh_of(o) if shape.is_exact else None
-        if mesh is not None and o.asset_id is not None and o.scale is not None:
-            return o.asset_id, mesh, o.scale, o.tilt_quat_xyzw
-        cube = Shape.box((1.0, 1.0, 1.0))
-        x, y, z = np.maximum(shape.size, _MIN_THICKNESS * shape.size.max()).tolist()
-        return _BOX_ASSET, Mesh(cube.vertices, cube.faces), (x, y, z), (0.0, 0.0, 0.0, 1.0)
-
     def _grid(self, asset_id: str, mesh: Mesh, scale: Vec3, steps: tuple[int, int, int]) -> SdfGrid:
         if (asset_id, steps) not in self._grids:
             is_box = asset_id == _BOX_ASSET
             grid = build_grid(mesh, aspect=aspect_of(steps)) if is_box else self.store.grid(asset_id, scale)
             self._grids[asset_id, steps] = grid
         return self._grids[asset_id, steps]
+
+
+def source_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[str, Mesh, Vec3, QuatXyzw]:
+    """Returns asset, mesh, scale and tilt of a shape; the asset ``""`` and a unit cube, scaled, if the object has no mesh."""
+    mesh = store.mesh_of(o) if shape.is_exact else None
+    if mesh is not None and o.asset_id is not None and o.scale is not None:
+        return o.asset_id, mesh, o.scale, o.tilt_quat_xyzw
+    cube = Shape.box((1.0, 1.0, 1.0))
+    x, y, z = np.maximum(shape.size, _MIN_THICKNESS * shape.size.max()).tolist()
+    return _BOX_ASSET, Mesh(cube.vertices, cube.faces), (x, y, z), (0.0, 0.0, 0.0, 1.0)
+
+
+def grid_map(
+    mesh: Mesh, scale: Vec3, rotation: FloatArray, first_vertex: FloatArray, grid: SdfGrid
+) -> tuple[FloatArray, FloatArray]:
+    """Computes the map from the yaw frame to the frame of a grid: ``linear @ (point + centre)``.
+
+    It undoes tilt, scale and centre. A grid belongs to the rounded aspect, and the map makes up for the rounding.
+
+    Args:
+        mesh: The mesh.
+        scale: Its scale.
+        rotation: Its tilt, (3, 3).
+        first_vertex: Its first vertex in the yaw frame, (3,), in the lengths of ``scale``.
+        grid: The grid of the mesh at the aspect of the scale.
+
+    Returns:
+        The linear part (3, 3), and the centre of the tilted box (3,), in the lengths of ``scale``.
+    """
+    unit_per_mesh = np.array(aspect_of(aspect_steps(scale))) / grid.extent
+    linear = (unit_per_mesh / np.array(scale))[:, None] * rotation.T
+    # The yaw frame's origin is the centre of the tilted box; one vertex in both frames gives the offset.
+    return linear, rotation @ (mesh.vertices[0] * scale) - first_vertex
 
 
 def shell_reach(grid: SdfGrid, factor: float) -> float:

@@ -13,14 +13,14 @@ from torch import Tensor
 
 from models.physics_corrector.certify.static_stability import centre_of_mass
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
-from models.physics_corrector.geometry.shape_tensors import ShapeTensors, shell_reach
+from models.physics_corrector.geometry.shape_tensors import ShapeTensors, grid_map, shell_reach, source_of
 from stable_data.assets.contact_grids import ContactGrids
-from stable_data.assets.store import AssetStore, aspect_of, aspect_steps
+from stable_data.assets.store import AssetStore, aspect_steps
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import surface_points
-from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
+from stable_data.scene import FloatArray, QuatXyzw, Scene, Vec3
 
 _NUM_SAMPLES = 512  # samples of a shape
 _NUM_CORNERS = 160  # of these at most so many are corners of its convex hull, which touch first
@@ -80,35 +80,42 @@ class ContactShapeCache:
         Args:
             scenes: The scenes, resolved (``AssetStore.resolved``).
             shapes: The geometry of the objects of each scene, in order.
+
+        Raises:
+            MeshError: A mesh gives no grid or samples.
         """
-        order: dict[tuple[object, ...], int] = {}
-        grids: dict[tuple[str, tuple[int, int, int]], tuple[int, SdfGrid]] = {}
+        order: dict[tuple[str, Vec3, QuatXyzw], int] = {}
+        grids: dict[tuple[str, tuple[int, int, int]], int] = {}
+        found: list[SdfGrid] = []
         rows: list[tuple[_UnitShape, float, int, SdfGrid]] = []
         indices: list[list[int]] = []
         for scene, own in zip(scenes, shapes, strict=True):
             indices.append([])
             for o, shape in zip(scene.objects, own, strict=True):
-                asset_id, mesh, scale, tilt = self._source(o, shape)
-                key = (asset_id, scale, tilt)
-                if key not in order:
+                asset_id, mesh, scale, tilt = source_of(o, shape, self._store)
+                if (key := (asset_id, scale, tilt)) not in order:
+                    unit, grid = self._made(asset_id, mesh, scale, tilt, shape)
+                    number = grids.setdefault((asset_id, aspect_steps(scale)), len(found))
+                    if number == len(found):
+                        found.append(grid)
                     order[key] = len(rows)
-                    steps = aspect_steps(scale)
-                    if (asset_id, steps) not in grids:
-                        is_sheet = bool(asset_id) and self._store.asset(asset_id).report.is_sheet
-                        grids[asset_id, steps] = len(grids), self._grids.grid(mesh, steps, is_sheet=is_sheet)
-                    number, grid = grids[asset_id, steps]
-                    rows.append((self._unit(asset_id, mesh, scale, tilt, shape, grid), max(scale), number, grid))
+                    rows.append((unit, max(scale), number, grid))
                 indices[-1].append(order[key])
-        return _stacked(rows, [grid for _, grid in grids.values()]), indices
+        return _stacked(rows, found), indices
 
-    def _source(self, o: SceneObject, shape: Shape) -> tuple[str, Mesh, Vec3, QuatXyzw]:
-        """Returns asset, mesh, scale and tilt of a shape; a unit cube, scaled, if the object has no mesh."""
-        mesh = self._store.mesh_of(o) if shape.is_exact else None
-        if mesh is not None and o.asset_id is not None and o.scale is not None:
-            return o.asset_id, mesh, o.scale, o.tilt_quat_xyzw
-        cube = Shape.box((1.0, 1.0, 1.0))
-        x, y, z = np.maximum(shape.size, 1e-3 * shape.size.max()).tolist()  # a flat box has no inside
-        return "", Mesh(cube.vertices, cube.faces), (x, y, z), (0.0, 0.0, 0.0, 1.0)
+    def make(self, scene: Scene, shapes: Sequence[Shape]) -> None:
+        """Makes what a scene needs, and keeps it.
+
+        Raises:
+            MeshError: As for :meth:`shapes_of`.
+        """
+        for o, shape in zip(scene.objects, shapes, strict=True):
+            self._made(*source_of(o, shape, self._store), shape)
+
+    def _made(self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, shape: Shape) -> tuple[_UnitShape, SdfGrid]:
+        is_sheet = bool(asset_id) and self._store.asset(asset_id).report.is_sheet
+        grid = self._grids.grid(mesh, aspect_steps(scale), is_sheet=is_sheet)
+        return self._unit(asset_id, mesh, scale, tilt, shape, grid), grid
 
     def _unit(self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, shape: Shape, grid: SdfGrid) -> _UnitShape:
         factor = max(scale)
@@ -117,19 +124,15 @@ class ContactShapeCache:
         if key not in self._units:
             while len(self._units) >= _MOST_UNITS:
                 self._units.popitem(last=False)
-            self._units[key] = self._made(asset_id, mesh, np.array(scale) / factor, tilt, shape, factor, grid)
+            self._units[key] = self._unit_shape(asset_id, mesh, (x, y, z), tilt, shape, factor, grid)
         self._units.move_to_end(key)
         return self._units[key]
 
-    def _made(
-        self, asset_id: str, mesh: Mesh, scale: FloatArray, tilt: QuatXyzw, shape: Shape, factor: float, grid: SdfGrid
+    def _unit_shape(
+        self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, shape: Shape, factor: float, grid: SdfGrid
     ) -> _UnitShape:
         rotation = Rotation.from_quat(tilt).as_matrix()
-        # The map undoes tilt and scale; a grid belongs to the rounded aspect, and the map makes up for the rounding.
-        unit_per_mesh = np.array(aspect_of(aspect_steps((scale[0], scale[1], scale[2])))) / grid.extent
-        linear = (unit_per_mesh / scale)[:, None] * rotation.T
-        # The yaw frame's origin is the centre of the tilted box; one vertex in both frames gives the offset.
-        centre = rotation @ (mesh.vertices[0] * scale) - shape.vertices[0] / factor
+        linear, centre = grid_map(mesh, scale, rotation, shape.vertices[0] / factor, grid)
         if asset_id not in self._points:
             while len(self._points) >= _MOST_UNITS:
                 self._points.popitem(last=False)

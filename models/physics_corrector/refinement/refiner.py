@@ -99,7 +99,7 @@ class Refiner:
 
     def _has_shapes(self, layout: LayoutToRefine) -> bool:
         try:
-            self._cache.shapes_of([layout.scene], [layout.shapes])
+            self._cache.make(layout.scene, layout.shapes)
         except MeshError:
             return False
         return True

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from models.physics_corrector.refinement.contacts import Contacts, find_contacts, pairs_in_bodies
 from models.physics_corrector.refinement.problem import RefinementProblem
-from models.physics_corrector.refinement.separation import parting, posed_outlines
+from models.physics_corrector.refinement.separation import combined_steps, parting, posed_outlines
 from stable_data.metrics.collision import TOLERANCE
 
 # Tuned on: the proposals of generated scenes, see docs/refinement.md. Lengths in metres.
@@ -67,20 +67,10 @@ def step_aside(poses: Tensor, problem: RefinementProblem, moving: Tensor, cleara
         direction, amount = parting(contacts, flat, outlines, clearance, is_stacked)
         push = direction * amount.clamp_max(_LONGEST)[:, None]
         share = torch.where((first >= 0) & (second >= 0), 0.5, torch.where(first >= 0, 1.0, 0.0))[:, None]
-        step = _summed(first, second, push, share, len(flat))
+        movers, steps = torch.cat([first, second]), torch.cat([share * push, (share - 1) * push])
+        step = _GAIN * combined_steps(movers[movers >= 0], steps[movers >= 0], len(flat))  # -1 moves nothing
         flat[:, :2] += torch.where((mover >= 0)[:, None], step[mover.clamp_min(0)], 0)
     return poses
-
-
-def _summed(first: Tensor, second: Tensor, push: Tensor, share: Tensor, size: int) -> Tensor:
-    """Sums pushes of movers to one step of each, (M, 2), scaled to the length of its longest push; -1 is no mover."""
-    mover = torch.cat([first, second])
-    step = torch.cat([share * push, (share - 1) * push])[mover >= 0]
-    mover = mover[mover >= 0]
-    length, none = step.norm(dim=1), push.new_zeros(size)
-    total, lengths = push.new_zeros(size, 2).index_add(0, mover, step), none.index_add(0, mover, length)
-    longest = none.scatter_reduce(0, mover, length, "amax")
-    return total * (_GAIN * longest / lengths.clamp_min(1e-9))[:, None]
 
 
 def lower_onto(poses: Tensor, problem: RefinementProblem, moving: Tensor) -> tuple[Tensor, Tensor]:
@@ -98,9 +88,9 @@ def lower_onto(poses: Tensor, problem: RefinementProblem, moving: Tensor) -> tup
     flat, forest = poses.view(-1, 4), problem.forest
     rest = flat.new_zeros(len(flat))
     for level in range(1, int(forest.level.max()) + 1 if len(forest.level) else 1):
-        search = _HeightSearch(poses, problem, moving, moving & (forest.level == level))
-        found = search.run(search.own, _STEPS)
-        again = search.own & (found > _UNRESTED)
+        search, own = _HeightSearch(poses, problem, moving), moving & (forest.level == level)
+        found = search.run(own, _STEPS)
+        again = own & (found > _UNRESTED)
         if bool(again.any()):
             height = problem.layout.sizes[..., 2].reshape(-1) / 2
             top = torch.where(forest.level < level, flat[:, 2] + height, -torch.inf)
@@ -111,14 +101,13 @@ def lower_onto(poses: Tensor, problem: RefinementProblem, moving: Tensor) -> tup
             is_worse = again & ((redone >= found) | (flat[:, 2] - before.view(-1, 4)[:, 2] > _MOST_RISE))
             search.raise_by(is_worse, before.view(-1, 4)[:, 2] - flat[:, 2])
             found = torch.where(again & ~is_worse, redone, found)
-        rest = torch.where(search.own, found, rest)
+        rest = torch.where(own, found, rest)
     return poses, rest
 
 
 def unrested(poses: Tensor, problem: RefinementProblem, carried: Tensor) -> Tensor:
     """Which carried objects (M,) float, or are in what is below them or beside them in their body, (M,) bool."""
-    search = _HeightSearch(poses, problem, torch.zeros_like(carried), carried)
-    distance = search._distances(carried)[0]
+    distance = _HeightSearch(poses, problem, torch.zeros_like(carried)).distances(carried)[0]
     pairs = pairs_in_bodies(poses, problem, carried, 0.0)
     contacts = find_contacts(poses, problem, pairs, 0.0)
     contacts = contacts.take(contacts.distance < -_UNRESTED)
@@ -131,12 +120,11 @@ def unrested(poses: Tensor, problem: RefinementProblem, carried: Tensor) -> Tens
 
 @dataclass(slots=True, eq=False)
 class _HeightSearch:
-    """The heights of the moving objects of one level; ``poses`` are changed in place."""
+    """The heights of moving objects; ``poses`` are changed in place."""
 
     poses: Tensor
     problem: RefinementProblem
     moving: Tensor
-    own: Tensor
 
     def raise_by(self, which: Tensor, rise: Tensor) -> None:
         """Moves objects (M,) up by (M,) metres, each with what it carries."""
@@ -151,7 +139,7 @@ class _HeightSearch:
         flat = self.poses.view(-1, 4)
         best, best_height = torch.full_like(flat[:, 2], torch.inf), flat[:, 2].clone()
         for _ in range(steps):
-            distance, rise = self._distances(which)
+            distance, rise = self.distances(which)
             better = which & (distance.abs() < best)
             best, best_height = torch.where(better, distance.abs(), best), torch.where(better, flat[:, 2], best_height)
             open_ = which & (distance.abs() > _TOLERANCE)
@@ -163,7 +151,7 @@ class _HeightSearch:
         self.raise_by(which, best_height - flat[:, 2])
         return torch.where(which, best, 0)
 
-    def _distances(self, which: Tensor) -> tuple[Tensor, Tensor]:
+    def distances(self, which: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the least distance of objects to what may stop them from below, (M,), and the vertical part of its normal."""
         flat = self.poses.view(-1, 4)
         pairs = pairs_in_bodies(self.poses, self.problem, which, _RANGE)

@@ -163,15 +163,23 @@ def _order_pushes(flat: Tensor, problem: RefinementProblem) -> tuple[Tensor, Ten
 
 
 def _combined(first: Tensor, second: Tensor, push: Tensor, mobility: Tensor) -> Tensor:
-    """Combines pushes to one step of each body, (M, 2), metres.
-
-    The two bodies of a push share it by their mobility. The sum of the pushes of a body is scaled to the length of the longest,
-    because pushes of several contacts with one neighbour are much the same.
-    """
+    """Combines pushes to one step of each body, (M, 2), metres; the two bodies of a push share it by their mobility."""
     share = (mobility[first] / (mobility[first] + mobility[second]))[:, None]
-    body, step = torch.cat([first, second]), torch.cat([share * push, (share - 1) * push])
-    length = step.norm(dim=1)
-    none = push.new_zeros(len(mobility))
-    total, lengths = push.new_zeros(len(mobility), 2).index_add(0, body, step), none.index_add(0, body, length)
-    longest = none.scatter_reduce(0, body, length, "amax")
+    return combined_steps(torch.cat([first, second]), torch.cat([share * push, (share - 1) * push]), len(mobility))
+
+
+def combined_steps(mover: Tensor, step: Tensor, num_movers: int) -> Tensor:
+    """Combines steps to one of each mover, (M, 2), metres.
+
+    The sum of the steps of a mover is scaled to the length of the longest, because pushes of several contacts with one neighbour
+    are much the same.
+
+    Args:
+        mover: What each step moves, (E,) int64.
+        step: The steps, (E, 2), metres.
+        num_movers: M.
+    """
+    length, none = step.norm(dim=1), step.new_zeros(num_movers)
+    total, lengths = step.new_zeros(num_movers, 2).index_add(0, mover, step), none.index_add(0, mover, length)
+    longest = none.scatter_reduce(0, mover, length, "amax")
     return total * (longest / lengths.clamp_min(1e-9))[:, None]

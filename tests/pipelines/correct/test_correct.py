@@ -104,6 +104,18 @@ def test_the_start_is_kept(broken: Path, corrected: Path) -> None:
         assert row["card_raw"] is None
 
 
+def test_what_is_not_certified_is_said_to_be_unclean(broken: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    correct(str(broken), str(out), replace(SMALL, refine=True, polish="verify", write_dataset=False), ALONE, report=False)
+    solved = {scene_id: row["solved_by"] for scene_id, row in rows_of(out, "corrections").items()}
+    scenes = rows_of(out, "scenes")
+    unclean = {scene_id for scene_id, row in scenes.items() if row["clean"] is not True}
+    assert {scene_id for scene_id, by in solved.items() if by is None} == unclean
+    assert set(solved.values()) <= {None, "start", "refine"}
+    told = {row["id"] for row in RunFolder(str(out)).table("warnings").to_pylist() if row["code"] == "unclean"}
+    assert told == unclean
+
+
 def test_what_the_engine_moves_is_put_where_it_stays_or_named(broken: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     correct(str(broken), str(out), replace(SMALL, settle=True, write_dataset=False), ALONE, report=False)

@@ -14,6 +14,7 @@ from models.point_encoder import save as save_encoder
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from pipelines.correct.job import correct
 from pipelines.correct.settings import CorrectSettings
+from pipelines.edit.settings import EditSettings
 from pipelines.execution.ray_executor import WorkerPool
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset, write_annotations, write_scene
@@ -129,3 +130,11 @@ def test_weights_that_cannot_be_used_leave_nothing_behind(odd: Path, tmp_path: P
         with pytest.raises(ConfigError, match=message):
             correct(str(odd), str(tmp_path / "out"), replace(SETTINGS, weights=str(file)), WorkerPool())
     assert not (tmp_path / "out").exists()
+
+
+def test_settings_of_which_one_would_be_ignored_are_refused() -> None:
+    with pytest.raises(ConfigError, match="settle needs certification, but polish is off"):
+        replace(SETTINGS, settle=True, polish="off").check()
+    with pytest.raises(ConfigError, match="expected certify for edits"):
+        EditSettings(polish="verify").check()
+    replace(SETTINGS, polish="verify").check()
