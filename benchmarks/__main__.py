@@ -44,7 +44,6 @@ def main() -> None:
             "correction": ([data, *layouts], ["--per-bucket", "1"]),
             "correction_cost": ([data], ["--scenes", "4", "--rounds", "1"]),
             "refinement": ([data, "--layouts", "64"], ["--layouts", "4"]),
-            "flow_gain": ([run, data, *layouts], ["--scenes", "2", "--per-bucket", "1"]),
             "corrector_ablation": ([run], ["--steps", "20"]),
             "retrieval": ([data], ["--assets", "1000", "--queries", "100"]),
             "http_engine": ([], ["--requests", "400"]),

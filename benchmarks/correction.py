@@ -1,24 +1,30 @@
-"""The paper's Table 2 and its rearrangement table: the corrector and post-hoc optimisers on start layouts.
+"""The corrector's parts and post-hoc optimisers on start layouts: the paper's Table 2, its rearrangement table, and more.
 
-``python -m benchmarks.correction DATASET [--layouts FILE] [--start POSES] [--per-bucket N] [--every N] [--method NAME ...]
-[--settle] [--json FILE]``. Without a file of layouts, scenes of the dataset are perturbed until their collisions fill the
-buckets. Every verdict is the exact audit's, at 0.5 mm, on the result of a method; a method's own verdict is the column ``done``.
-``start`` is the layout itself, ``flow`` the raw result of the learned flow, ``certify`` certification without it, ``corrector``
-both together as the toolkit uses them. ``given``: with the layout's own scene graph, whose broken relations are restored.
-``settled``: with MuJoCo's verdict on stability. If Drake is installed, Steerable's projection runs in it too.
+``python -m benchmarks.correction PLACE [--layouts FILE] [--kind KIND] [--method NAME ...] [--settle] [--json FILE]``. PLACE is a folder
+in the MesaTask-10K format, a preprocess run or a generate run. The start layouts are those of the file, or of a kind: ``shaken``
+(scenes of the folder, perturbed until their collisions fill the buckets), ``given`` (the scenes themselves), ``perturbed`` (held-out
+scenes of a preprocess run with each kind of error of the training), ``proposed`` and ``proposed_whole`` (the layouts of each stage of a
+generate run before their correction, or the last ones alone).
+
+Methods: ``flow``, ``refine``, ``certify`` and their combinations, and the optimisers. Every verdict is the exact audit's, at 0.5 mm, on
+the result of a method; its own verdict is the column ``done``. ``start`` is the layout itself. With ``--given``, the corrector knows
+the layout's own scene graph, whose broken relations are restored; else it infers the relations from the poses. If Drake is installed,
+Steerable's projection runs in it too.
 
 - clean: scenes without collision, floating, sinking or out of bounds; drop: dropped objects;
-- free: scenes without collision; pairs: remaining colliding pairs, median; oc: their share; unknown counts as colliding;
-- float, out: share of objects that float; that are out of bounds or in the table;
+- free: scenes without collision; pairs: remaining colliding pairs, median; oc: their share deeper than 0.5 mm, unknown counts;
+  oc 0, 1, 10: touching, deeper than 1 and than 10 mm; sdf: by the paper's rule;
+- float: share of objects that float; gap: by the paper's rule; out: share that is out of bounds or in the table;
 - move: mean movement of objects, millimetres, with identical objects matched; farthest: the largest one, unmatched;
 - emd: earth mover's distance to the target layout, millimetres, if it is known;
 - on/in, dir: relations to other objects that still hold, of those that held at the start; back: ``on`` and ``in`` relations of
-  the layout's scene graph that hold again, of those that the noise broke;
+  the layout's scene graph that hold again, of those that the start broke; meant: directional relations of the target that hold;
+- space, align, face: distance of the spacing (mm), alignment (mm) and facing (degrees) of the objects to those of the targets;
 - rest: objects that stay at rest in MuJoCo, of all; lie: the same of whole layouts (``--settle``), and again without layouts in
   which an obliquely tilted object is shifted out of its carrier, which no yaw can repair;
 - done: scenes that the method itself counts as solved; s: seconds a scene, median, without the preparation of assets.
 
-Below: the median seconds of each baseline, divided by those of ``certify`` and ``corrector``, by bucket.
+Below: the median seconds of each baseline, divided by those of the corrector's methods, by bucket.
 """
 
 import json
@@ -26,41 +32,43 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from statistics import mean, median
-from typing import Annotated
+from typing import Annotated, cast, get_args
 
 import numpy as np
+import torch
 import typer
 from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
 from benchmarks.baselines.methods import METHODS
 from benchmarks.baselines.outcome import Baseline, BaselineResult
-from benchmarks.layouts import StartLayout, read_layouts, shaken_layouts
+from benchmarks.corrector_parts import CorrectorTerms, corrector_parts
+from benchmarks.layouts import StartLayout, held_out_scenes, perturbed_layouts, proposed_layouts, read_layouts, shaken_layouts
 from benchmarks.steerable_drake import in_drake
 from benchmarks.text_table import align_columns
-from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.certify.correction import CorrectionOptions
-from models.physics_corrector.corrector import Flow, PhysicsCorrector
-from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
-from models.physics_corrector.learned_flow import AUTO, load_flow
+from models.physics_corrector.corrector import Purpose
+from models.physics_corrector.learned_flow import AUTO, ExpectedError
+from models.physics_corrector.training.perturbation import PerturbationSettings
+from pipelines.sources.scenes import scene_source
 from stable_data.assets.store import AssetStore
-from stable_data.errors import MeshError, StableDataError
+from stable_data.errors import ConfigError, MeshError, StableDataError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import PosedScene, audit_posed_scene, audit_scene
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
-from stable_data.metrics.related_scene import relate_scene
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
+from stable_data.metrics.sampled_collision import add_sampled_collisions
+from stable_data.metrics.tidiness import NOTHING, Tidiness
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, settle
+from stable_data.storage.run_folder import RunFolder
 
 _START = "start"
-_TIMED = ("certify", "corrector")
+_TIMED = ("certify", "flow + certify", "refine + certify", "flow + refine + certify")
 _OBLIQUE = math.radians(5)  # a tilt that is this far from every right angle
 
 
@@ -70,67 +78,6 @@ class IdentityBaseline:
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         """Returns the scene itself."""
         return BaselineResult(scene, True, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class CorrectorBaseline:
-    """The corrector, whole or in parts, with the interface of the baselines.
-
-    Attributes:
-        weights: Weights of the flow; ``none``: certification alone.
-        certifies: Whether the flow's result is certified.
-        is_told: Whether it knows the scene graph of the layout; else it infers the relations from the poses.
-        settles: Whether MuJoCo tests what stays at rest.
-    """
-
-    weights: str = AUTO
-    certifies: bool = True
-    is_told: bool = False
-    settles: bool = False
-
-    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Corrects the layout; returns it unchanged if it is infeasible."""
-        corrector = PhysicsCorrector(_flow(self.weights), judges_raw=False)
-        options = CorrectionOptions(asks_engine=self.settles)
-        corrector.move([scene], store, options)  # encodes the shapes: preparation of assets, like convex parts
-        if self.settles:
-            bodies_of(scene, shapes, store)
-        audit = audit_scene(scene, shapes)  # a correction needs it only for its figures
-        told = scene if self.is_told else replace(scene, relations=())
-        begin = time.process_time()
-        known = scene
-        if corrector.flow is not None and not self.is_told:  # the flow gets the supports of the layout as it is
-            posed = PosedScene(scene, shapes)
-            known = relate_scene(posed, audit_posed_scene(posed), {}).scene
-        (request,) = corrector.move([replace(known, relations=told.relations)], store, options, [audit])
-        if not self.certifies:
-            return BaselineResult(request.raw or scene, request.raw is not None, time.process_time() - begin)
-        done = corrector.certify(request, store)
-        seconds = time.process_time() - begin
-        is_clean = done.status in (CorrectionStatus.CERTIFIED, CorrectionStatus.DROPPED)
-        return BaselineResult(done.certified or scene, is_clean, seconds, done.reason)
-
-
-@lru_cache(maxsize=2)
-def _flow(weights: str) -> Flow | None:
-    return load_flow(weights)
-
-
-def ours() -> dict[str, Baseline]:
-    """Returns the corrector and its parts, by name; those with the flow only if its weights exist."""
-    alone: dict[str, Baseline] = {
-        "certify": CorrectorBaseline("none"),
-        "certify, given": CorrectorBaseline("none", is_told=True),
-        "certify, settled": CorrectorBaseline("none", settles=True),
-    }
-    if not DEFAULT_WEIGHTS.is_file():
-        return alone
-    return {
-        "flow": CorrectorBaseline(certifies=False),
-        **alone,
-        "corrector": CorrectorBaseline(),
-        "corrector, given": CorrectorBaseline(is_told=True),
-    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,11 +94,19 @@ class Result:
         num_collisions: Colliding pairs; unknown counts as colliding.
         num_floating: Floating objects; unknown counts as floating.
         num_outside: Objects that are out of bounds or in the table.
-        oc: Colliding pairs as a share of all.
+        oc: Colliding pairs as a share of all; ``oc_0mm``, ``oc_1mm``, ``oc_10mm`` touching ones and deeper ones, ``oc_sdf`` by the
+            paper's rule; None if unknown.
+        oc_0mm: See above.
+        oc_1mm: See above.
+        oc_10mm: See above.
+        oc_sdf: See above.
+        float_gap: Floating objects by the paper's rule, as a share of all; None if unknown.
+        tidiness: Spacing, alignment and facing of its objects.
         move_mean_mm: Mean movement, with identical objects matched.
         move_max_mm: Largest movement, unmatched.
         emd_mm: Earth mover's distance to the target; None without a target, or if objects were dropped.
         kept: Relations that held at the start, and those that still hold.
+        meant: Directional relations of the target, and those of them that hold; (0, 0) without a target.
         num_resting: Objects that stay at rest in MuJoCo; None if there was no simulation.
         can_rest: Whether yaw and shift could bring all objects to rest: no oblique object is out of its carrier.
         converged: Verdict of the method itself.
@@ -169,10 +124,17 @@ class Result:
     num_floating: int
     num_outside: int
     oc: float
+    oc_0mm: float | None
+    oc_1mm: float | None
+    oc_10mm: float | None
+    oc_sdf: float | None
+    float_gap: float | None
+    tidiness: Tidiness
     move_mean_mm: float
     move_max_mm: float
     emd_mm: float | None
     kept: RelationsKept
+    meant: tuple[int, int]
     num_resting: int | None
     can_rest: bool
     converged: bool
@@ -192,27 +154,39 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
     num_collisions = sum(p.penetration is None or p.penetration > audit.tolerance for p in audit.pairs)
     is_whole = count == len(scene.objects)
     kept = relations_kept(scene, left, shapes, left_shapes)
+    card = add_sampled_collisions(audit.card(), left, left_shapes, audit)
     return Result(
         method=name,
         layout=scene.scene_id,
         bucket=layout.bucket,
         num_objects=len(scene.objects),
-        clean=audit.card().clean,
+        clean=card.clean,
         num_dropped=len(scene.objects) - count,
         num_collisions=num_collisions,
         num_floating=sum(o.floats is not False for o in audit.objects),
         num_outside=sum(o.is_outside is not False or o.table_penetration > sunk for o in audit.objects),
         oc=num_collisions / max(1, count * (count - 1) // 2),
+        **{name: getattr(card, name) for name in ("oc_0mm", "oc_1mm", "oc_10mm", "oc_sdf", "float_gap")},
+        tidiness=Tidiness.of(left, left_shapes),
         move_mean_mm=1e3 * distance_moved(start, left) if count else 0.0,
         move_max_mm=float(moves.max(initial=0.0)),
         emd_mm=None if layout.target is None or not is_whole else 1e3 * emd_to_truth(left, layout.target).cost,
         kept=kept,
+        meant=_meant(layout.target, left, left_shapes) if is_whole else (0, 0),
         num_resting=_num_resting(left, left_shapes, store) if settles else None,
         can_rest=kept.asked_broken == 0 or not _has_displaced_oblique(scene),
         converged=outcome.converged,
         seconds=outcome.seconds,
         reason=outcome.reason,
     )
+
+
+def _meant(target: Scene | None, left: Scene, shapes: Sequence[Shape]) -> tuple[int, int]:
+    """Counts the directional relations of the target, and those of them that hold in a layout of the same objects."""
+    if target is None:
+        return 0, 0
+    kept = relations_kept(replace(target, relations=()), left, shapes)
+    return kept.directional_held, kept.directional_kept
 
 
 def _num_resting(scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> int | None:
@@ -272,11 +246,11 @@ def run(
     return results
 
 
-def table(results: Sequence[Result]) -> str:
-    """Returns a table of the figures, by method and bucket."""
+def table(results: Sequence[Result], targets: Tidiness = NOTHING) -> str:
+    """Returns a table of the figures, by method and bucket; ``targets`` are the tidiness of the targets."""
     columns = (
-        "method", "bucket", "scenes", "clean", "drop", "free", "pairs", "oc %", "float", "out", "move", "farthest", "emd", "on/in", "dir",
-        "back", "rest", "lie", "done", "s",
+        "method", "bucket", "scenes", "clean", "drop", "free", "pairs", "oc %", "oc 0", "oc 1", "oc 10", "sdf", "float", "gap %", "out",
+        "move", "farthest", "emd", "on/in", "dir", "back", "meant", "space", "align", "face", "rest", "lie", "done", "s",
     )  # fmt: skip
     rows: list[tuple[str, ...]] = [columns]
     names, buckets = (list(dict.fromkeys(getattr(r, key) for r in results)) for key in ("method", "bucket"))
@@ -284,7 +258,7 @@ def table(results: Sequence[Result]) -> str:
         for bucket in (*buckets, ""):
             chosen = [r for r in results if r.method == name and bucket in ("", r.bucket)]
             if chosen:
-                rows.append(_row(name, bucket or "all", chosen))
+                rows.append(_row(name, bucket or "all", chosen, targets))
     return align_columns(rows, 2)
 
 
@@ -305,15 +279,19 @@ def ratios(results: Sequence[Result]) -> str:
     return align_columns([("seconds of", "over", *(bucket or "all" for bucket in buckets)), *rows], 2) if rows else ""
 
 
-def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
+def _row(name: str, bucket: str, results: Sequence[Result], targets: Tidiness) -> tuple[str, ...]:
     count, objects = len(results), sum(r.num_objects - r.num_dropped for r in results)
-    emds = [r.emd_mm for r in results if r.emd_mm is not None]
     settled = [r for r in results if r.num_resting is not None]
     lying = [(r.num_resting == r.num_objects - r.num_dropped, r.can_rest) for r in settled]
 
     def of(part: str, whole: str) -> str:
         return f"{sum(getattr(r.kept, part) for r in results)}/{sum(getattr(r.kept, whole) for r in results)}"
 
+    def known(field: str, scale: float, digits: int) -> str:
+        values = [value for r in results if (value := getattr(r, field)) is not None]
+        return f"{scale * mean(values):.{digits}f}" if values else "-"
+
+    tidiness = Tidiness.joined(r.tidiness for r in results).distance(targets)
     return (
         name,
         bucket,
@@ -323,14 +301,18 @@ def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
         f"{sum(r.num_collisions == 0 for r in results)}/{count}",
         f"{median(r.num_collisions for r in results):g}",
         f"{100 * mean(r.oc for r in results):.2f}",
+        *(known(field, 100.0, 2) for field in ("oc_0mm", "oc_1mm", "oc_10mm", "oc_sdf")),
         f"{sum(r.num_floating for r in results)}/{objects}",
+        known("float_gap", 100.0, 1),
         f"{sum(r.num_outside for r in results)}/{objects}",
         f"{mean(r.move_mean_mm for r in results):.1f}",
         f"{max(r.move_max_mm for r in results):.0f}",
-        f"{mean(emds):.1f}" if emds else "-",
+        known("emd_mm", 1.0, 1),
         of("on_in_kept", "on_in_held"),
         of("directional_kept", "directional_held"),
         of("asked_restored", "asked_broken"),
+        f"{sum(r.meant[1] for r in results)}/{sum(r.meant[0] for r in results)}",
+        *("-" if value is None else f"{value:.1f}" for value in tidiness),
         f"{sum(r.num_resting or 0 for r in settled)}/{sum(r.num_objects - r.num_dropped for r in settled)}" if settled else "-",
         f"{sum(lies for lies, _ in lying)}/{len(lying)}, {sum(lies for lies, can in lying if can)}/{sum(can for _, can in lying)}"
         if settled
@@ -340,45 +322,86 @@ def _row(name: str, bucket: str, results: Sequence[Result]) -> tuple[str, ...]:
     )
 
 
+def tidiness_of_targets(layouts: Sequence[StartLayout], store: AssetStore) -> Tidiness:
+    """Measures the targets of layouts, each once."""
+    targets = {id(layout.target): layout.target for layout in layouts if layout.target is not None}
+    return Tidiness.joined(Tidiness.of(target, store.resolved(target)[1]) for target in targets.values())
+
+
 def chosen_layouts(
-    dataset: MesaTaskDataset, store: AssetStore, file: Path | None, per_bucket: int, start: str = "start", every: int = 1
+    place: str,
+    store: AssetStore,
+    file: Path | None,
+    per_bucket: int,
+    start: str = "start",
+    every: int = 1,
+    kind: str = "shaken",
 ) -> list[StartLayout]:
-    """Returns the first layouts of each bucket from every n-th line of a file, or as many made from the dataset's scenes."""
-    if file is None:
-        scenes = sorted(readable_scenes(dataset), key=lambda scene: -len(scene.objects))
-        return list(shaken_layouts(scenes, store, per_bucket))
-    read = list(read_layouts(file, store, start))[::every]
-    buckets = dict.fromkeys(layout.bucket for layout in read)
-    return [layout for bucket in buckets for layout in [x for x in read if x.bucket == bucket][:per_bucket]]
+    """Returns the first layouts of each bucket from every n-th line of a file, or of a kind.
+
+    Raises:
+        ConfigError: The kind is unknown, or PLACE has none of it (``config_invalid``).
+    """
+    if file is not None:
+        found = list(read_layouts(file, store, start))
+    elif kind == "shaken":
+        scenes = sorted(readable_scenes(MesaTaskDataset(Path(place))), key=lambda scene: -len(scene.objects))
+        return list(shaken_layouts(scenes, store, per_bucket))[::every]
+    elif kind == "given":
+        found = [StartLayout(scene, None, "", 0) for scene in readable_scenes(MesaTaskDataset(Path(place)))]
+    elif kind == "perturbed":
+        found = list(perturbed_layouts(held_out_scenes(place, per_bucket), store, PerturbationSettings()))
+    elif kind in ("proposed", "proposed_whole"):
+        found = list(proposed_layouts(RunFolder(place), is_whole=kind == "proposed_whole"))
+    else:
+        raise ConfigError(f"kind is {kind!r}, expected shaken, given, perturbed, proposed or proposed_whole", "config_invalid")
+    found = found[::every]
+    buckets = dict.fromkeys(layout.bucket for layout in found)
+    return [layout for bucket in buckets for layout in [x for x in found if x.bucket == bucket][:per_bucket]]
 
 
 def main(
-    data: Annotated[Path, typer.Argument(help="Folder in the MesaTask-10K format: the layouts' meshes.")],
-    layouts: Annotated[
-        Path | None, typer.Option(help="File of start layouts; without it, scenes of the dataset are perturbed.")
-    ] = None,
-    per_bucket: Annotated[int, typer.Option(help="Layouts of each bucket.")] = 4,
-    every: Annotated[int, typer.Option(min=1, help="Only every n-th layout of the file.")] = 1,
-    method: Annotated[list[str] | None, typer.Option(help="A baseline, or certify, flow, corrector; all by default.")] = None,
+    place: Annotated[str, typer.Argument(help="Folder in the MesaTask-10K format, preprocess run or generate run.")],
+    layouts: Annotated[Path | None, typer.Option(help="File of start layouts over the meshes of PLACE.")] = None,
+    kind: Annotated[
+        str, typer.Option(help="Without a file: shaken, given, perturbed, proposed or proposed_whole layouts of PLACE.")
+    ] = "shaken",
+    per_bucket: Annotated[int, typer.Option(help="Layouts of each bucket, or of each kind of error.")] = 4,
+    every: Annotated[int, typer.Option(min=1, help="Only every n-th layout.")] = 1,
+    method: Annotated[list[str] | None, typer.Option(help="A baseline, or parts of the corrector; all by default.")] = None,
     start: Annotated[str, typer.Option(help="Poses of the file to start from, such as start_xyz.")] = "start",
+    is_told: Annotated[bool, typer.Option("--given", help="The corrector knows the layout's scene graph.")] = False,
     settles: Annotated[bool, typer.Option("--settle", help="Test in MuJoCo what stays at rest.")] = False,
+    asks: Annotated[bool, typer.Option("--ask-engine", help="Certification repairs what MuJoCo moves.")] = False,
+    weights: Annotated[str, typer.Option(help="Weights of the flow.")] = AUTO,
+    steps: Annotated[int, typer.Option(min=0, help="Solver steps of the flow; 0: those of the weights.")] = 0,
+    purpose: Annotated[
+        str, typer.Option(help="repair: layouts are meant as they are; rearrange: things go where they belong.")
+    ] = "repair",
+    position_error: Annotated[float, typer.Option(help="Expected error along x and y, metres; 0: unknown.")] = 0.0,
+    yaw_error: Annotated[float, typer.Option(help="Expected error of yaw, radians; 0: unknown.")] = 0.0,
     limit: Annotated[float, typer.Option(help="Seconds after which no further layout is started.")] = np.inf,
     file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
     """Runs the corrector and the baselines on start layouts."""
-    known = {**METHODS, **in_drake(), **ours()}
+    if purpose not in get_args(Purpose):
+        raise typer.BadParameter(f"purpose is {purpose}, expected {' or '.join(get_args(Purpose))}")
+    error = ExpectedError(position_error or None, yaw_error or None)
+    terms = CorrectorTerms(weights, steps, is_told, asks, cast(Purpose, purpose), error)
+    known = {**METHODS, **in_drake(), **corrector_parts(terms)}
     if unknown := sorted(set(method or ()) - set(known)):
         raise typer.BadParameter(f"{', '.join(unknown)}, expected of {', '.join(known)}")
-    dataset = MesaTaskDataset(data)
-    store = AssetStore(dataset, max_bytes=2**30)
+    torch.set_num_threads(1)
     try:
-        chosen = chosen_layouts(dataset, store, layouts, per_bucket, start, every)
+        store = scene_source(place).store
+        chosen = chosen_layouts(place, store, layouts, per_bucket, start, every, kind)
         results = run(chosen, store, {name: known[name] for name in method or known}, limit, settles=settles)
-    except StableDataError as error:
-        raise SystemExit(str(error)) from error
-    print(table(results), ratios(results), sep="\n\n")
+    except StableDataError as error_found:
+        raise SystemExit(str(error_found)) from error_found
+    print(table(results, tidiness_of_targets(chosen, store)), ratios(results), sep="\n\n")
     if file is not None:
-        file.write_text(json.dumps([asdict(result) for result in results], indent=1) + "\n")
+        rows = [{key: value for key, value in asdict(result).items() if key != "tidiness"} for result in results]
+        file.write_text(json.dumps(rows, indent=1) + "\n")
 
 
 if __name__ == "__main__":

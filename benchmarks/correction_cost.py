@@ -9,7 +9,7 @@
   of which their footprints cover 30 %, perturbed by 4 cm and 0.2 rad (standard deviations). Measured are processor seconds of
   one core, and the exponent of seconds against objects, by least squares of the logarithms over all layouts.
 
-``certify`` is certification alone, ``corrector`` certification after the learned flow, both with the scene's own audit and
+``certify`` is certification alone, ``flow + certify`` certification after the learned flow, both with the scene's own audit and
 relations. Data that is computed once an asset, such as point features, is computed before. Run with
 ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
@@ -33,7 +33,7 @@ from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
 from benchmarks.baselines.outcome import Baseline
-from benchmarks.correction import ours
+from benchmarks.corrector_parts import corrector_parts
 from benchmarks.layouts import shaken
 from models.physics_corrector.geometry.scene_batch import LayoutBatch, pad_scenes
 from models.physics_corrector.training.perturbation import PerturbationSettings, perturb
@@ -48,7 +48,7 @@ from stable_data.scene_graph.support_tree import SupportTree
 SIZES = (5, 8, 12, 18, 27, 40, 60)
 """Numbers of objects."""
 
-_METHODS = ("certify", "corrector", "corrector, given")
+_METHODS = ("certify", "flow + certify")
 _TYPICAL = 15  # number of objects
 _OCCUPANCY = 0.3  # total footprint of the objects on the table over its area
 _SHAKE = 0.04  # standard deviation of x and y, metres
@@ -112,13 +112,13 @@ class Bench:
         self._store = AssetStore(dataset, max_bytes=2**30)
         every = sorted(readable_scenes(dataset), key=lambda s: (abs(len(s.objects) - _TYPICAL), s.scene_id))
         self.scenes = [self._related(scene) for scene in every[:count]]
-        self._methods: dict[str, Baseline] = {name: method for name, method in ours().items() if name in _METHODS}
+        self._methods: dict[str, Baseline] = {name: method for name, method in corrector_parts().items() if name in _METHODS}
         for name in self.methods:
             self.costs(name, self.jittered(0))
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """``certify``, and ``corrector`` if its weights exist."""
+        """``certify``, and ``flow + certify``."""
         return tuple(self._methods)
 
     def costs(self, name: str, scenes: Iterable[Scene]) -> list[Cost]:
@@ -130,7 +130,7 @@ class Bench:
         shapes = [self._store.resolved(scene)[1] for scene in self.scenes]
         arrays = {k: torch.from_numpy(v) for k, v in pad_scenes(self.scenes, shapes, [frozenset()] * len(shapes)).items()}
         batch = LayoutBatch(shape_index=torch.zeros_like(arrays["parent"]), **arrays)
-        coarse, _ = perturb(batch, PerturbationSettings(), torch.Generator().manual_seed(seed), "jitter")
+        coarse = perturb(batch, PerturbationSettings(), torch.Generator().manual_seed(seed), "jitter").poses
         poses = coarse.double().numpy()
         return [scene.with_poses(own[: len(scene.objects)]) for scene, own in zip(self.scenes, poses, strict=True)]
 

@@ -4,10 +4,13 @@
 of a preprocess run. Every arm trains on the same scenes with the same seed for the same number of steps, and differs from
 ``full`` in one point:
 
-- ``full``: the preset ``embedded_set`` with point features;
+- ``full``: the network of the preset ``embedded_set`` with heights that are learned and all physical losses on sampled poses;
 - ``no support``, ``no table``, ``no objects``: without L_sup, L_obj-table, L_obj-obj, as in the paper's ablation;
 - ``no physics``: without all three, only L_flow;
 - ``box features``: without point features; a shape is then known only by the extents of its box, which every network reads;
+- ``no texts``: without text features of categories and tables;
+- ``no self-conditioning``: without the earlier clean estimate as an input;
+- ``geometric heights``: heights follow from the supports;
 - ``unet``: the paper's U-Net over the objects (preset ``embedded``) instead of the set transformer.
 
 Judged are raw samples of the flow on held-out scenes, without certification, by the training's own validation card
@@ -28,7 +31,9 @@ import torch
 import typer
 
 from benchmarks.text_table import align_columns
-from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
+from models.physics_corrector.training.losses import LossSettings
+from models.physics_corrector.training.perturbation import PerturbationSettings
+from models.physics_corrector.training.settings import CorrectorTrainingSettings, PhysicsSchedule, training_preset
 from models.physics_corrector.training.validation import Card
 from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
 from stable_data.errors import StableDataError
@@ -47,6 +52,38 @@ def _without_physics(settings: CorrectorTrainingSettings) -> CorrectorTrainingSe
     return replace(settings, losses=bare, physics=replace(settings.physics, share=0.0, unroll_share=0.0))
 
 
+def full_settings(steps: int, seed: int) -> CorrectorTrainingSettings:
+    """Returns the settings of the full training."""
+    settings = training_preset("embedded_set")
+    flow = replace(settings.corrector.flow, heights="learned", steps=4)
+    return replace(
+        settings,
+        steps=steps,
+        seed=seed,
+        batch_size=32,
+        chunk=16,
+        warm_up=200,
+        cool_down=0.4,
+        ema=0.998,
+        perturbation=PerturbationSettings(jitter=0.4, swap=0.05, edge=0.05),
+        physics=PhysicsSchedule(share=0.5, limit=1.0, unroll_share=0.8, unroll_scenes=0.5, unroll_weight=2.0),
+        losses=LossSettings(sdf_weight=5.0, support_weight=2.5, bounds_weight=0.5, clearance=1e-3),
+        corrector=replace(settings.corrector, flow=flow),
+    )
+
+
+def _with_network(**changes: Any) -> Change:
+    return lambda settings: replace(
+        settings, corrector=replace(settings.corrector, network=replace(settings.corrector.network, **changes))
+    )
+
+
+def _with_flow(**changes: Any) -> Change:
+    return lambda settings: replace(
+        settings, corrector=replace(settings.corrector, flow=replace(settings.corrector.flow, **changes))
+    )
+
+
 def _with_unet(settings: CorrectorTrainingSettings) -> CorrectorTrainingSettings:
     network = training_preset("embedded").corrector.network
     return replace(settings, corrector=replace(settings.corrector, network=network))
@@ -59,6 +96,9 @@ ARMS: Mapping[str, Change] = {
     "no objects": _losses(object_factor=0.0),
     "no physics": _without_physics,
     "box features": lambda settings: replace(settings, features="box"),
+    "no texts": _with_network(num_texts=0),
+    "no self-conditioning": _with_flow(self_condition=0.0),
+    "geometric heights": _with_flow(heights="geometry"),
     "unet": _with_unet,
 }
 """Arm -> its change of the full training."""
@@ -162,7 +202,7 @@ def main(
     watch = CorrectorMonitoring(card_every=steps + 1, final_scenes=scenes, exact_scenes=exact)
     with tempfile.TemporaryDirectory() as aside:
         try:
-            full = replace(training_preset("embedded_set"), steps=steps, seed=seed, features="point")
+            full = full_settings(steps, seed)
             arms = [arm(run, out or Path(aside), one, full, watch) for one in chosen]
         except StableDataError as error:
             raise SystemExit(str(error)) from error

@@ -1,27 +1,37 @@
 """Start layouts: reads files of them, one JSON object a line, and makes some from a dataset's own scenes.
 
-A line holds ``id``, ``bucket``, ``n_collisions``, ``table.size_xy_m`` and ``objects``: instance, uid, scale_factor (centimetres
+A line holds ``id``, ``bucket``, ``n_collisions``, ``table.size_xy_m``, the name of its source scene, which begins with the kind of
+table, and ``objects``: instance, which contains the category, uid, scale_factor (centimetres
 a mesh unit), base_quat_xyzw (the tilt), poses by name ({position_m, yaw}), and the relation and parent of the layout's scene
 graph.
 """
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
+from models.physics_corrector.geometry.scene_batch import LayoutBatch, pad_scenes
+from models.physics_corrector.training.dataset import clean_targets
+from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings, perturb
 from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
-from stable_data.scene import FloatArray, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
+from stable_data.scene import TABLE, FloatArray, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import scene_from_row
 
 BUCKETS = ("0-10", "10-20", "20-30", "30-40")
 """Buckets by the number of colliding pairs: from the first number (at least 1) to below the second."""
 
+_FIRST_NUMBER, _NUMBER = re.compile(r"^\d+_"), re.compile(r"_\d+$")
+_CARRYING = (RelationKind.ON, RelationKind.IN)
 _NOISE = (0.02, 0.04, 0.08, 0.16)  # standard deviations of x and y, metres
 _TURN = 5.0  # standard deviation of yaw, radians a metre of the above
 
@@ -74,7 +84,8 @@ def _layout(row: Mapping[str, Any], store: AssetStore, start: str) -> StartLayou
         Relation(o["instance"], RelationKind(o["relation"]), o["parent"]) for o in row["objects"] if o["relation"] != "table"
     )
     bare = [_object(o, store) for o in row["objects"]]
-    scene = Scene(str(row["id"]), Tabletop("", (float(x), float(y))), tuple(bare), relations=relations)
+    kind = _NUMBER.sub("", str(row.get("source_scene", "")))
+    scene = Scene(str(row["id"]), Tabletop(kind, (float(x), float(y))), tuple(bare), relations=relations)
 
     def at(name: str) -> Scene:
         places = [(o[name]["position_m"], o[name]["yaw"]) for o in row["objects"]]
@@ -91,7 +102,8 @@ def _object(o: Mapping[str, Any], store: AssetStore) -> SceneObject:
     tilt: QuatXyzw = (a, b, c, d)
     scale = _vec3([s / 100 for s in o["scale_factor"]])
     size = _vec3(Shape.from_mesh(store.asset(o["uid"]).mesh, scale, tilt).size)
-    return SceneObject(o["instance"], "object", (0.0, 0.0, 0.0), 0.0, size, o["uid"], scale, tilt, support=o["parent"])
+    category = _NUMBER.sub("", _FIRST_NUMBER.sub("", o["instance"])) or "object"
+    return SceneObject(o["instance"], category, (0.0, 0.0, 0.0), 0.0, size, o["uid"], scale, tilt, support=o["parent"])
 
 
 def _vec3(values: Iterable[float]) -> Vec3:
@@ -137,6 +149,68 @@ def shaken(scene: Scene, noise: float, rng: np.random.Generator) -> Scene:
     poses: FloatArray = scene.poses() + rng.normal(0.0, deviation, (len(scene.objects), 4))
     poses[:, :2] = np.clip(poses[:, :2], 0.0, scene.table.size_xy)
     return scene.with_poses(poses)
+
+
+def held_out_scenes(uri: str, num_scenes: int) -> list[Scene]:
+    """Returns clean scenes of a preprocess run that are not of the split ``train``, those of ``validation`` first."""
+    scenes, splits, _ = clean_targets(uri)
+    return [scene for split in (1, 2) for scene, own in zip(scenes, splits, strict=True) if own == split][:num_scenes]
+
+
+def perturbed_layouts(
+    scenes: Sequence[Scene], store: AssetStore, settings: PerturbationSettings, seed: int = 0
+) -> Iterator[StartLayout]:
+    """Makes clean scenes coarse by every kind of error of the training.
+
+    Args:
+        scenes: The scenes.
+        store: Their meshes.
+        settings: Sizes of the errors.
+        seed: Seed of the errors; each kind has its own random stream.
+
+    Yields:
+        The layouts, kind by kind, with the supports and relations of the clean scene, which is the target.
+    """
+    resolved = [store.resolved(scene)[:2] for scene in scenes]
+    arrays = pad_scenes([scene for scene, _ in resolved], [own for _, own in resolved], [frozenset()] * len(resolved))
+    tensors = {name: torch.from_numpy(value) for name, value in arrays.items()}
+    batch = LayoutBatch(shape_index=torch.zeros_like(tensors["parent"]), **tensors)
+    for number, kind in enumerate(KINDS):
+        poses = perturb(batch, settings, torch.Generator().manual_seed(seed + number), kind).poses
+        for (scene, own), at in zip(resolved, poses.double().numpy(), strict=True):
+            carried = tuple(r for r in scene.relations if r.kind in _CARRYING and r.target != TABLE)
+            clean = replace(scene, relations=carried, task=None)
+            yield StartLayout(clean.with_poses(at[: len(own)]), clean, kind, 0)
+
+
+def proposed_layouts(run: RunFolder, *, is_whole: bool = False) -> Iterator[StartLayout]:
+    """Reads the layouts of each stage of a generate run before its correction; objects have the tilts of the finished scene.
+
+    Args:
+        run: The run.
+        is_whole: Whether only the last stage of each scene is read.
+
+    Yields:
+        The layouts, without a target; those with objects that the finished scene does not have are left out.
+    """
+    finished = {row["scene_id"]: scene_from_row(row) for row in run.table("scenes").to_pylist()}
+    turns = [turn for turn in run.table("turns").to_pylist() if turn["scene_id"] in finished and turn["coarse"]]
+    last = {turn["scene_id"]: turn["stage"] for turn in turns}
+    for turn in turns:
+        scene = finished[turn["scene_id"]]
+        objects = {o.instance: o for o in scene.objects}
+        is_known = all(pose["instance"] in objects for pose in turn["coarse"])
+        if not is_known or (is_whole and turn["stage"] != last[turn["scene_id"]]):
+            continue
+        moved = tuple(objects[p["instance"]].moved(_vec3(p["position"]), p["yaw"]) for p in turn["coarse"])
+        there = {o.instance for o in moved}
+        carried = tuple(
+            r for r in scene.relations if r.kind in _CARRYING and r.target != TABLE and {r.subject, r.target} <= there
+        )
+        on = {r.subject: r.target for r in carried}
+        standing = tuple(replace(o, support=on.get(o.instance, TABLE)) for o in moved)
+        layout = replace(scene, scene_id=f"{scene.scene_id}, {turn['stage']}", objects=standing, relations=carried)
+        yield StartLayout(layout, None, str(turn["stage"]), 0)
 
 
 def bucket_of(count: int) -> str:

@@ -352,7 +352,7 @@ def train_corrector(
     preset: Annotated[
         str,
         typer.Option(
-            help="paper, paper_set, embedded, embedded_set or embedded_set_near: network and training; the file and --set override it."
+            help="paper, paper_tuned, paper_set, embedded or embedded_set: network and training; the file and --set override it."
         ),
     ] = "embedded_set",
     config: Annotated[Path | None, typer.Option(help="TOML file; its table train_corrector is read.")] = None,

@@ -31,6 +31,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.scene import TABLE, Scene
 
 Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
@@ -42,6 +43,12 @@ _DEFAULT_OPTIONS = CorrectionOptions()
 Polish: TypeAlias = Literal["off", "verify", "certify"]
 """What follows the flow: nothing, so that its own result is published; the refinement, of which the exact audit tells whether it is
 clean; or certification of what the refinement leaves.
+"""
+
+
+Purpose: TypeAlias = Literal["repair", "rearrange"]
+"""``repair``: the layout is meant as it is, and objects move only as far as a clean one needs; directions between objects stay.
+``rearrange``: objects go where the flow puts them, and only the supports and what the task states stay.
 """
 
 
@@ -58,6 +65,7 @@ class PhysicsCorrector:
         judges_raw: Whether the raw result of the flow is audited too; this costs one more audit per scene.
         refiner: The batched refinement; None certifies all scenes.
         polish: What follows the flow. MuJoCo is asked only after certification.
+        purpose: Whether layouts are meant as they are.
     """
 
     flow: Flow | None = None
@@ -65,6 +73,7 @@ class PhysicsCorrector:
     judges_raw: bool = True
     refiner: Refiner | None = None
     polish: Polish = "certify"
+    purpose: Purpose = "repair"
 
     def correct(
         self,
@@ -101,14 +110,20 @@ class PhysicsCorrector:
         """The first part of :meth:`correct`, with the same arguments: moves the objects of all scenes by the flow, in one batch.
 
         Returns:
-            One request per scene, in order; without a flow, objects do not move.
+            One request per scene, in order; without a flow, objects do not move. If the result of
+            the flow is judged or published, and there is a refiner, objects have exact heights.
         """
         each = [options] * len(scenes) if isinstance(options, CorrectionOptions) else options
         resolved = [assets.resolved(scene)[:2] for scene in scenes]
         found = [scene for scene, _ in resolved]
         raws: Sequence[Scene | None] = [None] * len(scenes)
         if self.flow is not None:
-            raws = self.flow(found, [shapes for _, shapes in resolved], [self.options.fixed | own.fixed for own in each])
+            fixed = [self.options.fixed | own.fixed for own in each]
+            moved = self.flow(found, [shapes for _, shapes in resolved], fixed)
+            if self.refiner is not None and (self.judges_raw or self.polish == "off"):  # the refinement finds heights itself
+                of_scene = zip(moved, resolved, fixed, strict=True)
+                moved = self.refiner.rest([LayoutToRefine(scene, shapes, own) for scene, (_, shapes), own in of_scene])
+            raws = moved
         known = [None] * len(scenes) if audits is None else audits
         return [CertificationRequest(*request) for request in zip(found, raws, each, known, strict=True)]
 
@@ -133,9 +148,9 @@ class PhysicsCorrector:
             is_clean = request.audit is not None and request.audit.card().clean is True
             if self.refiner is None or self.polish == "off" or options.asked or options.still:
                 continue
-            if is_clean and not options.may_tilt:
+            if is_clean and not options.may_tilt and self.purpose == "repair":
                 continue
-            start, shapes, _ = assets.resolved(choose_start(layout.scene, layout.raw))
+            start, shapes, _ = assets.resolved(choose_start(layout.scene, layout.raw, rearranges=self.purpose == "rearrange"))
             start = _with_carriers(start, shapes)
             earlier = {o.instance for o in start.objects} - options.new if options.may_tilt else set()
             layouts.append(LayoutToRefine(start, shapes, self.options.fixed | options.fixed, steady | earlier))
@@ -175,10 +190,11 @@ class PhysicsCorrector:
         start = InputScene.of(request.scene, assets, request.audit)
         card_raw = None
         if request.raw is not None and self.judges_raw:
-            card_raw = audit_scene(request.raw, start.shapes).card()
+            audit_raw = audit_scene(request.raw, start.shapes)
+            card_raw = add_sampled_collisions(audit_raw.card(), request.raw, start.shapes, audit_raw)
         scene, shapes, _ = assets.resolved(layout.scene)
         raw = layout.raw
-        if start.audit.card().clean and not wanted.may_tilt:
+        if start.audit.card().clean and not wanted.may_tilt and self.purpose == "repair":
             raw = None  # a clean scene stays as it is, whatever the flow proposes
         result, certifier, solved_by = self._polished(start, replace(layout, scene=scene, raw=raw), shapes, wanted)
         shape_of = shapes_by_instance(scene, shapes)
@@ -216,7 +232,10 @@ class PhysicsCorrector:
         )
         if self.polish == "certify" and not layout.is_solved:
             # What the refinement has reached is the better start, but the scene itself remains the other one.
-            result, certifier = certify_moved(layout.scene, layout.refined or layout.raw, shapes, options)
+            rearranges = self.purpose == "rearrange"
+            result, certifier = certify_moved(
+                layout.scene, layout.refined or layout.raw, shapes, options, rearranges=rearranges
+            )
             moved = result.scene is not None and _has_moved(start.scene, result.scene)
             return result, certifier, _solved_by(result, SolvedBy.CERTIFY if moved or result.dropped else SolvedBy.START)
         end = layout.refined or layout.raw or layout.scene

@@ -4,7 +4,7 @@ The rows of a shard depend on the shard alone.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import ClassVar
 
@@ -19,6 +19,7 @@ from stable_data.errors import ConfigError, Notice
 from stable_data.metrics.audit import PosedScene
 from stable_data.metrics.card import add_counts
 from stable_data.metrics.related_scene import relate_scene
+from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.scene import Scene
 from stable_data.storage import schemas
 from stable_data.storage.table_rows import card_row, notice_row, scene_row
@@ -68,7 +69,10 @@ class CorrectWork(SceneWork[CorrectSettings, str, CertificationRequest]):
         if done.engine_fault:
             message = f"{scene_id}: the physics engine was not used: {done.engine_fault}"
             notices.append(Notice(scene_id, "certify", "not_settled", message))
-        found: Rows = {"corrections": [correction_row(done)]}
+        if done.card_before is not None and done.audit_before is not None:
+            before = add_sampled_collisions(done.card_before, done.start, taken.shapes, done.audit_before)
+            done = replace(done, card_before=before)
+        found: Rows = {}
         if done.certified is None or done.audit is None or done.card_after is None:
             message = f"{scene_id}: {done.reason}"
             found["failures"] = [notice_row(Notice(scene_id, "certify", str(done.status), message))]
@@ -77,10 +81,11 @@ class CorrectWork(SceneWork[CorrectSettings, str, CertificationRequest]):
             shape_of = shapes_by_instance(taken.scene, taken.shapes)
             posed = PosedScene(done.certified, [shape_of[o.instance] for o in done.certified.objects])
             scene = relate_scene(posed, done.audit, taken.containers).scene
-            card = add_counts(done.card_after, scene)
-            found["scenes"] = [{**scene_row(scene), **card_row(card), **done.audit.rows(), **taken.origin}]
+            after, audit = add_sampled_collisions(done.card_after, done.certified, posed.shapes, done.audit), done.audit
+            card, done = add_counts(after, scene), replace(done, card_after=after)
+            found["scenes"] = [{**scene_row(scene), **card_row(card), **audit.rows(), **taken.origin}]
             notices += notices_of(done, scene_id)
-        return found | {"warnings": [notice_row(n) for n in notices]}
+        return found | {"corrections": [correction_row(done)], "warnings": [notice_row(n) for n in notices]}
 
 
 @lru_cache(maxsize=1)

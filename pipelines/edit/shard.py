@@ -32,6 +32,7 @@ from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
 from stable_data.metrics.related_scene import relate_scene
+from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.scene import Scene, SceneObject
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.storage import schemas
@@ -150,7 +151,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         progress.step = "relations"
         scene = relate_scene(posed, audit, opened.shelf.containers(posed.scene)).scene
         assert card is not None  # a certified scene has a card
-        card = add_counts(card, scene)
+        card = add_sampled_collisions(add_counts(card, scene), scene, posed.shapes, audit)
         if replied.kind == "none":
             notices.append(Notice(edit.edit_id, "reply", "nothing_changed", f"{edit.edit_id}: the reply changes nothing"))
         rows["scenes"] = [{**scene_row(scene), **card_row(card), **audit.rows(), **taken.origin}]

@@ -61,6 +61,7 @@ from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.movement import add_movement
 from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.relations_kept import relations_kept
+from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Scene
 from stable_data.simulation.collision_bodies import bodies_of
@@ -269,7 +270,8 @@ class GenerateWork(ShardStep[Task]):
         progress.step = "settle"
         rest, why_not = self._settled(made.correction, scene, shapes)
         progress.step = "card"
-        card = _with_movement(add_counts(audit.card(), scene), made, scene, posed, audit, opened.answers.certifier.store)
+        card = add_sampled_collisions(add_counts(audit.card(), scene), scene, posed.shapes, audit)
+        card = _with_movement(card, made, scene, posed, audit, opened.answers.certifier.store)
         card, not_as_said = _with_alignment(card, seen, containers, made.task, opened.interpret)
         if rest is not None:
             card = _with_rest(card, rest)
@@ -329,7 +331,8 @@ def _open_certifier(work: GenerateWork) -> LocalCertifier:
 
 def _certifier(settings: GenerateSettings, shelf: AssetLibraries) -> LocalCertifier:
     options, store = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False), AssetStore(shelf)
-    refiner = Refiner(store, ContactGrids(contact_grid_cache()), _DEPTH) if settings.refine else None
+    needs_grids = settings.refine or settings.polish != "certify"
+    refiner = Refiner(store, ContactGrids(contact_grid_cache()), _DEPTH) if needs_grids else None
     flow = load_flow(settings.weights, settings.steps)
     return LocalCertifier(PhysicsCorrector(flow, options, False, refiner, settings.polish), store)
 

@@ -15,6 +15,7 @@ from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
 from stable_data.metrics.card import add_counts
 from stable_data.metrics.related_scene import relate_scene
+from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.scene import Scene
 from stable_data.scene_graph.relations import SceneGraph
 from stable_data.scene_graph.staging import samples_of, stage_scene
@@ -98,7 +99,8 @@ def preprocess_scene(
     prepared = prepare_scene(dataset, scene_id, store, settings, progress, writer)
     scene, audit = prepared.scene, prepared.audit
     origin = origin_of(dataset, scene, settings)
-    row = {**scene_row(scene), **card_row(add_counts(audit.card(), scene)), **audit.rows(), **origin}
+    card = add_sampled_collisions(add_counts(audit.card(), scene), scene, prepared.posed.shapes, audit)
+    row = {**scene_row(scene), **card_row(card), **audit.rows(), **origin}
     samples = (sample for one in (scene, *prepared.others) for sample in sample_rows(one, origin["split"]))
     return SceneRows(row, tuple(samples), prepared.notices)
 

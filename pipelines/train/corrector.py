@@ -18,6 +18,7 @@ from models.physics_corrector.training.dataset import TrainingScenes, TrainingSe
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.trainer import CorrectorTrainer, train
 from models.physics_corrector.training.validation import Card, ValidationScenes, scalar_figures, validation_card
+from models.text_encoder import load_default as load_text_encoder
 from models.training.distributed import ProcessContext
 from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
 from stable_data.code_version import code_version
@@ -59,7 +60,7 @@ class CorrectorTrainingJob(TrainingJob):
 
     NAME = "train_corrector"
     WEIGHTS = "weights/physics_corrector.safetensors"
-    COMPARED = ("data_fingerprint", "encoder_fingerprint")
+    COMPARED = ("data_fingerprint", "encoder_fingerprint", "text_encoder_fingerprint")
 
     settings: CorrectorTrainingSettings
     watch: CorrectorMonitoring = CorrectorMonitoring()
@@ -68,6 +69,11 @@ class CorrectorTrainingJob(TrainingJob):
     def source(self) -> TrainingScenes:
         """The source of the training scenes."""
         return TrainingScenes(self.data_uri, self.folder / "cache", self.settings.num_surface, self.settings.num_bottom)
+
+    def _data(self) -> TrainingSet:
+        """Reads the scenes with what the network reads of them."""
+        settings = self.settings
+        return self.source().load(settings.features, load_text_encoder() if settings.corrector.network.num_texts else None)
 
     def describe(self) -> dict[str, Any]:
         """Describes what a run would do, for ``--dry-run``; no table is read whole."""
@@ -82,11 +88,12 @@ class CorrectorTrainingJob(TrainingJob):
 
     def prepare(self) -> tuple["CorrectorTrainingJob", dict[str, Any], TrainingSet]:
         """Reads the scenes; see the base class."""
-        data = self.source().load(self.settings.features)
+        data = self._data()
         job = replace(self, settings=self.settings.resolved(len(data.of_split(0))), out=self.folder)
         details = {
             "data_fingerprint": data.fingerprint,
             "encoder_fingerprint": data.encoder,
+            "text_encoder_fingerprint": data.text_encoder,
             "targets": dict(data.counts),
             "num_train": len(data.of_split(0)),
             "num_validation": len(data.of_split(1)),
@@ -97,7 +104,7 @@ class CorrectorTrainingJob(TrainingJob):
     def work(self, place: ProcessContext, data: TrainingSet | None = None) -> None:
         """Trains, or continues; the part of one process."""
         source = self.source()
-        data = source.load(self.settings.features) if data is None else data
+        data = self._data() if data is None else data
         training = CorrectorTrainer(data, self.settings, place)
         training.resume(self.out / STATE)
         watch, settings = self.watch, self.settings
@@ -127,6 +134,7 @@ class CorrectorTrainingJob(TrainingJob):
             "seed": str(self.settings.seed),
             "data_fingerprint": data.fingerprint,
             "encoder_fingerprint": data.encoder,
+            "text_encoder_fingerprint": data.text_encoder,
             "features": self.settings.features,
             "training": json.dumps(asdict(self.settings), sort_keys=True),
             "code_version": code_version(),

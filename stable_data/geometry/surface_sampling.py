@@ -17,7 +17,7 @@ _LOWEST_SHARE = 0.25  # largest share of lowest vertices among the points
 
 
 def surface_points(
-    mesh: Mesh, num: int = 1024, rng: np.random.Generator | None = None
+    mesh: Mesh, num: int = 1024, rng: np.random.Generator | None = None, candidates: int = _CANDIDATES
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Samples points all over a surface with their normals, in farthest-point order.
 
@@ -27,6 +27,7 @@ def surface_points(
         mesh: In any unit.
         num: Number of points.
         rng: Source of the candidates; by default a fixed one, so that a mesh always gives the same points.
+        candidates: Candidates for each point: with fewer, points are less evenly spread and sooner found.
 
     Returns:
         Points (num, 3) float32 in the mesh's frame and unit, and the unit normals of their faces (num, 3) float32.
@@ -36,7 +37,7 @@ def surface_points(
     """
     rng = np.random.default_rng(0) if rng is None else rng
     normals, areas = unit_normals(mesh.triangles)
-    points, face = _sample(mesh.triangles, areas, _CANDIDATES * num, rng)
+    points, face = _sample(mesh.triangles, areas, candidates * num, rng)
     start = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
     kept = _farthest_first(points, num, [start])
     return points[kept].astype(np.float32), normals[face[kept]].astype(np.float32)

@@ -151,6 +151,7 @@ class Audit:
             oc_0mm=self.share_deeper(0.0),
             oc_1mm=self.share_deeper(1e-3),
             oc_10mm=self.share_deeper(1e-2),
+            float_gap=None if None in gaps else sum(g is not None and g > TOLERANCE + ROUNDING for g in gaps) / count,
             max_penetration_mm=None if unknown else 1e3 * max(depths, default=0.0),
             table_penetration_mm=1e3 * sunk,
             float_rate=None if None in floats else sum(map(bool, floats)) / count,

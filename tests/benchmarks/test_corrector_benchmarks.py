@@ -1,99 +1,68 @@
 """The benchmarks of the corrector's flow: what it adds to `certify`, and what each part of its training is worth."""
 
 import shutil
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import typer
 
 from benchmarks import corrector_ablation
-from benchmarks.corrector_ablation import ARMS, FULL, Arm, arm
-from benchmarks.flow_gain import ALONE, CoarseLayout, Gain, compared, held_out, perturbed
-from benchmarks.flow_gain import table as gain_table
-from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.certify.correction import Fixed
-from models.physics_corrector.training.dataset import TrainingScenes, clean_targets
+from benchmarks.correction import judged
+from benchmarks.corrector_ablation import ARMS, FULL, Arm, arm, full_settings
+from benchmarks.corrector_parts import CorrectorTerms, corrector_parts
+from benchmarks.layouts import StartLayout, held_out_scenes, perturbed_layouts
+from models.physics_corrector.training.dataset import clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings
-from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
+from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.validation import Card
+from pipelines.sources.scenes import scene_source
 from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
+from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
-from stable_data.geometry.shape import Shape
-from stable_data.scene import Scene
 from tests.models.physics_corrector.training.training_scenes import TINY
 
 SETTINGS = replace(TINY, steps=2, batch_size=4, chunk=4, num_surface=64, num_bottom=16)
 WATCH = CorrectorMonitoring(log_every=2, card_every=9, final_scenes=2, exact_scenes=1)
 
 
-def clean_scenes(run: Path, folder: Path) -> tuple[TrainingScenes, list[Scene]]:
-    source = TrainingScenes(str(run), folder)
-    return source, clean_targets(source.uri)[0]
-
-
 @pytest.fixture(scope="module")
-def layouts(clean_run: Path, tmp_path_factory: pytest.TempPathFactory) -> list[CoarseLayout]:
-    source, scenes = clean_scenes(clean_run, tmp_path_factory.mktemp("meshes"))
-    return list(perturbed(scenes[:1], source.store(), PerturbationSettings()))
+def layouts(clean_run: Path) -> tuple[list[StartLayout], AssetStore]:
+    store = scene_source(str(clean_run)).store
+    scenes = clean_targets(str(clean_run))[0]
+    return list(perturbed_layouts(scenes[:1], store, PerturbationSettings())), store
 
 
-def test_what_is_held_out_was_not_trained_on(clean_run: Path, tmp_path: Path) -> None:
-    source, _ = clean_scenes(clean_run, tmp_path)
-    scenes, splits, _ = clean_targets(source.uri)
+def test_every_kind_of_error_is_made(clean_run: Path, layouts: tuple[list[StartLayout], AssetStore]) -> None:
+    found, _ = layouts
+    assert tuple(layout.bucket for layout in found) == KINDS
+    assert len({layout.start.poses().tobytes() for layout in found}) == len(KINDS)
+    scenes, splits, _ = clean_targets(str(clean_run))
     trained_on = {scene.scene_id for scene, split in zip(scenes, splits, strict=True) if split == 0}
-    others = held_out(source, 100)
+    others = held_out_scenes(str(clean_run), 100)
     assert len(others) == len(scenes) - len(trained_on)
     assert not trained_on & {scene.scene_id for scene in others}
+    for layout in found:
+        assert layout.target is not None
+        assert {o.support for o in layout.start.objects} == {o.support for o in layout.target.objects}
 
 
-def test_every_kind_of_error_is_made_and_shows_what_it_carries(layouts: list[CoarseLayout]) -> None:
-    assert tuple(c.group for c in layouts) == KINDS
-    first = layouts[0].scene
-    assert all(c.scene.relations == () for c in layouts)
-    assert len({c.scene.poses().tobytes() for c in layouts}) == len(KINDS)
-    assert any(o.support not in (None, "table") for o in first.objects)
-
-
-def stays(scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-    return list(scenes)
-
-
-def turns(scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-    return [scene.with_poses(scene.poses() + np.array([0.0, 0.0, 0.0, 0.3])) for scene in scenes]
-
-
-def timeless(gain: Gain) -> Gain:
-    return replace(gain, method="", flow_seconds=0.0, certify_seconds=0.0)
-
-
-def test_a_flow_that_does_nothing_adds_nothing(layouts: list[CoarseLayout]) -> None:
-    chosen = [c for c in layouts if c.group in ("small", "pile")]
-    gains = compared(chosen, {"stays": stays, "turns": turns})
-    by = {(g.method, g.group): g for g in gains}
-    assert len(by) == len(gains) == 6
-    for group in ("small", "pile"):
-        alone, still, turned = (by[name, group] for name in (ALONE, "stays", "turns"))
-        assert timeless(still) == timeless(alone)
-        assert alone.status is CorrectionStatus.CERTIFIED
-        assert turned.turn_mean_deg is not None
-    turns_of = [by["turns", group].turn_mean_deg or 0.0 for group in ("small", "pile")]
-    assert max(turns_of) > 5  # in the other group the turned start may be given up for the layout as it was
-    lines = gain_table(gains).splitlines()
-    assert [line.split()[:2] for line in lines[1:]] == [
-        [group, name] for group in ("small", "pile", "all") for name in (ALONE, *sorted({"stays", "turns"}))
-    ]
-
-
-def test_what_is_infeasible_counts_as_not_clean() -> None:
-    none = Gain("certify", "pile", "one", 3, CorrectionStatus.INFEASIBLE, 0, None, None, None, None, 0.0, 0.5)
-    assert gain_table([none]).splitlines()[1].split() == ["pile", "certify", "0/1", "0", *"-----", "0", "500"]
+def test_the_parts_of_the_corrector_do_what_they_say(layouts: tuple[list[StartLayout], AssetStore]) -> None:
+    found, store = layouts
+    jitter = next(layout for layout in found if layout.bucket == "jitter")
+    parts = corrector_parts(CorrectorTerms(is_told=True))
+    assert list(parts) == [
+        "flow", "refine", "flow + refine", "certify", "flow + certify", "refine + certify", "flow + refine + certify",
+    ]  # fmt: skip
+    results = {name: judged(name, method, jitter, store) for name, method in parts.items()}
+    assert all(results[name].clean for name in parts if name.endswith("certify"))
+    assert len({results[name].emd_mm for name in ("flow", "refine", "certify")}) == 3
+    assert all(r.meant[0] > 0 for r in results.values())
+    assert results["flow"].num_floating <= results["flow"].num_objects // 2  # heights are exact
 
 
 def test_every_arm_changes_one_thing() -> None:
-    full = training_preset("embedded_set").resolved(1)
+    full = full_settings(100, 0).resolved(1)
     assert ARMS[FULL](full) == full
     changed = {
         name: {key for key, value in change(full).flat().items() if value != full.flat()[key]} for name, change in ARMS.items()
@@ -103,6 +72,9 @@ def test_every_arm_changes_one_thing() -> None:
     assert changed["no table"] == {"losses.table_factor"}
     assert changed["no objects"] == {"losses.object_factor"}
     assert changed["box features"] == {"features"}
+    assert changed["no texts"] == {"corrector.network.num_texts"}
+    assert changed["no self-conditioning"] == {"corrector.flow.self_condition"}
+    assert changed["geometric heights"] == {"corrector.flow.heights"}
     assert all(key.startswith("corrector.network.") for key in changed["unet"])
     assert all(key.startswith(("losses.", "physics.")) for key in changed["no physics"])
     assert all(changed.values())

@@ -20,7 +20,12 @@ _DEFAULT = CertifyOptions()
 
 
 def certify_moved(
-    scene: Scene, raw: Scene | None, shapes: Sequence[Shape], options: CertifyOptions = _DEFAULT
+    scene: Scene,
+    raw: Scene | None,
+    shapes: Sequence[Shape],
+    options: CertifyOptions = _DEFAULT,
+    *,
+    rearranges: bool = False,
 ) -> tuple[CertificationResult, Certifier]:
     """Certifies a scene from its poses after the flow; if the result is poor, also from the scene itself.
 
@@ -31,14 +36,16 @@ def certify_moved(
         raw: The scene after the flow; None without a flow.
         shapes: The geometry of its objects, in order.
         options: Settings.
+        rearranges: Whether directions of ``raw`` are kept instead of those of ``scene``.
 
     Returns:
         The better result with its certifier: with fewer dropped objects, then fewer broken relations, then less movement.
     """
-    start = choose_start(scene, raw)
-    certifier = Certifier(start, shapes, options, scene)
+    start = choose_start(scene, raw, rearranges=rearranges)
+    certifier = Certifier(start, shapes, options, start if rearranges else scene)
     result = certifier.certify()
-    if start is scene or not (result.scene is None or result.dropped or (options.twice and result.num_broken)):
+    is_poor = result.scene is None or bool(result.dropped) or (options.twice and result.num_broken > 0 and not rearranges)
+    if start is scene or not is_poor:
         return result, certifier
 
     def cost(each: tuple[CertificationResult, Certifier]) -> tuple[bool, int, int, float]:
@@ -50,7 +57,7 @@ def certify_moved(
     return min(((result, certifier), (other.certify(), other)), key=cost)
 
 
-def choose_start(scene: Scene, raw: Scene | None) -> Scene:
+def choose_start(scene: Scene, raw: Scene | None, *, rearranges: bool = False) -> Scene:
     """Returns the start layout of `certify`: the scene after the flow, without harmful moves.
 
     The flow decides in which directions objects separate; the exact search finds millimetres and heights. If the flow moves no
@@ -61,9 +68,12 @@ def choose_start(scene: Scene, raw: Scene | None) -> Scene:
     Args:
         scene: The scene before the flow, with the known supports of its objects.
         raw: The scene after the flow; None without a flow.
+        rearranges: Whether all moves of the flow are taken as they are.
     """
     if raw is None:
         return scene
+    if rearranges:
+        return raw
     start, poses = scene.poses(), raw.poses()
     steps = poses - start
     turns = np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))

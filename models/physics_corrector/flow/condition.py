@@ -1,11 +1,11 @@
 """The condition of the flow: the paper's C = (x^c, G), and the table, as plain tensors."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from models.physics_corrector.geometry.scene_tensors import NO_PARENT, SceneTensors
+from models.physics_corrector.geometry.scene_tensors import NO_PARENT, ON_TABLE, SceneTensors
 
 _DIGITS = 1e4  # ranks compare values at 0.1 mm and 0.1 mrad, so that rounding errors seldom change their order
 
@@ -20,11 +20,35 @@ class Condition(SceneTensors):
         is_object = batch.mask[..., None]
         poses = torch.where(is_object, batch.poses, 0).float()
         sizes = torch.where(is_object, batch.sizes, 0).float()
-        features = None if batch.features is None else torch.where(is_object, batch.features, 0).float()
+        features, texts = (None if f is None else torch.where(is_object, f, 0).float() for f in (batch.features, batch.texts))
+        table_text, error = (None if f is None else f.float() for f in (batch.table_text, batch.error))
+        order = batch.order
+        if order is not None:
+            order = torch.where((batch.mask[:, :, None] & batch.mask[:, None])[..., None], order, 0).float()
         parent = torch.where(batch.mask, batch.parent, NO_PARENT)
         zone = torch.where(batch.has_zone[:, None], batch.zone, 0).float()
         is_fixed = batch.is_fixed & batch.mask
-        return cls(poses, batch.mask, sizes, is_fixed, parent, batch.table.float(), zone, batch.has_zone, features)
+        known = {"features": features, "texts": texts, "table_text": table_text, "error": error, "order": order}
+        return cls(poses, batch.mask, sizes, is_fixed, parent, batch.table.float(), zone, batch.has_zone, **known)
+
+    def standing(self) -> "Condition":
+        """Returns the scenes with objects that may move at heights that follow from their supports.
+
+        Objects on the table stand on it; an object on or in another one keeps its height above that one. Unknown supports change
+        nothing.
+        """
+        height = self.poses[..., 2]
+        on_table = self.parent == ON_TABLE
+        moves = self.is_movable
+        height = torch.where(on_table & moves, self.sizes[..., 2] / 2, height)
+        index, has_parent = self.parent.clamp_min(0), (self.parent >= 0) & moves
+        above = self.poses[..., 2] - self.poses[..., 2].gather(1, index)
+        for _ in range(self.mask.shape[1]):  # each pass lifts one more level of a stack
+            lifted = torch.where(has_parent, height.gather(1, index) + above, height)
+            if torch.equal(lifted, height):
+                break
+            height = lifted
+        return replace(self, poses=torch.cat([self.poses[..., :2], height[..., None], self.poses[..., 3:]], -1))
 
     def content_ranks(self) -> Tensor:
         """Ranks of the objects of each scene in an order by content, (B, N) int64; padding is last.

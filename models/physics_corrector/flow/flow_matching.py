@@ -23,6 +23,7 @@ from models.settings import NonNegative, Settings, Share
 
 Source: TypeAlias = Literal["coarse", "gaussian"]
 Solver: TypeAlias = Literal["euler", "midpoint", "heun"]
+Heights: TypeAlias = Literal["learned", "geometry"]
 Velocity: TypeAlias = Callable[[Tensor, Tensor, Condition, Tensor, Tensor | None], Tensor]
 """v_θ: coordinates (B, N, 4), time (B,), condition, ranks (B, N), earlier clean estimate or None -> velocity (B, N, 4)."""
 
@@ -39,6 +40,9 @@ class FlowSettings(Settings):
 
     sigma: NonNegative = 0.2
     """σ in coordinate units: one unit is ``length_unit`` metres or ``yaw_unit`` radians."""
+
+    heights: Heights = "learned"
+    """``learned`` as in the paper; with ``geometry`` heights follow from the supports, and the flow changes x, y and yaw alone."""
 
     self_condition: Share = 0.5
     """Probability that training gives the network its earlier clean estimate; 0 also disables it at inference."""
@@ -92,7 +96,7 @@ class FlowMatching:
         start = coarse if is_coarse else torch.zeros_like(coarse)
         if draw:
             noise = torch.randn(coarse.shape, device=coarse.device, generator=generator)
-            start = start + (self.settings.sigma if is_coarse else 1.0) * noise
+            start = start + (self.settings.sigma if is_coarse else 1.0) * self._free(noise)
         return torch.where(condition.is_movable[..., None], start, coarse)
 
     def path(
@@ -106,13 +110,13 @@ class FlowMatching:
             generator: Random generator on the condition's device.
             t: Flow times, (B,) float32; by default drawn from U[0, 1].
         """
-        coordinates = self.settings.coordinates
+        coordinates, condition = self.settings.coordinates, self.prepared(condition)
         y_0 = self.start(condition, generator)
         movable = condition.is_movable[..., None]
         y_1 = coordinates.encode(torch.where(movable, targets, condition.poses), condition.poses)
         if t is None:
             t = torch.rand(len(y_0), device=y_0.device, generator=generator)
-        velocity = torch.where(movable, coordinates.difference(y_0, y_1), 0)
+        velocity = torch.where(movable, self._free(coordinates.difference(y_0, y_1)), 0)
         return FlowPath(y_0 + t[:, None, None] * velocity, t, velocity)
 
     def predict(
@@ -123,15 +127,26 @@ class FlowMatching:
         Self-conditioning as in Analog Bits: in a share of the calls the network is evaluated once without gradient, and its clean
         estimate is an input of the second evaluation. Each call draws new instance codes.
         """
+        condition = self.prepared(condition)
         ranks = condition.random_ranks(generator)
         y1_hat = None
         # Drawn even without self-conditioning, so that the setting does not change later draws.
         coin = torch.rand((), device=path.y.device, generator=generator)
         if self.settings.self_condition and coin.item() < self.settings.self_condition:
             with torch.no_grad():
-                y1_hat = self.clean(path.y, path.t, network(path.y, path.t, condition, ranks, None))
-        velocity = network(path.y, path.t, condition, ranks, y1_hat)
+                y1_hat = self.clean(path.y, path.t, self._free(network(path.y, path.t, condition, ranks, None)))
+        velocity = self._free(network(path.y, path.t, condition, ranks, y1_hat))
         return FlowPrediction(velocity, self.poses(self.clean(path.y, path.t, velocity), condition))
+
+    def prepared(self, condition: Condition) -> Condition:
+        """Returns the scenes at the heights with which the flow begins."""
+        return condition if self.settings.heights == "learned" else condition.standing()
+
+    def _free(self, change: Tensor) -> Tensor:
+        """Returns a change of coordinates (B, N, 4) without that of the height, if heights follow from geometry."""
+        if self.settings.heights == "learned":
+            return change
+        return change * change.new_tensor([1.0, 1.0, 0.0, 1.0])
 
     @staticmethod
     def clean(y: Tensor, t: Tensor, velocity: Tensor) -> Tensor:
@@ -166,8 +181,10 @@ class FlowMatching:
 
         Returns:
             Poses, (B, N, 4) float32, metres and radians, world frame, yaw in (−π, π]; coarse poses for fixed objects and padding.
+            If heights follow from geometry, objects on the table stand on it, and others are as far above their support as before.
         """
         steps, solver = steps or self.settings.steps, solver or self.settings.solver
+        condition = self.prepared(condition)
         ranks = condition.content_ranks()  # of the coarse poses: constant during the integration
         y = self.start(condition, generator, draw=generator is not None)
         y1_hat: Tensor | None = None
@@ -175,7 +192,7 @@ class FlowMatching:
         def velocity(y: Tensor, time: float) -> Tensor:
             nonlocal y1_hat
             t = y.new_full((len(y),), time)
-            v = network(y, t, condition, ranks, y1_hat)
+            v = self._free(network(y, t, condition, ranks, y1_hat))
             if self.settings.self_condition:
                 y1_hat = self.clean(y, t, v)
             return v

@@ -15,7 +15,8 @@ from models.physics_corrector.geometry.scene_tensors import ON_TABLE
 
 NUM_WAVES = 8
 _LONGEST_WAVE = 4.0  # metres: longer than a table, so that every position on it has a different encoding
-_SMALLEST = 1e-3  # metres: lower bound of sizes, so that their logarithms are finite
+_SMALLEST = 1e-3  # metres: lower bound of sizes, so that their logarithms are finite; also the lower bound of other ratios
+_TYPICAL_ERROR = (0.02, 0.2)  # metres and radians: errors with the logarithm 0
 
 
 def fourier_features(lengths: Tensor) -> Tensor:
@@ -91,6 +92,21 @@ def context_features(condition: Condition) -> Tensor:
 
 
 CONTEXT_CHANNELS = 9 + 4 + 3 + PLACE_CHANNELS
+
+
+def error_features(condition: Condition) -> Tensor:
+    """Encodes the expected errors of the coarse poses, (B, N, ERROR_CHANNELS) float32: logarithms, and whether they are known."""
+    shape = condition.mask.shape
+    if condition.error is None:
+        return condition.poses.new_zeros(*shape, ERROR_CHANNELS)
+    unit = condition.error.new_tensor(_TYPICAL_ERROR)
+    known = condition.error.isfinite()
+    lengths = torch.where(known, (condition.error / unit).clamp(_SMALLEST, 1 / _SMALLEST).log(), 0)
+    return torch.cat([lengths, known.float()], -1)[:, None].expand(*shape, ERROR_CHANNELS)
+
+
+ERROR_CHANNELS = 4
+ORDER_CHANNELS = 2
 
 
 def pair_features(poses: Tensor, condition: Condition) -> Tensor:

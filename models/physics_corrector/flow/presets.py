@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from models.physics_corrector.flow.flow_matching import FlowMatching, FlowSettings
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
@@ -54,14 +55,24 @@ class CorrectorSettings(Settings):
         return config_differences(flatten_config(asdict(self)), flatten_config(asdict(other)))
 
 
+_TEXTS = 384  # of the packaged text encoder
+_TOLD: dict[str, Any] = {"num_texts": _TEXTS, "reads_errors": True}
+_STANDING = FlowSettings(heights="geometry", steps=2)
+
 PRESETS: Mapping[str, CorrectorSettings] = {
-    # The paper's width and self-conditioning; the paper does not give levels, heads and widths: these are its predecessors'.
-    "paper": CorrectorSettings(),
-    # The smaller network whose weights are in the repository.
+    # The paper's width, self-conditioning and absolute poses; the paper does not give levels, heads and widths: these are its
+    # predecessors'.
+    "paper": CorrectorSettings(flow=FlowSettings(PoseCoordinates("absolute", 1.0, 1.0), sigma=0.02)),
+    # The same network with residual coordinates.
+    "paper_tuned": CorrectorSettings(),
+    # Smaller networks for a CPU, which are told more than the paper's and leave heights to geometry.
     "embedded": CorrectorSettings(
-        VelocityNetworkSettings(channels=96, levels=3, heads=4, context_channels=96, time_channels=192, code_channels=32)
+        VelocityNetworkSettings(
+            channels=96, levels=3, heads=4, context_channels=96, time_channels=192, code_channels=32, **_TOLD
+        ),
+        _STANDING,
     ),
-    # Set transformers with about the cost of the two above.
+    # Set transformers with about the cost of the two above; the weights of `embedded_set` are in the repository.
     "paper_set": CorrectorSettings(VelocityNetworkSettings("set_transformer", levels=8, heads=8, time_channels=512)),
     "embedded_set": CorrectorSettings(
         VelocityNetworkSettings(
@@ -73,10 +84,13 @@ PRESETS: Mapping[str, CorrectorSettings] = {
             time_channels=128,
             pair_channels=32,
             code_channels=32,
-        )
+            reads_order=True,
+            **_TOLD,
+        ),
+        _STANDING,
     ),
 }
-"""Named settings; :func:`absolute_preset` converts them to the paper's absolute coordinates."""
+"""Named settings."""
 
 
 def preset(name: str) -> CorrectorSettings:
@@ -88,9 +102,3 @@ def preset(name: str) -> CorrectorSettings:
     if name not in PRESETS:
         raise ConfigError(f"corrector preset {name!r} is unknown, expected one of {', '.join(PRESETS)}", "config_invalid")
     return PRESETS[name]
-
-
-def absolute_preset(settings: CorrectorSettings) -> CorrectorSettings:
-    """Returns the settings with the paper's absolute coordinates in metres and radians."""
-    flow = asdict(settings.flow) | {"coordinates": PoseCoordinates("absolute", 1.0, 1.0)}
-    return CorrectorSettings(settings.network, FlowSettings(**flow))

@@ -61,6 +61,18 @@ class VelocityNetworkSettings(Settings):
     num_features: Annotated[int, Interval(ge=0, le=4096)] = 64
     """Point features g_i of an object, 64 in the paper; 0 makes a network without them, for ablation."""
 
+    num_texts: Annotated[int, Interval(ge=0, le=65536)] = 0
+    """Text features of an object's category and of the kind of table, 384 with the packaged text encoder; the paper has none."""
+
+    text_channels: Width = 64
+    """Width to which text features are reduced."""
+
+    reads_errors: bool = False
+    """Whether the network is told the expected errors of the coarse poses; not in the paper."""
+
+    reads_order: bool = False
+    """Whether the network is told known directions between objects; only the transformer can be. Not in the paper."""
+
     num_codes: Annotated[int, Interval(ge=0, le=65536)] = 64
     """Number of instance codes. With 0 the network is exactly permutation-equivariant and cannot separate two equal objects."""
 
@@ -69,6 +81,8 @@ class VelocityNetworkSettings(Settings):
 
     def check(self) -> None:
         """Refuses a width that its groups or heads do not divide; see the base class."""
+        if self.reads_order and self.backbone != "set_transformer":
+            raise ConfigError(f"network.reads_order needs the set_transformer, found {self.backbone}", "config_invalid")
         if self.channels % math.lcm(8, self.heads if self.backbone == "set_transformer" else 1):
             raise ConfigError(
                 f"network.channels is {self.channels}, expected a multiple of 8 (and of the transformer's {self.heads} heads)",
@@ -92,6 +106,12 @@ class VelocityNetwork(nn.Module):
         self.features = nn.LayerNorm(settings.num_features) if settings.num_features else None
         self.codes = nn.Embedding(settings.num_codes, settings.code_channels) if settings.num_codes else None
         known = object_encoding.CONTEXT_CHANNELS + settings.num_features + (settings.code_channels if settings.num_codes else 0)
+        known += object_encoding.ERROR_CHANNELS if settings.reads_errors else 0
+        self.texts: nn.Linear | None = None
+        if settings.num_texts:
+            self.texts = nn.Linear(settings.num_texts, settings.text_channels)
+            self.table_text = nn.Linear(settings.num_texts, settings.text_channels)
+            known += 2 * settings.text_channels
         self.context = nn.Sequential(nn.Linear(known, context), nn.SiLU(), nn.Linear(context, context))
         self.time = nn.Sequential(nn.Linear(width, time), nn.SiLU(), nn.Linear(time, time))
         shape = {"channels": width, "levels": settings.levels, "heads": settings.heads}
@@ -100,7 +120,8 @@ class VelocityNetwork(nn.Module):
         if settings.backbone == "unet1d":
             self.backbone = UNet1d(**shape, **inputs)
         else:
-            pair = {"pair_channels": settings.pair_channels, "pair_inputs": object_encoding.PAIR_CHANNELS}
+            inputs_of_pair = object_encoding.PAIR_CHANNELS + (object_encoding.ORDER_CHANNELS if settings.reads_order else 0)
+            pair = {"pair_channels": settings.pair_channels, "pair_inputs": inputs_of_pair}
             self.backbone = SetTransformer(**shape, **inputs, **pair)
         last = nn.Linear(width, 4)
         nn.init.zeros_(last.weight)
@@ -127,7 +148,7 @@ class VelocityNetwork(nn.Module):
         y = torch.where(is_object, y, 0)
         poses = torch.where(is_object, self.coordinates.decode(y, condition.poses), 0)
         x = self.state(self._state(y, poses, condition, y1_hat))
-        pairs = object_encoding.pair_features(poses, condition) if self.backbone.needs_pairs else None
+        pairs = self._pairs(poses, condition) if self.backbone.needs_pairs else None
         time = self.time(time_embedding(t, self.settings.channels))
         x = self.backbone(x, self._context(condition, ranks), time, condition.mask, pairs)
         velocity: Tensor = self.head(x)
@@ -142,6 +163,14 @@ class VelocityNetwork(nn.Module):
             estimate = torch.cat([self.coordinates.on_circle(y1_hat), torch.ones_like(y[..., :1])], -1)
         return torch.cat([self.coordinates.on_circle(y), estimate, object_encoding.place_features(poses, condition)], -1)
 
+    def _pairs(self, poses: Tensor, condition: Condition) -> Tensor:
+        pairs = object_encoding.pair_features(poses, condition)
+        if not self.settings.reads_order:
+            return pairs
+        order = condition.order
+        shape = (*pairs.shape[:-1], object_encoding.ORDER_CHANNELS)
+        return torch.cat([pairs, pairs.new_zeros(shape) if order is None else order], -1)
+
     def _context(self, condition: Condition, ranks: Tensor) -> Tensor:
         known = [object_encoding.context_features(condition)]
         if self.features is not None:
@@ -153,10 +182,31 @@ class VelocityNetwork(nn.Module):
                     "features_mismatch",
                 )
             known.append(self.features(condition.features))
+        if self.texts is not None:
+            known += self._texts(condition)
+        if self.settings.reads_errors:
+            known.append(object_encoding.error_features(condition))
         if self.codes is not None:
             known.append(self.codes(ranks % self.settings.num_codes))
         embedded: Tensor = self.context(torch.cat(known, -1))
         return embedded
+
+    def _texts(self, condition: Condition) -> list[Tensor]:
+        """Reduces the text features of objects and table, each (B, N, text_channels)."""
+        assert self.texts is not None
+        shape, count = condition.mask.shape, self.settings.num_texts
+        texts, table = condition.texts, condition.table_text
+        texts = condition.poses.new_zeros(*shape, count) if texts is None else texts
+        table = condition.poses.new_zeros(len(condition), count) if table is None else table
+        for found in (texts, table):
+            if found.shape[-1] != count:
+                raise ConfigError(
+                    f"the scenes have {found.shape[-1]} text features per object, the corrector expects {count}; "
+                    "compute them with the text encoder that it was trained with",
+                    "features_mismatch",
+                )
+        of_table: Tensor = self.table_text(table)
+        return [self.texts(texts), of_table[:, None].expand(*shape, -1)]
 
 
 def time_embedding(t: Tensor, channels: int) -> Tensor:

@@ -28,6 +28,12 @@ class SceneTensors:
         zone: Restricted zone, x_min, x_max, y_min, y_max, (B, 4) float32, metres; zeros if there is none.
         has_zone: Whether a scene has a restricted zone, (B,) bool.
         features: Point features g_i of the objects, (B, N, F) float32, or None if the network uses none.
+        texts: Text features of the categories of the objects, (B, N, T) float32, or None.
+        table_text: Text features of the kind of table, (B, T) float32, or None.
+        error: Expected errors of the poses: standard deviation along x and along y in metres, and of yaw in radians, (B, 2)
+            float32, nan where unknown; or None.
+        order: Known directions: 1 or -1 at [b, i, j, k] if j is farther along the axis k (x, y) than i, or less far, by more than
+            along the other axis; 0 if unknown; (B, N, N, 2) float32, or None.
     """
 
     poses: Tensor
@@ -39,6 +45,10 @@ class SceneTensors:
     zone: Tensor
     has_zone: Tensor
     features: Tensor | None = None
+    texts: Tensor | None = None
+    table_text: Tensor | None = None
+    error: Tensor | None = None
+    order: Tensor | None = None
 
     def __len__(self) -> int:
         """Number of scenes."""

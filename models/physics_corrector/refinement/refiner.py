@@ -82,6 +82,30 @@ class Refiner:
     def __init__(self, store: AssetStore, grids: ContactGrids, depth: float = TOLERANCE, device: str = "cpu") -> None:
         self._cache, self._depth, self._device = ContactShapeCache(store, grids), depth, device
 
+    @torch.no_grad()
+    def rest(self, layouts: Sequence[LayoutToRefine]) -> list[Scene]:
+        """Gives objects the heights that follow from geometry: on the table, or in contact with what carries them.
+
+        Returns:
+            The scenes, in order; positions along the table and yaws are unchanged. A layout with a mesh that gives no grid or
+            samples is unchanged.
+        """
+        found = [layout.scene for layout in layouts]
+        usable = [
+            k for k, layout in enumerate(layouts) if layout.scene.objects and self.has_shapes(layout.scene, layout.shapes)
+        ]
+        for start in range(0, len(usable), _BATCH):
+            some = usable[start : start + _BATCH]
+            chosen = [layouts[k] for k in some]
+            scenes, fixed = [one.scene for one in chosen], [one.fixed for one in chosen]
+            problem = RefinementProblem.of(scenes, [one.shapes for one in chosen], fixed, scenes, self._cache).to(self._device)
+            poses = stand_on_table(problem.layout.poses, problem)
+            if bool(problem.carried.any()):
+                poses = lower_onto(poses, problem, unrested(poses, problem, problem.carried))[0]
+            for k, own in zip(some, poses.double().cpu().numpy(), strict=True):
+                found[k] = _moved(layouts[k], own)
+        return found
+
     def refine(self, layouts: Sequence[LayoutToRefine]) -> list[RefinedLayout | None]:
         """Refines layouts.
 
@@ -90,16 +114,19 @@ class Refiner:
             grid or samples.
         """
         found: list[RefinedLayout | None] = [None] * len(layouts)
-        usable = [k for k, layout in enumerate(layouts) if layout.scene.objects and self._has_shapes(layout)]
+        usable = [
+            k for k, layout in enumerate(layouts) if layout.scene.objects and self.has_shapes(layout.scene, layout.shapes)
+        ]
         for start in range(0, len(usable), _BATCH):
             some = usable[start : start + _BATCH]
             for k, refined in zip(some, self._refined_batch([layouts[k] for k in some]), strict=True):
                 found[k] = refined
         return found
 
-    def _has_shapes(self, layout: LayoutToRefine) -> bool:
+    def has_shapes(self, scene: Scene, shapes: Sequence[Shape]) -> bool:
+        """Whether all meshes of a scene can be refined: they give grids and samples, which are made here."""
         try:
-            self._cache.make(layout.scene, layout.shapes)
+            self._cache.make(scene, shapes)
         except MeshError:
             return False
         return True

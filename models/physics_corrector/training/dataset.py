@@ -6,7 +6,7 @@ on request, ``features``. The result takes minutes to compute; one file caches i
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -19,12 +19,14 @@ from safetensors.torch import save_file
 from torch import Tensor
 from tqdm import tqdm
 
+from models.physics_corrector.flow.category_texts import category_texts
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
 from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors, grids_from_rows
 from stable_data.assets.point_features import FAR_TILT, read_features
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
+from stable_data.assets.text_embeddings import TextEncoder
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.scene import FloatArray, QuatXyzw, Scene, Stage, Vec3
@@ -35,9 +37,10 @@ from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 FeatureSource: TypeAlias = Literal["point", "box"]
 """The network's inputs of a shape: ``point``, the encoder's features and the extents; ``box``, the extents alone."""
 
-_VERSION = 1  # of the cache file; a change of its content needs a new number
+_VERSION = 2  # of the cache file; a change of its content needs a new number
 _TABLES = ("scenes", "meshes", "sdf", "assets")
 _STAGES = {stage: index for index, stage in enumerate(Stage)}
+_TENSORS = tuple(f.name for f in fields(LayoutBatch) if f.default is MISSING)  # those that every batch has
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,24 +63,44 @@ class TrainingSet:
     """Clean scenes of a run, of all splits.
 
     Attributes:
-        batch: The scenes with their clean poses.
+        batch: The scenes with their clean poses, without features and texts; :meth:`take` adds these.
         geometry: Their shapes.
         stage: Index of each object's stage, -1 if it has none, (B, N) int64.
+        words: Index of each object's category among the texts, and last that of the table's kind, (B, N + 1) int64; -1 in padding.
         split: ``train`` 0, ``validation`` 1, others 2, (B,) int64.
         scene_ids: The ids of the B scenes.
         counts: Numbers of scenes that were read, used and left out, by reason.
         fingerprint: Fingerprint of the run's content.
+        texts: The categories of objects and the kinds of tables, in plain words.
         encoder: Fingerprint of the encoder of the features; empty without features.
+        text_encoder: Fingerprint of the encoder of the texts; empty without text features.
+        features: Point features of the shapes, (S, F) float32; None without features.
+        text_features: Text features of ``texts``, (T, D) float32; None without them.
     """
 
     batch: LayoutBatch
     geometry: ShapeTensors
     stage: Tensor
+    words: Tensor
     split: Tensor
     scene_ids: tuple[str, ...]
     counts: Mapping[str, int]
     fingerprint: str
+    texts: tuple[str, ...] = ()
     encoder: str = ""
+    text_encoder: str = ""
+    features: Tensor | None = None
+    text_features: Tensor | None = None
+
+    def take(self, scenes: Tensor) -> LayoutBatch:
+        """Selects scenes by index (S,) int64, with the features of their shapes and texts."""
+        batch = self.batch.take(scenes)
+        if self.features is not None:
+            batch = replace(batch, features=self.features[batch.shape_index])
+        if self.text_features is not None:
+            found = torch.where((self.words[scenes] >= 0)[..., None], self.text_features[self.words[scenes].clamp_min(0)], 0)
+            batch = replace(batch, texts=found[:, :-1], table_text=found[:, -1])
+        return batch
 
     def of_split(self, split: int) -> Tensor:
         """Indices of the scenes of a split, (S,) int64."""
@@ -85,7 +108,9 @@ class TrainingSet:
 
     def to(self, device: torch.device | str) -> "TrainingSet":
         """Copies scenes, shapes and stages to a device."""
-        return replace(self, batch=self.batch.to(device), geometry=self.geometry.to(device), stage=self.stage.to(device))
+        moved = {name: getattr(self, name).to(device) for name in ("batch", "geometry", "stage", "words")}
+        features, texts = (None if f is None else f.to(device) for f in (self.features, self.text_features))
+        return replace(self, **moved, features=features, text_features=texts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +148,12 @@ class TrainingScenes:
         """The meshes of the run."""
         return AssetStore(RunAssets(RunFolder(self.uri), self.cache / "meshes"))
 
-    def load(self, features: FeatureSource) -> TrainingSet:
+    def load(self, features: FeatureSource, encode: TextEncoder | None = None) -> TrainingSet:
         """Reads the training set from the cache, or computes and caches it.
+
+        Args:
+            features: The network's inputs of a shape.
+            encode: Computes text features; None for a network without them.
 
         Raises:
             ConfigError: The run lacks a table (``table_missing``) or the features (``features_missing``), or has no clean scene
@@ -143,6 +172,9 @@ class TrainingScenes:
                 f"{self.uri}: no clean scene in the split train ({counts}), expected at least one; preprocess more scenes",
                 "set_empty",
             )
+        if encode is not None:
+            rows = torch.from_numpy(encode(training_set.texts))
+            training_set = replace(training_set, text_features=rows, text_encoder=encode.fingerprint)
         return training_set if features == "box" else self._with_features(training_set, keys)
 
     def _with_features(self, training_set: TrainingSet, keys: Sequence[ShapeKey]) -> TrainingSet:
@@ -154,10 +186,9 @@ class TrainingScenes:
             )
         found = read_features(run)
         nearest = [found.nearest(key.asset_id, key.scale, key.tilt_quat_xyzw) for key in keys]
-        values = torch.from_numpy(np.array([value for value, _ in nearest]))[training_set.batch.shape_index]
+        values = torch.from_numpy(np.array([value for value, _ in nearest]))
         counts = {**training_set.counts, "shapes_without_near_feature": sum(angle > FAR_TILT for _, angle in nearest)}
-        batch = replace(training_set.batch, features=values)
-        return replace(training_set, batch=batch, counts=counts, encoder=found.fingerprint)
+        return replace(training_set, features=values, counts=counts, encoder=found.fingerprint)
 
     def scenes(self, scene_ids: Sequence[str]) -> list[Scene]:
         """Reads scenes of the run by id, in the given order."""
@@ -187,18 +218,23 @@ class TrainingScenes:
             for scene in tqdm(scenes, desc="scenes", unit="scene", leave=False)
         ]
         stage = torch.full((len(scenes), num_slots), -1)
+        words, texts = torch.full((len(scenes), num_slots + 1), -1), dict[str, int]()
         for n, scene in enumerate(scenes):
             found = [-1 if o.stage is None else _STAGES[o.stage] for o in scene.objects]
             stage[n, : len(found)] = torch.tensor(found)
+            names = [texts.setdefault(text, len(texts)) for text in category_texts(scene)]
+            words[n, : len(found)], words[n, -1] = torch.tensor(names[:-1]), names[-1]
         batch = _concatenate(parts)
         training_set = TrainingSet(
             batch,
             shapes.geometry(),
             stage,
+            words,
             torch.tensor(splits, dtype=torch.int64),
             tuple(scene.scene_id for scene in scenes),
             counts,
             fingerprint,
+            tuple(texts),
         )
         return training_set, shape_keys(scenes, batch)
 
@@ -243,10 +279,9 @@ def shape_keys(scenes: Sequence[Scene], batch: LayoutBatch) -> list[ShapeKey]:
 
 
 def _concatenate(parts: Sequence[LayoutBatch]) -> LayoutBatch:
-    names = [f.name for f in fields(LayoutBatch) if f.name != "features"]
     if not parts:  # an empty batch with the right shapes and types
         return _concatenate([LayoutBatch.from_scenes([], ShapeCollector(AssetStore(_NoAssets())), num_slots=1)])
-    return LayoutBatch(**{name: torch.cat([getattr(part, name) for part in parts]) for name in names})
+    return LayoutBatch(**{name: torch.cat([getattr(part, name) for part in parts]) for name in _TENSORS})
 
 
 class _NoAssets:
@@ -274,11 +309,12 @@ def _points(run: RunFolder) -> dict[str, FloatArray]:
 
 def _write_cache(path: Path, data: TrainingSet, keys: Sequence[ShapeKey]) -> None:
     """Writes a training set without its features atomically."""
-    tensors = {f"batch.{f.name}": getattr(data.batch, f.name) for f in fields(LayoutBatch) if f.name != "features"}
+    tensors = {f"batch.{name}": getattr(data.batch, name) for name in _TENSORS}
     tensors |= {f"geometry.{name}": getattr(data.geometry, name) for name in ShapeTensors.__slots__ if name != "atlas"}
     tensors |= {f"atlas.{name}": getattr(data.geometry.atlas, name) for name in SdfAtlas.__slots__}
-    tensors |= {"stage": data.stage, "split": data.split}
-    about: dict[str, Any] = {"scene_ids": data.scene_ids, "counts": dict(data.counts), "fingerprint": data.fingerprint}
+    tensors |= {name: getattr(data, name) for name in ("stage", "words", "split")}
+    about: dict[str, Any] = {name: getattr(data, name) for name in ("scene_ids", "fingerprint", "texts")}
+    about["counts"] = dict(data.counts)
     about["keys"] = [(key.asset_id, key.scale, key.tilt_quat_xyzw) for key in keys]
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}")
@@ -296,7 +332,7 @@ def _read_cache(path: Path) -> tuple[TrainingSet, list[ShapeKey]] | None:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
     except (OSError, SafetensorError):
         return None
-    batch = LayoutBatch(**{f.name: tensors[f"batch.{f.name}"] for f in fields(LayoutBatch) if f.name != "features"})
+    batch = LayoutBatch(**{name: tensors[f"batch.{name}"] for name in _TENSORS})
     atlas = SdfAtlas(*(tensors[f"atlas.{name}"] for name in SdfAtlas.__slots__))
     parts = {name: tensors[f"geometry.{name}"] for name in ShapeTensors.__slots__ if name != "atlas"}
     keys = [ShapeKey(asset_id, tuple(scale), tuple(tilt)) for asset_id, scale, tilt in about["keys"]]
@@ -304,9 +340,11 @@ def _read_cache(path: Path) -> tuple[TrainingSet, list[ShapeKey]] | None:
         batch,
         ShapeTensors(atlas=atlas, **parts),
         tensors["stage"],
+        tensors["words"],
         tensors["split"],
         tuple(about["scene_ids"]),
         about["counts"],
         about["fingerprint"],
+        tuple(about["texts"]),
     )
     return data, keys

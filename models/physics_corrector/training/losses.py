@@ -13,8 +13,7 @@ Choices that the paper does not specify:
 * S_i are the tabletop and the objects whose yawed box overlaps the box of i when i is lowered by ``support_reach``, except
   objects whose bottom is higher than that of i: an object that i supports cannot support i.
 
-Additional terms, off by default, keep footprints on the table and outside the restricted zone, and sampled poses near the
-coarse layout (:mod:`~models.physics_corrector.training.movement_losses`).
+An additional term, off by default, keeps footprints on the table and outside the restricted zone.
 """
 
 from dataclasses import dataclass, fields
@@ -52,12 +51,6 @@ class LossSettings(Settings):
 
     bounds_weight: NonNegative = 0.0
     """Weight of the loss for objects over the table's edge or in the restricted zone; not in the paper."""
-
-    move_weight: NonNegative = 0.0
-    """Weight of the movement of sampled poses, per ``length_unit``; not in the paper."""
-
-    order_weight: NonNegative = 0.0
-    """Weight of the directional relations that sampled poses violate; not in the paper."""
 
     length_unit: Positive = 0.01
     """Metres; unit of the squared lengths."""

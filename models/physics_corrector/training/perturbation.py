@@ -9,13 +9,12 @@ import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
-import numpy as np
 import torch
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from models.physics_corrector.flow.pose_coordinates import wrap_angle
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
+from models.physics_corrector.training.assignment import assign
 from models.settings import NonNegative, Settings, Share
 from stable_data.errors import ConfigError
 from stable_data.rotations import YAW_ARM
@@ -95,9 +94,25 @@ class PerturbationSettings(Settings):
         return [getattr(self, kind) for kind in KINDS]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Perturbation:
+    """Coarse layouts of clean scenes.
+
+    Attributes:
+        poses: Coarse poses, (B, N, 4) float32, metres and radians, world frame.
+        kinds: The kind of each scene as an index of KINDS, (B,) int64.
+        error: Standard deviations of the errors of all objects along x and along y in metres, and of yaw in radians, (B, 2)
+            float32; the errors that a kind adds to some objects are not counted.
+    """
+
+    poses: Tensor
+    kinds: Tensor
+    error: Tensor
+
+
 def perturb(
     batch: LayoutBatch, settings: PerturbationSettings, generator: torch.Generator, kind: Kind | None = None
-) -> tuple[Tensor, Tensor]:
+) -> Perturbation:
     """Draws coarse poses for clean scenes.
 
     Args:
@@ -107,8 +122,7 @@ def perturb(
         kind: One kind for all scenes; None draws one for each.
 
     Returns:
-        Coarse poses, (B, N, 4) float32, metres and radians, world frame; and the kind of each scene as an index of KINDS,
-        (B,) int64.
+        The coarse poses with their kinds and errors.
     """
     draw = _Draw(generator, batch.poses.device)
     num_scenes = len(batch)
@@ -123,7 +137,7 @@ def perturb(
     carried = torch.where(is_together[:, None] & ~is_root, settings.carried, 1.0)
     noise = draw.normal(*batch.poses.shape) * sigma[:, None] * carried[..., None]
     moved = batch.poses + noise + _structured(batch, kinds, is_root, settings, draw)
-    return _with_carried(batch, moved, is_together), kinds
+    return Perturbation(_with_carried(batch, moved, is_together), kinds, sigma[:, [0, 3]])
 
 
 def reassign_targets(coarse: Tensor, batch: LayoutBatch) -> Tensor:
@@ -144,19 +158,24 @@ def reassign_targets(coarse: Tensor, batch: LayoutBatch) -> Tensor:
     is_free = batch.is_movable & ~carries
     alike = (batch.shape_index[:, :, None] == batch.shape_index[:, None]) & (batch.parent[:, :, None] == batch.parent[:, None])
     alike &= is_free[:, :, None] & is_free[:, None]
-    scenes = (alike.sum(2) > 1).any(1).nonzero()[:, 0]
-    if not len(scenes):
+    # The groups with more than one member, each by its first one; their members come first in `order`.
+    is_first = alike.long().argmax(2) == slots
+    scene, first = (is_first & (alike.sum(2) > 1)).nonzero(as_tuple=True)
+    if not len(scene):
         return batch.poses
-    offset = batch.poses[scenes, None] - coarse[scenes, :, None]  # [s, i, j] = target j − coarse i
+    members = alike[scene, first]
+    count = members.sum(1)
+    order = torch.argsort(~members, dim=1, stable=True)[:, : int(count.max())]
+    is_member = torch.arange(order.shape[1], device=coarse.device) < count[:, None]
+    offset = batch.poses[scene[:, None], order][:, None] - coarse[scene[:, None], order][:, :, None]  # target j − coarse i
     cost = (offset[..., :3].square().sum(-1) + (YAW_ARM * wrap_angle(offset[..., 3])).square()).sqrt()
-    costs, groups = cost.cpu().numpy(), alike[scenes].cpu().numpy()
-    assigned = slots.cpu().numpy()[None].repeat(len(coarse), 0)
-    for n, scene in enumerate(scenes.tolist()):
-        for members in {tuple(np.flatnonzero(row).tolist()) for row in groups[n] if row.sum() > 1}:
-            _, column = linear_sum_assignment(costs[n][np.ix_(members, members)])
-            assigned[scene, list(members)] = np.array(members)[column]
-    index = torch.from_numpy(assigned).to(coarse.device)[..., None].expand_as(batch.poses)
-    return batch.poses.gather(1, index)
+    is_alone = torch.eye(order.shape[1], dtype=torch.bool, device=coarse.device)
+    both = is_member[:, :, None] & is_member[:, None]
+    cost = torch.where(both, cost, torch.where(is_alone, 0.0, cost.amax() * order.shape[1] + 1))  # padding keeps its place
+    chosen = order.gather(1, assign(cost))
+    assigned = slots.repeat(len(coarse), 1)
+    assigned[scene[:, None].expand_as(order)[is_member], order[is_member]] = chosen[is_member]
+    return batch.poses.gather(1, assigned[..., None].expand_as(batch.poses))
 
 
 @dataclass(frozen=True, slots=True)

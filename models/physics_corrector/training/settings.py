@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from annotated_types import Interval
 
 from models.physics_corrector.flow.presets import CorrectorSettings, preset
 from models.physics_corrector.training.dataset import FeatureSource
+from models.physics_corrector.training.hints import HintSettings
 from models.physics_corrector.training.losses import LossSettings
 from models.physics_corrector.training.perturbation import PerturbationSettings
 from models.physics_corrector.training.stage_prefixes import PrefixSettings
@@ -89,10 +90,15 @@ class CorrectorTrainingSettings(Settings):
     """Share of the steps, at the end, over which the learning rate falls to 0."""
 
     ema: Annotated[float, Interval(ge=0, lt=1)] = 0.999
-    """Decay of the exponential moving average of the weights; the average is saved."""
+    """Decay of the exponential moving average of the weights; the average is saved. 0 saves the weights themselves."""
 
-    clip: Positive = 1.0
-    """Largest norm of the gradient."""
+    clip: NonNegative = 1.0
+    """Largest norm of the gradient; 0 does not limit it."""
+
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Numbers of the network's matrix products; ``auto`` is bfloat16 on CUDA and float32 elsewhere. Weights, poses and losses are
+    float32.
+    """
 
     features: FeatureSource = "point"
     """The network's inputs of a shape: ``point`` (point features and extents) or ``box`` (extents alone)."""
@@ -105,6 +111,9 @@ class CorrectorTrainingSettings(Settings):
 
     perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
     """Errors of the coarse layouts."""
+
+    hints: HintSettings = field(default_factory=HintSettings)
+    """What a sample tells the network besides shapes and coarse poses."""
 
     prefixes: PrefixSettings = field(default_factory=PrefixSettings)
     """Parts of the scenes."""
@@ -159,51 +168,38 @@ class CorrectorTrainingSettings(Settings):
         return flatten_config(asdict(self))
 
 
-NEAR = "embedded_set_near"
-"""The preset that fine-tunes the weights of ``embedded_set``; ``initial`` is their file."""
-
-
 def training_preset(name: str) -> CorrectorTrainingSettings:
-    """Returns named settings: ``paper`` and ``paper_set`` as in the paper's appendix, ``embedded`` and ``embedded_set`` for a CPU.
+    """Returns named settings: ``paper`` to the letter, ``paper_tuned`` and ``paper_set`` at its size, the others for a CPU.
 
     Raises:
         ConfigError: The name is unknown.
     """
-    if name == NEAR:
-        return _near(training_preset("embedded_set"))
     corrector = preset(name)
+    if name == "paper":
+        return CorrectorTrainingSettings(
+            corrector=corrector,
+            ema=0.0,
+            clip=0.0,
+            prefixes=PrefixSettings(fixed=0.0),
+            physics=PhysicsSchedule(share=1.0, from_time=0.0, power=0.0),
+            hints=HintSettings(errors=0.0, order=0.0, features=1.0, texts=1.0),
+        )
     if name.startswith("paper"):
         return CorrectorTrainingSettings(corrector=corrector)
-    # One hour on one core allows few sampler steps, with physical losses on sampled poses for most of the run. The weights are
-    # far above the paper's: with those, the physical terms are thousandths of L_flow and have no effect in so few steps.
+    # Refinement separates objects and geometry gives heights. L_flow teaches where things belong; in the last part of the steps,
+    # collisions of sampled poses count as well.
     return CorrectorTrainingSettings(
-        steps=12_000,
+        steps=60_000,
         epochs=0,
-        batch_size=32,
-        chunk=16,
+        batch_size=64,
+        chunk=32,
+        precision="bfloat16",
         learning_rate=1e-3,
-        warm_up=200,
-        cool_down=0.4,
-        ema=0.998,
-        perturbation=PerturbationSettings(jitter=0.4, swap=0.05, edge=0.05),
-        physics=PhysicsSchedule(share=0.5, limit=1.0, unroll_share=0.8, unroll_scenes=0.5, unroll_weight=2.0),
-        losses=LossSettings(sdf_weight=5.0, support_weight=2.5, bounds_weight=0.5, clearance=1e-3),
-        corrector=replace(corrector, flow=replace(corrector.flow, steps=4)),
-    )
-
-
-def _near(settings: CorrectorTrainingSettings) -> CorrectorTrainingSettings:
-    """Settings that teach a trained corrector to move little: no L_flow, and a loss on the movement of sampled poses."""
-    # Half of the sampler's steps are enough: movements are shorter, and each step costs time in training and in inference.
-    flow = replace(settings.corrector.flow, steps=2)
-    return replace(
-        settings,
-        steps=1_600,
-        learning_rate=5e-4,
-        warm_up=50,
+        warm_up=500,
         cool_down=0.5,
-        ema=0.995,
-        physics=PhysicsSchedule(share=0.0, limit=10.0, unroll_share=1.0, unroll_scenes=1.0),
-        losses=replace(settings.losses, flow_weight=0.0, move_weight=0.35, order_weight=1.0, clearance=1.5e-3),
-        corrector=replace(settings.corrector, flow=flow),
+        ema=0.999,
+        perturbation=PerturbationSettings(small=0.25, jitter=0.55, swap=0.05, pile=0.05, height=0.0, edge=0.1, xy_high=0.12),
+        physics=PhysicsSchedule(share=0.0, limit=1.0, unroll_share=0.1, unroll_scenes=0.25, unroll_gradient=1),
+        losses=LossSettings(sdf_weight=1.0, support_weight=0.0, table_factor=0.0, bounds_weight=0.5, clearance=1e-3),
+        corrector=corrector,
     )

@@ -63,7 +63,7 @@ def prefix(batch: LayoutBatch, stage: Tensor, last: Tensor, is_frozen: Tensor) -
 
 
 def drop_empty_slots(batch: LayoutBatch) -> LayoutBatch:
-    """Moves objects before padding and removes slots that no scene needs; at least one remains."""
+    """Moves objects before padding and removes slots that no scene needs; at least one remains. Directions must not be known."""
     order = torch.argsort(~batch.mask, dim=1, stable=True)
     new_index = torch.argsort(order, dim=1)
     num_slots = max(1, int(batch.mask.sum(1).max())) if len(batch) else 1
@@ -82,4 +82,5 @@ def drop_empty_slots(batch: LayoutBatch) -> LayoutBatch:
         is_fixed=reorder(batch.is_fixed),
         parent=reorder(parent),
         features=None if batch.features is None else reorder(batch.features),
+        texts=None if batch.texts is None else reorder(batch.texts),
     )

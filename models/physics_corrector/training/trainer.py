@@ -20,8 +20,8 @@ from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.flow_matching import Velocity
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.training.dataset import TrainingSet
+from models.physics_corrector.training.hints import give_hints
 from models.physics_corrector.training.losses import flow_loss, physics_losses
-from models.physics_corrector.training.movement_losses import movement_loss, order_loss
 from models.physics_corrector.training.perturbation import perturb, reassign_targets
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.stage_prefixes import drop_empty_slots, take_prefix
@@ -29,9 +29,8 @@ from models.training.checkpoint import load_checkpoint, save_checkpoint
 from models.training.distributed import CPU, ProcessContext
 from stable_data.errors import ConfigError
 
-LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "moved", "total")
-"""The figures of a step: the weighted terms of the loss, the unweighted physical terms per scene, and the movement of sampled
-poses, metres per scene."""
+LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "total")
+"""The figures of a step: the weighted terms of the loss, and the unweighted physical terms per scene."""
 
 
 class CorrectorTrainer:
@@ -56,7 +55,7 @@ class CorrectorTrainer:
             torch.manual_seed(settings.seed)
             network, self.flow = settings.corrector.build()
         if settings.initial:
-            network.load_state_dict(_initial_state(settings, data.encoder))
+            network.load_state_dict(_initial_state(settings, data))
         self.network = network.to(place.device)
         self._optimizer = torch.optim.Adam(self.network.parameters(), settings.learning_rate)
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
@@ -81,7 +80,8 @@ class CorrectorTrainer:
             loss.backward()  # type: ignore[no-untyped-call]
             figures[:-1] += terms
         self._sum_over_processes(figures)
-        nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.clip)
+        if self.settings.clip:
+            nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.clip)
         self._optimizer.step()
         self._update_average()
         self.step += 1
@@ -92,7 +92,7 @@ class CorrectorTrainer:
         """Yields this process's chunks: scenes, their share of the step's movable objects, and their random generator."""
         scenes = torch.from_numpy(self._scenes_of_step()).to(self.place.device)
         generator = self._generator(0)
-        batch = take_prefix(self.data.batch.take(scenes), self.data.stage[scenes], self.settings.prefixes, generator)
+        batch = take_prefix(self.data.take(scenes), self.data.stage[scenes], self.settings.prefixes, generator)
         order = torch.argsort(batch.mask.sum(1), stable=True)  # scenes of similar size share a chunk: little padding
         total = batch.is_movable.sum().clamp_min(1)
         for number, chunk in enumerate(torch.split(order, self.settings.chunk)):
@@ -115,18 +115,20 @@ class CorrectorTrainer:
     def _loss(self, batch: LayoutBatch, share: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Computes a chunk's part of the step's loss, and its figures, (len(LOGGED),)."""
         settings = self.settings
-        coarse, _ = perturb(batch, settings.perturbation, generator)
+        coarse = perturb(batch, settings.perturbation, generator)
+        targets = reassign_targets(coarse.poses, batch)
+        told = replace(give_hints(batch, targets, coarse.error, settings.hints, generator), poses=coarse.poses)
+        condition = Condition.of(told)
         strength = settings.physics_at(self.step)
         zero = torch.zeros((), device=self.place.device)
         flow, estimate = zero, None
         if settings.losses.flow_weight or settings.physics.share:
-            condition = Condition.of(replace(batch, poses=coarse))
-            path = self.flow.path(condition, reassign_targets(coarse, batch), generator)
+            path = self.flow.path(condition, targets, generator)
             predicted = self.flow.predict(self.velocity(), path, condition, generator)
             flow = settings.losses.flow_weight * share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
-            estimate = predicted.poses, path.t
+            estimate = self._at_heights(predicted.poses, targets), path.t
         # Drawn in every step, so that the schedule of the physical losses does not change other draws.
-        lots = torch.rand((2, len(batch)), generator=generator, device=coarse.device)
+        lots = torch.rand((2, len(batch)), generator=generator, device=targets.device)
         physics = zero
         terms: tuple[Tensor, ...] = (zero, zero, zero)
         if strength and settings.physics.share and estimate is not None:
@@ -134,28 +136,28 @@ class CorrectorTrainer:
             chosen = (lots[0] < settings.physics.share) & (t > settings.physics.from_time)
             weight = strength * t[chosen] ** settings.physics.power
             physics, terms = self._physics(poses[chosen], batch.take(chosen), weight, settings.physics.share)
-        unrolled = moved = zero
+        unrolled = zero
         if strength and settings.is_unrolled_at(self.step):
             sampled = lots[1] < settings.physics.unroll_scenes
-            unrolled, moved = self._unrolled(batch.take(sampled), coarse[sampled], generator)
+            unrolled = self._unrolled(batch.take(sampled), condition.take(sampled), targets[sampled], generator)
         total = flow + physics + unrolled
-        return total, torch.stack([flow, physics, *terms, unrolled, moved, total]).detach()
+        return total, torch.stack([flow, physics, *terms, unrolled, total]).detach()
 
-    def _unrolled(self, batch: LayoutBatch, coarse: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Computes the loss of sampled poses, and their movement, metres per scene."""
-        settings, share = self.settings.losses, self.settings.physics.unroll_scenes
-        poses = self._sampled(batch, coarse, generator)
-        weight = poses.new_full((len(poses),), self.settings.physics.unroll_weight)
-        moved = movement_loss(poses, coarse, batch)
-        near = settings.move_weight * moved / settings.length_unit
-        if settings.order_weight:
-            near = near + settings.order_weight * order_loss(poses, coarse, batch) / settings.length_unit**2
-        unrolled, _ = self._physics(poses, batch, weight, share, near)
-        return unrolled, moved.sum() / (share * self.settings.batch_size)
+    def _unrolled(self, batch: LayoutBatch, condition: Condition, targets: Tensor, generator: torch.Generator) -> Tensor:
+        """Computes the loss of poses that are sampled as at inference, with gradients of the last solver steps."""
+        settings = self.settings.physics
+        start = generator if self.settings.corrector.flow.source == "gaussian" else None
+        poses = self.flow.sample(self.velocity(), condition, generator=start, gradient_steps=settings.unroll_gradient)
+        weight = poses.new_full((len(poses),), settings.unroll_weight)
+        return self._physics(self._at_heights(poses, targets), batch, weight, settings.unroll_scenes)[0]
 
-    def _physics(
-        self, poses: Tensor, batch: LayoutBatch, weight: Tensor, share: float, near: Tensor | None = None
-    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+    def _at_heights(self, poses: Tensor, targets: Tensor) -> Tensor:
+        """Puts poses at the clean heights, if the flow leaves heights to geometry."""
+        if self.settings.corrector.flow.heights == "learned":
+            return poses
+        return torch.cat([poses[..., :2], targets[..., 2:3], poses[..., 3:]], -1)
+
+    def _physics(self, poses: Tensor, batch: LayoutBatch, weight: Tensor, share: float) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Estimates the mean over the step's scenes of the weighted physical loss, and of its terms, from a share of the scenes.
 
         Args:
@@ -163,32 +165,22 @@ class CorrectorTrainer:
             batch: Their scenes.
             weight: Weight of each scene, (S,).
             share: Expected share of the step's scenes among these.
-            near: Added to each scene's loss, (S,).
         """
         scale = 1 / (share * self.settings.batch_size)
         losses = physics_losses(poses, batch, self.data.geometry, self.settings.losses)
         of_scene, limit = losses.weighted(self.settings.losses), self.settings.physics.limit
-        of_scene = of_scene if near is None else of_scene + near
         of_scene = limit * torch.log1p(of_scene / limit) if limit else of_scene
         terms = (losses.object_object, losses.object_table, losses.support)
         return scale * (weight * of_scene).sum(), tuple(scale * term.sum() for term in terms)
 
-    def _sampled(self, batch: LayoutBatch, coarse: Tensor, generator: torch.Generator) -> Tensor:
-        """Samples poses as at inference, (S, N, 4), with gradients of the last solver steps."""
-        condition = Condition.of(replace(batch, poses=coarse))
-        start = generator if self.settings.corrector.flow.source == "gaussian" else None
-        return self.flow.sample(
-            self.velocity(), condition, generator=start, gradient_steps=self.settings.physics.unroll_gradient
-        )
-
     def velocity(self, network: nn.Module | None = None) -> Velocity:
-        """Wraps a network, by default the trained one, for the flow: on CUDA it computes in bfloat16 and returns float32."""
-        wrapped = self.network if network is None else network
-        if self.place.device.type != "cuda":
+        """Wraps a network, by default the trained one, for the flow: if it computes in bfloat16, it returns float32."""
+        wrapped, device = self.network if network is None else network, self.place.device.type
+        if self.settings.precision == "float32" or (self.settings.precision == "auto" and device != "cuda"):
             return wrapped
 
         def evaluate(y: Tensor, t: Tensor, condition: Condition, ranks: Tensor, y1_hat: Tensor | None) -> Tensor:
-            with torch.autocast("cuda", torch.bfloat16):
+            with torch.autocast(device, torch.bfloat16):
                 velocity: Tensor = wrapped(y, t, condition, ranks, y1_hat)
             return velocity.float()
 
@@ -256,10 +248,11 @@ class CorrectorTrainer:
         return True
 
     def _about(self) -> dict[str, Any]:
-        return self.settings.flat() | {"data": self.data.fingerprint, "encoder": self.data.encoder}
+        data = self.data
+        return self.settings.flat() | {"data": data.fingerprint, "encoder": data.encoder, "text_encoder": data.text_encoder}
 
 
-def _initial_state(settings: CorrectorTrainingSettings, encoder: str) -> dict[str, Any]:
+def _initial_state(settings: CorrectorTrainingSettings, data: TrainingSet) -> dict[str, Any]:
     """Reads the initial weights of a training; refuses another network or other features."""
     path = Path(settings.initial).expanduser()
     found = load_corrector(path)
@@ -269,13 +262,13 @@ def _initial_state(settings: CorrectorTrainingSettings, encoder: str) -> dict[st
             f"initial: {path} has another network ({'; '.join(changed)}), expected the one that is trained",
             "checkpoint_mismatch",
         )
-    initial_encoder = found.notes.get("encoder_fingerprint", "")
-    if initial_encoder != encoder:
-        raise ConfigError(
-            f"initial: {path} reads the features of encoder {initial_encoder or 'none'}, the run has those of "
-            f"{encoder or 'none'}; preprocess the run with the same encoder",
-            "encoder_mismatch",
-        )
+    for note, encoder in (("encoder_fingerprint", data.encoder), ("text_encoder_fingerprint", data.text_encoder)):
+        if (initial := found.notes.get(note, "")) != encoder:
+            raise ConfigError(
+                f"initial: {path} reads the features of encoder {initial or 'none'}, the run has those of {encoder or 'none'}; "
+                "preprocess the run with the same encoder",
+                "encoder_mismatch",
+            )
     return dict(found.network.state_dict())
 
 

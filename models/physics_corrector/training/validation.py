@@ -104,13 +104,13 @@ def _row(
     data, places = held_out.data, held_out.places
     device = data.batch.poses.device
     generator = torch.Generator(device).manual_seed(seed + ROWS.index(row))
-    batch = data.batch.take(places.to(device))
+    batch = data.take(places.to(device))
     if row.endswith("_fixed"):
         last = torch.full((len(batch),), 2, device=device)
         batch = prefix(batch, data.stage[places.to(device)], last, torch.ones_like(batch.has_zone))
     batch = drop_empty_slots(batch)  # whole scenes: the order of their objects does not change
     kind: Kind = next(k for k in KINDS if row.removesuffix("_fixed") == k)
-    coarse, _ = perturb(batch, settings, generator, kind)
+    coarse = perturb(batch, settings, generator, kind).poses
     condition = Condition.of(replace(batch, poses=coarse))
     start = generator if flow.settings.source == "gaussian" else None  # as at inference: from x^c, or from a draw
     raw = flow.sample(velocity, condition, generator=start)

@@ -14,6 +14,7 @@ from models.physics_corrector.flow.checkpoint import load_corrector, save_correc
 from models.physics_corrector.learned_flow import LearnedFlow, load_flow, weights_fingerprint
 from models.point_encoder import PointEncoder
 from models.point_encoder import save as save_encoder
+from models.text_encoder import load_default as load_text_encoder
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.movement import movement
@@ -35,9 +36,10 @@ def encoder() -> PointEncoder:
 def weights(encoder: PointEncoder, tmp_path: Path) -> Path:
     """A network that was never trained, whose head is awake, with the encoder beside it."""
     settings = small_settings("set_transformer")
-    settings = replace(settings, network=replace(settings.network, num_features=64))
+    settings = replace(settings, network=replace(settings.network, num_features=64, num_texts=384))
     path = tmp_path / "physics_corrector.safetensors"
-    save_corrector(path, settings, awake_network(settings).state_dict(), {"encoder_fingerprint": encoder.fingerprint()})
+    notes = {"encoder_fingerprint": encoder.fingerprint(), "text_encoder_fingerprint": load_text_encoder().fingerprint}
+    save_corrector(path, settings, awake_network(settings).state_dict(), notes)
     save_encoder(encoder, path.with_name("point_encoder.safetensors"))
     return path
 
@@ -94,8 +96,10 @@ def test_features_of_another_encoder_are_refused(weights: Path) -> None:
     other = tiny_encoder(preprocessing=replace(tiny_encoder().preprocessing, num_points=64))
     for encoder in (other, None):
         with pytest.raises(ConfigError, match="was trained on the features of encoder") as caught:
-            LearnedFlow(read, encoder)
+            LearnedFlow(read, encoder, load_text_encoder())
         assert caught.value.code == "encoder_mismatch"
+    with pytest.raises(ConfigError, match="was trained on the features of text encoder"):
+        LearnedFlow(read, tiny_encoder())
 
 
 def test_another_number_of_features_is_refused(weights: Path, encoder: PointEncoder) -> None:

@@ -12,8 +12,8 @@ from models.physics_corrector.flow.flow_matching import FlowSettings
 from models.physics_corrector.flow.presets import CorrectorSettings
 from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings
 
-NUM_FEATURES = 8
-PER_OBJECT = ("poses", "mask", "sizes", "is_fixed", "parent", "features")
+NUM_FEATURES, NUM_TEXTS = 8, 6
+PER_OBJECT = ("poses", "mask", "sizes", "is_fixed", "parent", "features", "texts")
 
 SMALL: dict[str, Any] = {
     "channels": 32,
@@ -24,11 +24,15 @@ SMALL: dict[str, Any] = {
     "pair_channels": 16,
     "num_features": NUM_FEATURES,
     "code_channels": 8,
+    "num_texts": NUM_TEXTS,
+    "text_channels": 8,
+    "reads_errors": True,
 }
 
 
 def small_settings(backbone: str = "unet1d", flow: FlowSettings | None = None, **changes: Any) -> CorrectorSettings:
-    return CorrectorSettings(VelocityNetworkSettings(**{**SMALL, "backbone": backbone, **changes}), flow or FlowSettings())
+    shape = {**SMALL, "backbone": backbone, "reads_order": backbone == "set_transformer", **changes}
+    return CorrectorSettings(VelocityNetworkSettings(**shape), flow or FlowSettings())
 
 
 def awake_network(settings: CorrectorSettings, seed: int = 0) -> VelocityNetwork:
@@ -48,6 +52,8 @@ def condition(num_scenes: int, num_objects: int, *, seed: int = 0, real: int | N
     poses = torch.rand(*lead, 4, generator=g) * torch.tensor([1.2, 0.8, 0.2, 6.0]) - torch.tensor([0, 0, 0, 3.0])
     parent = torch.randint(-2, max(num_objects, 1), lead, generator=g)
     place = torch.arange(num_objects).expand(lead)
+    known = torch.randint(-1, 2, (num_scenes, num_objects, num_objects, 2), generator=g).float()
+    error = torch.rand(num_scenes, 2, generator=g)
     return Condition(
         poses=poses,
         mask=place < (num_objects if real is None else real),
@@ -58,6 +64,10 @@ def condition(num_scenes: int, num_objects: int, *, seed: int = 0, real: int | N
         zone=torch.tensor([0.2, 0.5, 0.1, 0.3]).expand(num_scenes, 4),
         has_zone=torch.arange(num_scenes) % 2 == 0,
         features=torch.randn(*lead, NUM_FEATURES, generator=g),
+        texts=torch.randn(*lead, NUM_TEXTS, generator=g),
+        table_text=torch.randn(num_scenes, NUM_TEXTS, generator=g),
+        error=torch.where(error < 0.3, torch.nan, error),
+        order=known - known.transpose(1, 2),
     )
 
 
@@ -67,6 +77,8 @@ def permuted(scenes: Condition, order: Tensor) -> Condition:
     now_at = torch.argsort(order)
     parent = changed["parent"]
     changed["parent"] = torch.where(parent >= 0, now_at[parent.clamp_min(0)], parent)
+    assert scenes.order is not None
+    changed["order"] = scenes.order[:, order][:, :, order]
     return replace(scenes, **changed)
 
 
@@ -77,6 +89,7 @@ def padded(scenes: Condition, extra: int) -> Condition:
         "poses": math.nan,
         "sizes": -3.0,
         "features": math.inf,
+        "texts": math.nan,
         "parent": 0,
         "is_fixed": True,
         "mask": False,
@@ -85,6 +98,10 @@ def padded(scenes: Condition, extra: int) -> Condition:
     for name in PER_OBJECT:
         value = getattr(scenes, name)
         changed[name] = torch.cat([value, torch.full((num_scenes, extra, *value.shape[2:]), fill[name], dtype=value.dtype)], 1)
+    assert scenes.order is not None
+    num_objects = scenes.mask.shape[1]
+    changed["order"] = torch.full((num_scenes, num_objects + extra, num_objects + extra, 2), math.nan)
+    changed["order"][:, :num_objects, :num_objects] = scenes.order
     return Condition.of(replace(scenes, **changed))
 
 

@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
 from models.physics_corrector.flow.flow_matching import FlowSettings
-from models.physics_corrector.flow.presets import PRESETS, CorrectorSettings, absolute_preset, preset
+from models.physics_corrector.flow.presets import PRESETS, CorrectorSettings, preset
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.flow.conditions import awake_network, condition, small_settings
 
@@ -106,12 +106,13 @@ def test_what_is_no_safetensors_file_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_settings_survive_json(name: str) -> None:
-    for settings in (preset(name), absolute_preset(preset(name))):
-        assert CorrectorSettings.from_json(settings.to_json()) == settings
+    settings = preset(name)
+    assert CorrectorSettings.from_json(settings.to_json()) == settings
 
 
-def test_the_papers_coordinates_are_a_setting() -> None:
-    assert preset("paper").differences(absolute_preset(preset("paper"))) == [
+def test_the_papers_coordinates_are_absolute_metres_and_radians() -> None:
+    changed = preset("paper_tuned").differences(preset("paper"))
+    assert changed[:3] == [
         "flow.coordinates.form: residual -> absolute",
         "flow.coordinates.length_unit: 0.05 -> 1.0",
         "flow.coordinates.yaw_unit: 0.5 -> 1.0",

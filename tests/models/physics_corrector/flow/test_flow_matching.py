@@ -308,3 +308,25 @@ def test_a_small_network_learns_to_push_two_discs_apart(backbone: str) -> None:
     assert after < 0.2 * before
     gaps = (found[:, 1] - found[:, 0])[:, :2].norm(dim=-1)  # the discs touch at 0.1
     assert gaps.median() > 0.095
+
+
+def test_heights_that_follow_from_geometry_are_those_of_the_supports() -> None:
+    settings = small_settings("set_transformer", FlowSettings(heights="geometry", steps=3))
+    scenes, network, flow = condition(4, 6), awake_network(settings), FlowMatching(settings.flow)
+    scenes = replace(scenes, is_fixed=torch.zeros_like(scenes.is_fixed))
+    poses = flow.sample(network, scenes)
+    on_table, carried = scenes.parent == -1, scenes.parent >= 0
+    torch.testing.assert_close(poses[on_table][:, 2], scenes.sizes[on_table][:, 2] / 2)
+    index = scenes.parent.clamp_min(0)
+    above, before = (p[..., 2] - p[..., 2].gather(1, index) for p in (poses, scenes.poses))
+    torch.testing.assert_close(above[carried], before[carried])
+    assert (poses[..., :2] - scenes.poses[..., :2]).abs().max() > 0.01
+    path = flow.path(scenes, scenes.poses + 0.1, torch.Generator().manual_seed(0))
+    assert not path.velocity[..., 2].any()
+
+
+def test_fixed_objects_keep_their_height() -> None:
+    flow = FlowMatching(FlowSettings(heights="geometry"))
+    scenes = condition(4, 6)
+    standing = flow.prepared(scenes)
+    assert torch.equal(standing.poses[scenes.is_fixed], scenes.poses[scenes.is_fixed])

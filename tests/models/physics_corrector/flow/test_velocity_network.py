@@ -13,7 +13,7 @@ from stable_data.errors import ConfigError
 from tests.models.physics_corrector.flow.conditions import awake_network, condition, padded, permuted, query, small_settings
 
 BACKBONES = ["unet1d", "set_transformer"]
-TOLERANCE = 1e-5
+TOLERANCE = 1e-4  # weights of random sign and size make large velocities
 
 
 @pytest.fixture(params=BACKBONES)

@@ -8,7 +8,7 @@ from torch.multiprocessing.spawn import spawn
 from models.physics_corrector.flow.checkpoint import save_corrector
 from models.physics_corrector.flow.flow_matching import FlowMatching
 from models.physics_corrector.training.losses import LossSettings
-from models.physics_corrector.training.settings import NEAR, CorrectorTrainingSettings, PhysicsSchedule, training_preset
+from models.physics_corrector.training.settings import CorrectorTrainingSettings, PhysicsSchedule, training_preset
 from models.physics_corrector.training.trainer import CorrectorTrainer, train
 from models.training.distributed import ProcessContext
 from stable_data.errors import ConfigError
@@ -167,19 +167,19 @@ def test_paper_preset_is_the_papers() -> None:
     settings = training_preset("paper").resolved(10_000)
     assert (settings.learning_rate, settings.batch_size, settings.epochs) == (2e-4, 2048, 5000)
     assert settings.steps == -(-5000 * 10_000 // 2048)
-    assert (settings.losses.sdf_weight, settings.losses.support_weight) == (0.02, 0.01)
-    assert settings.corrector.network.num_features == 64
-    assert (settings.losses.flow_weight, settings.losses.move_weight, settings.losses.order_weight) == (1.0, 0.0, 0.0)
+    assert (settings.losses.sdf_weight, settings.losses.support_weight, settings.losses.flow_weight) == (0.02, 0.01, 1.0)
+    assert (settings.ema, settings.clip, settings.warm_up, settings.cool_down, settings.prefixes.fixed) == (0, 0, 0, 0, 0)
+    assert (settings.physics.share, settings.physics.from_time, settings.physics.power) == (1.0, 0.0, 0.0)
+    network, flow = settings.corrector.network, settings.corrector.flow
+    assert (network.backbone, network.channels, network.num_features, network.num_texts) == ("unet1d", 512, 64, 0)
+    assert not network.reads_errors
+    assert (flow.coordinates.form, flow.heights, flow.source) == ("absolute", "learned", "coarse")
     assert settings.initial == ""
 
 
-def test_what_goes_on_from_trained_weights_has_their_network() -> None:
-    first, second = training_preset("embedded_set"), training_preset(NEAR)
-    assert second.corrector.network == first.corrector.network
-    assert second.losses.flow_weight == 0 < second.losses.move_weight
-    assert all(second.is_unrolled_at(step) for step in (0, second.steps - 1))
-    with pytest.raises(ConfigError, match="paper_near"):
-        training_preset("paper_near")
+def test_the_tuned_paper_preset_has_the_same_network() -> None:
+    assert training_preset("paper_tuned").corrector.network == training_preset("paper").corrector.network
+    assert training_preset("paper_tuned").ema > 0
 
 
 def test_box_features_make_a_network_that_reads_none() -> None:
@@ -226,24 +226,6 @@ def test_a_limit_lets_large_losses_count_as_their_logarithm() -> None:
 SAMPLED = PhysicsSchedule(share=0.0, unroll_share=1.0, unroll_scenes=1.0)
 
 
-def test_nearness_counts_on_sampled_poses_alone() -> None:
-    """Without physics and flow, what is left of the loss is the movement."""
-
-    def figures(losses: LossSettings, schedule: PhysicsSchedule = SAMPLED) -> dict[str, float]:
-        return trained_network(replace(TINY, losses=losses, physics=schedule)).advance()[0]
-
-    bare = LossSettings(sdf_weight=0.0, support_weight=0.0, flow_weight=0.0)
-    near = figures(replace(bare, move_weight=0.5))
-    assert near["flow"] == near["physics"] == 0
-    assert near["moved"] > 0
-    assert near["total"] == pytest.approx(0.5 * near["moved"] / 0.01, rel=1e-4)
-    assert figures(bare)["total"] == 0
-    assert figures(replace(bare, order_weight=1.0))["total"] > 0
-    assert figures(replace(bare, flow_weight=1.0, move_weight=9.0), replace(SAMPLED, unroll_share=0.0))["moved"] == 0
-    with pytest.raises(ConfigError, match="steps without a loss"):
-        replace(TINY, losses=bare, physics=replace(SAMPLED, unroll_share=0.5))
-
-
 def trained_network(settings: CorrectorTrainingSettings) -> CorrectorTrainer:
     """A training whose network moves things: an untrained one leaves them where they are."""
     training = CorrectorTrainer(DATA, settings)
@@ -252,11 +234,10 @@ def trained_network(settings: CorrectorTrainingSettings) -> CorrectorTrainer:
     return training
 
 
-def test_a_price_on_movement_keeps_things_where_they_are() -> None:
-    losses = LossSettings(sdf_weight=0.0, support_weight=0.0, flow_weight=0.0, move_weight=1.0)
-    training, moved = trained_network(replace(TINY, steps=30, losses=losses, physics=SAMPLED)), []
-    train(training, wants_stop=lambda: False, after=lambda _, figures: moved.append(figures["moved"]))
-    assert moved[-1] < 0.5 * moved[0]
+def test_a_training_without_a_loss_is_refused() -> None:
+    bare = LossSettings(sdf_weight=0.0, support_weight=0.0, flow_weight=0.0)
+    with pytest.raises(ConfigError, match="steps without a loss"):
+        replace(TINY, losses=bare, physics=replace(SAMPLED, unroll_share=0.5))
 
 
 def test_the_flow_counts_by_its_weight() -> None:

@@ -59,8 +59,11 @@ def training_set(count: int = 6, held_out: int = 2) -> TrainingSet:
     batch, geometry = batch_of(scenes, num_slots=6)
     stage = torch.full(batch.mask.shape, -1)
     stage[:, : len(STAGES)] = STAGES
+    words = torch.full((len(scenes), 7), -1)
+    words[:, [*range(len(STAGES)), -1]] = torch.tensor([0, 1, 1, 1, 2, 3])
     split = torch.tensor([0] * count + [1] * held_out)
-    return TrainingSet(batch, geometry, stage, split, tuple(f"row-{n}" for n in range(len(scenes))), {}, "made up")
+    names, texts = tuple(f"row-{n}" for n in range(len(scenes))), ("cube", "ball", "plate", "desk")
+    return TrainingSet(batch, geometry, stage, words, split, names, {}, "made up", texts)
 
 
 def with_fixed(batch: LayoutBatch, place: int) -> LayoutBatch:

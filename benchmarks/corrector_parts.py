@@ -1,0 +1,116 @@
+"""The parts of the corrector, alone and together, with the interface of the baselines: flow, refinement, certification."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from benchmarks.baselines.outcome import Baseline, BaselineResult
+from models.physics_corrector.certify import CorrectionStatus
+from models.physics_corrector.certify.correction import CorrectionOptions
+from models.physics_corrector.corrector import Flow, PhysicsCorrector, Polish, Purpose
+from models.physics_corrector.learned_flow import AUTO, NONE, UNKNOWN_ERROR, ExpectedError, load_flow
+from models.physics_corrector.refinement.refiner import Refiner
+from pipelines.sources.scenes import contact_grid_cache
+from stable_data.assets.contact_grids import ContactGrids
+from stable_data.assets.store import AssetStore
+from stable_data.geometry.shape import Shape
+from stable_data.metrics.audit import PosedScene, audit_posed_scene, audit_scene
+from stable_data.metrics.related_scene import relate_scene
+from stable_data.scene import Scene
+from stable_data.simulation.collision_bodies import bodies_of
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectorTerms:
+    """What the corrector is told, the same for all of its parts.
+
+    Attributes:
+        weights: Weights of the flow.
+        steps: Solver steps; 0 uses those of the weights.
+        is_told: Whether it knows the scene graph of the layout; else it infers the relations from the poses.
+        settles: Whether MuJoCo tests what stays at rest.
+        purpose: Whether layouts are meant as they are.
+        error: Expected errors of the layouts.
+    """
+
+    weights: str = AUTO
+    steps: int = 0
+    is_told: bool = False
+    settles: bool = False
+    purpose: Purpose = "repair"
+    error: ExpectedError = UNKNOWN_ERROR
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectorParts:
+    """Some parts of the corrector as one method.
+
+    Attributes:
+        terms: What it is told.
+        flows: Whether the flow moves objects.
+        refines: Whether layouts are refined.
+        certifies: Whether what is not solved is certified.
+    """
+
+    terms: CorrectorTerms
+    flows: bool = True
+    refines: bool = True
+    certifies: bool = True
+
+    def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
+        """Corrects the layout; returns it unchanged if it is infeasible."""
+        terms = self.terms
+        flow = _flow(terms.weights if self.flows else NONE, terms.steps, terms.error)
+        polish: Polish = "certify" if self.certifies else "verify" if self.refines else "off"
+        refiner = _refiner(store) if self.refines or not self.certifies else None
+        corrector = PhysicsCorrector(flow, judges_raw=False, refiner=refiner, polish=polish, purpose=terms.purpose)
+        options = CorrectionOptions(asks_engine=terms.settles and self.certifies)
+        self._prepare(corrector, scene, shapes, store)
+        audit = audit_scene(scene, shapes)  # a correction needs it only for its figures
+        told = scene if terms.is_told else replace(scene, relations=())
+        begin = time.process_time()
+        known = scene
+        if (flow is not None or self.refines) and not terms.is_told:  # they get the supports of the layout as it is
+            posed = PosedScene(scene, shapes)
+            known = relate_scene(posed, audit_posed_scene(posed), {}).scene
+        requests = corrector.move([replace(known, relations=told.relations)], store, options, [audit])
+        if not self.certifies and not self.refines:
+            raw = requests[0].raw
+            return BaselineResult(raw or scene, raw is not None, time.process_time() - begin)
+        (request,) = corrector.prepare(requests, store)
+        done = corrector.certify(request, store)
+        seconds = time.process_time() - begin
+        is_clean = done.status in (CorrectionStatus.CERTIFIED, CorrectionStatus.DROPPED)
+        return BaselineResult(done.certified or scene, is_clean, seconds, done.reason)
+
+    def _prepare(self, corrector: PhysicsCorrector, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> None:
+        """Makes what is made once for each asset: features, grids, convex parts."""
+        if corrector.flow is not None:
+            corrector.flow([scene], [shapes], [frozenset()])
+        if corrector.refiner is not None:
+            corrector.refiner.has_shapes(scene, shapes)
+        if self.terms.settles:
+            bodies_of(scene, shapes, store)
+
+
+@lru_cache(maxsize=2)
+def _flow(weights: str, steps: int, error: ExpectedError) -> Flow | None:
+    return load_flow(weights, steps, error)
+
+
+@lru_cache(maxsize=1)
+def _refiner(store: AssetStore) -> Refiner:
+    return Refiner(store, ContactGrids(contact_grid_cache()))
+
+
+def corrector_parts(terms: CorrectorTerms = CorrectorTerms()) -> dict[str, Baseline]:
+    """Returns the parts of the corrector and their combinations, by name."""
+    found: dict[str, Baseline] = {}
+    for certifies in (False, True):
+        for refines in (False, True):
+            for flows in (False, True):
+                parts = {"flow": flows, "refine": refines, "certify": certifies}
+                if name := " + ".join(part for part, is_used in parts.items() if is_used):
+                    found[name] = CorrectorParts(terms, flows, refines, certifies)
+    return found
