@@ -344,6 +344,28 @@ def synth(
     tell_world(out, scenes, failures)
 
 
+@app.command("fit-encoder")
+@with_clear_errors
+def fit_encoder(
+    data: Annotated[str, typer.Option(help="Folder of a preprocess run, whose shapes are encoded; features=none is enough.")],
+    weights: Annotated[
+        str, typer.Option(help="Published weights of Point Transformer V3: scannet:FILE, modelnet:FILE or sonata:FILE.")
+    ],
+    out: Annotated[Path, typer.Option(help="File of the encoder; use it with preprocess --set features=FILE.")],
+    device: Annotated[str, typer.Option(help="Device of the encoder, cpu or cuda.")] = "cpu",
+) -> None:
+    """Read published weights of Point Transformer V3 and fit their projection to 64 point features on the shapes of a run.
+
+    Status 0: done. 2: could not be done.
+    """
+    import tempfile
+
+    from pipelines.train.point_encoder import fit_encoder as fit
+
+    with tempfile.TemporaryDirectory() as cache:
+        typer.echo(fit(data, weights, out, Path(cache), device))
+
+
 @app.command("train-corrector", epilog=_KEYS.format("train-corrector"))
 @with_clear_errors
 def train_corrector(
@@ -358,6 +380,10 @@ def train_corrector(
     config: Annotated[Path | None, typer.Option(help="TOML file; its table train_corrector is read.")] = None,
     set_: Settings = None,
     minutes: Minutes = 0.0,
+    encoder: Annotated[
+        str,
+        typer.Option(help="Encoder of the run's features, saved beside the weights; auto: the one of the run, or the default."),
+    ] = "auto",
     workers: Trainers = 0,
     address: Address = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and a summary of the data, and stop.")] = False,
@@ -371,7 +397,7 @@ def train_corrector(
     from pipelines.train.corrector import CorrectorTrainingJob
 
     settings = resolve_settings(CorrectorTrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
-    job = CorrectorTrainingJob(data, out, settings, minutes=minutes)
+    job = CorrectorTrainingJob(data, out, settings, minutes=minutes, encoder=encoder)
     if dry_run:
         typer.echo(json.dumps(job.describe(), indent=2))
         return

@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import torch
 from torch import Tensor
 
 from models.physics_corrector.certify.correction import Fixed
+from models.physics_corrector.device_batches import DeviceBatches
 from models.physics_corrector.flow.category_texts import category_texts
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.checkpoint import Checkpoint, load_corrector
@@ -26,6 +28,9 @@ from stable_data.assets.text_embeddings import TextEncoder
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import Scene
+
+ENCODER_FILE = ENCODER.name
+"""The name of the encoder's file beside the weights of a corrector."""
 
 AUTO, NONE = "auto", "none"
 """Values of the setting ``weights``: the weights of the repository, and no flow."""
@@ -61,6 +66,7 @@ class LearnedFlow:
         text_encoder: Computes the text features of categories; None for a network without them.
         steps: Solver steps; 0 uses those of the settings.
         error: Expected errors of the layouts; a network that does not read them ignores these.
+        device: Device of the network and of the encoder.
 
     Raises:
         ConfigError: The network reads features, but not 64 (``checkpoint_mismatch``), or an encoder is missing or not the one of
@@ -74,12 +80,16 @@ class LearnedFlow:
         text_encoder: TextEncoder | None = None,
         steps: int = 0,
         error: ExpectedError = UNKNOWN_ERROR,
+        device: str = "cpu",
     ) -> None:
         self._checkpoint, self._steps, self._error = checkpoint, steps, error
         self._text_encoder = text_encoder if checkpoint.settings.network.num_texts else None
         self._texts: dict[str, npt.NDArray[np.float32]] = {}
-        self._encoder = encoder if checkpoint.settings.network.num_features else None
+        self._encoder = encoder.to(device) if encoder is not None and checkpoint.settings.network.num_features else None
+        self._device, self._batches = device, DeviceBatches("flow", _BATCH)
+        checkpoint.network.to(device)
         self._codes: dict[bytes, npt.NDArray[np.float32]] = {}
+        self._unit_shapes: WeakKeyDictionary[Shape, tuple[bytes, Shape]] = WeakKeyDictionary()
         if num_features := checkpoint.settings.network.num_features:
             if num_features != FEATURE_CHANNELS:
                 raise ConfigError(
@@ -100,13 +110,10 @@ class LearnedFlow:
             shapes: The geometry of the objects of each scene, in their order.
             fixed: The instances of each scene that must not move.
         """
-        moved: list[Scene] = []
-        for start in range(0, len(scenes), _BATCH):
-            part = slice(start, start + _BATCH)
-            moved += self._move_batch(scenes[part], shapes[part], fixed[part])
-        return moved
+        return self._batches.run(list(zip(scenes, shapes, fixed, strict=True)), self._move_batch)
 
-    def _move_batch(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
+    def _move_batch(self, layouts: Sequence[tuple[Scene, Sequence[Shape], Fixed]]) -> list[Scene]:
+        scenes, shapes, fixed = [x for x, _, _ in layouts], [x for _, x, _ in layouts], [x for _, _, x in layouts]
         arrays = {name: torch.from_numpy(value) for name, value in pad_scenes(scenes, shapes, fixed).items()}
         num_slots = arrays["mask"].shape[1]
         condition = Condition(
@@ -117,7 +124,7 @@ class LearnedFlow:
         if not condition.mask.any():
             return list(scenes)
         network, flow = self._checkpoint.network, self._checkpoint.flow
-        poses = flow.sample(network, condition, steps=self._steps or None).double().numpy()
+        poses = flow.sample(network, condition.to(self._device), steps=self._steps or None).double().cpu().numpy()
         moved = []
         for b, (scene, fixed_instances) in enumerate(zip(scenes, fixed, strict=True)):
             own = poses[b, : len(scene.objects)]
@@ -157,29 +164,34 @@ class LearnedFlow:
         return [self._texts[text] for text in texts]
 
     def _features(self, shapes: Sequence[Sequence[Shape]], num_slots: int) -> Tensor:
-        """Computes the point features of the objects, (B, N, 64) float32."""
+        """Computes the point features of the objects, (B, N, 64) float32; new shapes are encoded together."""
+        self._encode([shape for own in shapes for shape in own])
         features = np.zeros((len(shapes), num_slots, self._checkpoint.settings.network.num_features), np.float32)
         for b, own in enumerate(shapes):
             for n, shape in enumerate(own):
-                features[b, n] = self._code(shape)
+                features[b, n] = self._codes[self._unit_shape(shape)[0]]
         return torch.from_numpy(features)
 
-    def _code(self, shape: Shape) -> npt.NDArray[np.float32]:
-        """Returns the point feature of a shape, computed once for all scales.
+    def _unit_shape(self, shape: Shape) -> tuple[bytes, Shape]:
+        """The shape that is encoded, the same for all scales, and its key."""
+        if shape not in self._unit_shapes:
+            assert self._encoder is not None
+            unit = shape
+            if self._encoder.preprocessing.normalise != "centre":  # all other rules make the feature independent of the scale
+                unit = Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
+            key = hashlib.sha256(unit.vertices.tobytes() + unit.faces.tobytes()).digest()
+            self._unit_shapes[shape] = key, unit
+        return self._unit_shapes[shape]
 
-        Shapes are encoded one by one: in a batch the last bits would depend on the other shapes of the batch.
-        """
+    def _encode(self, shapes: Sequence[Shape]) -> None:
+        """Computes the point features of shapes that have none yet."""
         assert self._encoder is not None
-        unit_shape = shape
-        if self._encoder.preprocessing.normalise != "centre":  # all other rules make the feature independent of the scale
-            unit_shape = Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
-        key = hashlib.sha256(unit_shape.vertices.tobytes() + unit_shape.faces.tobytes()).digest()
-        if key not in self._codes:
-            if len(self._codes) >= _MAX_CACHED_CODES:
-                self._codes.pop(next(iter(self._codes)))  # the oldest
-            cloud = PointCloud.of_shape(unit_shape, self._encoder.preprocessing.num_points)
-            self._codes[key] = self._encoder.codes([cloud])[0]
-        return self._codes[key]
+        wanted = dict(self._unit_shape(shape) for shape in shapes)
+        new = [key for key in wanted if key not in self._codes]
+        if len(self._codes) + len(new) > _MAX_CACHED_CODES:
+            self._codes = {key: self._codes[key] for key in wanted if key in self._codes}
+        clouds = [PointCloud.of_shape(wanted[key], self._encoder.preprocessing.num_points) for key in new]
+        self._codes |= dict(zip(new, self._encoder.codes(clouds, self._encoder.batch_size), strict=True))
 
 
 def known_directions(scenes: Sequence[Scene], num_slots: int) -> npt.NDArray[np.float32]:
@@ -194,13 +206,16 @@ def known_directions(scenes: Sequence[Scene], num_slots: int) -> npt.NDArray[np.
     return order
 
 
-def load_flow(weights: str = AUTO, steps: int = 0, error: ExpectedError = UNKNOWN_ERROR) -> LearnedFlow | None:
+def load_flow(
+    weights: str = AUTO, steps: int = 0, error: ExpectedError = UNKNOWN_ERROR, device: str = "cpu"
+) -> LearnedFlow | None:
     """Loads the flow.
 
     Args:
         weights: ``auto``, ``none``, or a file. The encoder is the one beside the file, else the one of the repository.
         steps: Solver steps; 0 uses those of the settings.
         error: Expected errors of the layouts.
+        device: Device of the network and of the encoder.
 
     Returns:
         The flow; None for ``none``.
@@ -214,7 +229,7 @@ def load_flow(weights: str = AUTO, steps: int = 0, error: ExpectedError = UNKNOW
     checkpoint = load_corrector(path)
     network = checkpoint.settings.network
     encoder = load_encoder(_encoder_beside(path)) if network.num_features else None
-    return LearnedFlow(checkpoint, encoder, load_text_encoder() if network.num_texts else None, steps, error)
+    return LearnedFlow(checkpoint, encoder, load_text_encoder() if network.num_texts else None, steps, error, device)
 
 
 def weights_fingerprint(weights: str) -> str:
@@ -247,5 +262,5 @@ def _check_encoder(checkpoint: Checkpoint, name: str, found: str) -> None:
 
 
 def _encoder_beside(path: Path) -> Path:
-    beside = path.with_name(ENCODER.name)
+    beside = path.with_name(ENCODER_FILE)
     return beside if beside.is_file() else ENCODER

@@ -78,8 +78,7 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
         shape = Shape.from_mesh(mesh, (x, y, z), shape_use.tilt_quat_xyzw)
         clouds.append(PointCloud.of_shape(shape, encoder.preprocessing.num_points))
     with one_thread():
-        # One by one: in a batch, the last bits of a feature would depend on the other shapes.
-        found = encoder.encode(clouds, batch_size=1)
+        found = encoder.encode(clouds, encoder.batch_size)
     return [
         {
             "asset_id": use.asset_id,
@@ -99,7 +98,7 @@ def fingerprint_of(setting: str) -> str | None:
     Raises:
         ConfigError: The encoder cannot be used.
     """
-    encoder = _open_encoder(setting)
+    encoder = encoder_named(setting)
     return None if encoder is None else encoder.fingerprint()
 
 
@@ -109,7 +108,7 @@ def encoder_of(setting: str, fingerprint: str) -> PointEncoder:
     Raises:
         ConfigError: The encoder cannot be used, or it differs from the encoder with which the run was planned.
     """
-    encoder = _open_encoder(setting)
+    encoder = encoder_named(setting)
     if encoder is None or encoder.fingerprint() != fingerprint:
         found = "none" if encoder is None else encoder.fingerprint()
         raise ConfigError(
@@ -120,7 +119,12 @@ def encoder_of(setting: str, fingerprint: str) -> PointEncoder:
     return encoder
 
 
-def _open_encoder(setting: str) -> PointEncoder | None:
+def encoder_named(setting: str) -> PointEncoder | None:
+    """The encoder that a setting names: ``auto``, ``none``, a file, or ``KIND:FILE`` of published weights.
+
+    Raises:
+        ConfigError: The encoder cannot be used.
+    """
     if setting == NONE:
         return None
     try:
@@ -148,15 +152,18 @@ def _open_encoder(setting: str) -> PointEncoder | None:
 @lru_cache(maxsize=1)
 def _load_encoder(path: Path, kind: str, changed: int) -> PointEncoder:
     """Loads an encoder; ``changed`` is part of the cache key, so that a replaced file is loaded again."""
+    import torch
+
     from models.point_encoder import PUBLISHED, load, load_published
 
+    device = "cuda" if torch.cuda.is_available() else "cpu"
     if not kind:
-        return load(path)
-    encoder = load_published(path, PUBLISHED[kind])
+        return load(path).to(device)
+    encoder = load_published(path, PUBLISHED[kind]).to(device)
     if encoder.needs_projection:
         raise ConfigError(
-            f"{path} gives {encoder.config.out_channels} channels, expected 64; fit a projection on your assets "
-            "(PointEncoder.fit_projection), save it (models.point_encoder.save) and use that file",
+            f"{path} gives {encoder.config.out_channels} channels, expected 64; fit a projection on the shapes of a run with "
+            "`python -m pipelines fit-encoder`, and use the file that it writes",
             "encoder_unprojected",
         )
     return encoder

@@ -1,6 +1,7 @@
 """Trains the Physics Corrector: in this process, or in the processes of Ray Train, with the same loop.
 
 OUT/weights/physics_corrector.safetensors   the averaged weights, with the settings of their training
+OUT/weights/point_encoder.safetensors       the encoder of its point features, if it reads any
 OUT/checkpoint/state.pt                     the checkpoint from which a stopped run continues
 OUT/logs/events.out.tfevents.*              losses and validation cards, for TensorBoard
 OUT/card.json                               the validation card of the weights
@@ -20,6 +21,8 @@ from models.physics_corrector.training.trainer import CorrectorTrainer, train
 from models.physics_corrector.training.validation import Card, ValidationScenes, scalar_figures, validation_card
 from models.text_encoder import load_default as load_text_encoder
 from models.training.distributed import ProcessContext
+from pipelines.preprocess.features import AUTO
+from pipelines.train.point_encoder import encoder_of_features, save_beside
 from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
 from stable_data.code_version import code_version
 from stable_data.storage.run_folder import RunFolder
@@ -56,6 +59,7 @@ class CorrectorTrainingJob(TrainingJob):
         settings: The settings that shape the weights.
         watch: Logging and validation.
         minutes: Time after which it stops and saves its checkpoint; 0 is no limit.
+        encoder: The encoder of the run's features, as in ``preprocess.features``; ``auto`` finds it.
     """
 
     NAME = "train_corrector"
@@ -65,6 +69,7 @@ class CorrectorTrainingJob(TrainingJob):
     settings: CorrectorTrainingSettings
     watch: CorrectorMonitoring = CorrectorMonitoring()
     minutes: float = 0.0
+    encoder: str = AUTO
 
     def source(self) -> TrainingScenes:
         """The source of the training scenes."""
@@ -89,6 +94,8 @@ class CorrectorTrainingJob(TrainingJob):
     def prepare(self) -> tuple["CorrectorTrainingJob", dict[str, Any], TrainingSet]:
         """Reads the scenes; see the base class."""
         data = self._data()
+        if data.encoder:
+            save_beside(encoder_of_features(self.data_uri, data.encoder, self.encoder), self.folder / self.WEIGHTS)
         job = replace(self, settings=self.settings.resolved(len(data.of_split(0))), out=self.folder)
         details = {
             "data_fingerprint": data.fingerprint,

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from models.physics_corrector.certify import constants
 from models.physics_corrector.certify.support_inference import expected_carriers
+from models.physics_corrector.device_batches import DeviceBatches
 from models.physics_corrector.refinement.contact_shapes import ContactShapeCache
 from models.physics_corrector.refinement.problem import RefinementProblem
 from models.physics_corrector.refinement.resting import lower_onto, stand_on_table, step_aside, unrested
@@ -81,6 +82,7 @@ class Refiner:
 
     def __init__(self, store: AssetStore, grids: ContactGrids, depth: float = TOLERANCE, device: str = "cpu") -> None:
         self._cache, self._depth, self._device = ContactShapeCache(store, grids), depth, device
+        self._batches = DeviceBatches("refinement", _BATCH)
 
     @torch.no_grad()
     def rest(self, layouts: Sequence[LayoutToRefine]) -> list[Scene]:
@@ -94,17 +96,18 @@ class Refiner:
         usable = [
             k for k, layout in enumerate(layouts) if layout.scene.objects and self.has_shapes(layout.scene, layout.shapes)
         ]
-        for start in range(0, len(usable), _BATCH):
-            some = usable[start : start + _BATCH]
-            chosen = [layouts[k] for k in some]
-            scenes, fixed = [one.scene for one in chosen], [one.fixed for one in chosen]
-            problem = RefinementProblem.of(scenes, [one.shapes for one in chosen], fixed, scenes, self._cache).to(self._device)
-            poses = stand_on_table(problem.layout.poses, problem)
-            if bool(problem.carried.any()):
-                poses = lower_onto(poses, problem, unrested(poses, problem, problem.carried))[0]
-            for k, own in zip(some, poses.double().cpu().numpy(), strict=True):
-                found[k] = _moved(layouts[k], own)
+        rested = self._batches.run([layouts[k] for k in usable], self._rested_batch)
+        for k, scene in zip(usable, rested, strict=True):
+            found[k] = scene
         return found
+
+    def _rested_batch(self, layouts: Sequence[LayoutToRefine]) -> list[Scene]:
+        scenes, fixed = [one.scene for one in layouts], [one.fixed for one in layouts]
+        problem = RefinementProblem.of(scenes, [one.shapes for one in layouts], fixed, scenes, self._cache).to(self._device)
+        poses = stand_on_table(problem.layout.poses, problem)
+        if bool(problem.carried.any()):
+            poses = lower_onto(poses, problem, unrested(poses, problem, problem.carried))[0]
+        return [_moved(layout, own) for layout, own in zip(layouts, poses.double().cpu().numpy(), strict=True)]
 
     def refine(self, layouts: Sequence[LayoutToRefine]) -> list[RefinedLayout | None]:
         """Refines layouts.
@@ -117,10 +120,9 @@ class Refiner:
         usable = [
             k for k, layout in enumerate(layouts) if layout.scene.objects and self.has_shapes(layout.scene, layout.shapes)
         ]
-        for start in range(0, len(usable), _BATCH):
-            some = usable[start : start + _BATCH]
-            for k, refined in zip(some, self._refined_batch([layouts[k] for k in some]), strict=True):
-                found[k] = refined
+        refined = self._batches.run([layouts[k] for k in usable], self._refined_batch)
+        for k, layout in zip(usable, refined, strict=True):
+            found[k] = layout
         return found
 
     def has_shapes(self, scene: Scene, shapes: Sequence[Shape]) -> bool:

@@ -36,7 +36,12 @@ class HintSettings(Settings):
 
 
 def give_hints(
-    batch: LayoutBatch, targets: Tensor, error: Tensor, settings: HintSettings, generator: torch.Generator
+    batch: LayoutBatch,
+    targets: Tensor,
+    error: Tensor,
+    settings: HintSettings,
+    generator: torch.Generator,
+    is_scattered: Tensor | None = None,
 ) -> LayoutBatch:
     """Draws what each sample of a batch tells.
 
@@ -46,6 +51,7 @@ def give_hints(
         error: The errors of their coarse layouts, (B, 2), metres and radians.
         settings: Shares.
         generator: Random generator on the batch's device.
+        is_scattered: Scenes whose features and texts are all withheld, (B,) bool.
 
     Returns:
         The scenes with ``error`` and ``order``; features that are withheld are zero.
@@ -56,12 +62,14 @@ def give_hints(
     of_object = torch.rand((num_scenes, num_slots + 1), generator=generator, device=device) < settings.texts
     of_pair = torch.rand((num_scenes, num_slots, num_slots), generator=generator, device=device)
     share = torch.where(draws[1] < settings.order, draws[3] * settings.pairs, 0.0)
-    has_features = (draws[2] < settings.features)[:, None, None]
+    has_features = draws[2] < settings.features
+    if is_scattered is not None:
+        has_features, of_object = has_features & ~is_scattered, of_object & ~is_scattered[:, None]
     return replace(
         batch,
         error=torch.where((draws[0] < settings.errors)[:, None], error, torch.nan),
         order=_directions(targets, batch.mask, of_pair < share[:, None, None]),
-        features=None if batch.features is None else batch.features * has_features,
+        features=None if batch.features is None else batch.features * has_features[:, None, None],
         texts=None if batch.texts is None else batch.texts * of_object[:, :-1, None],
         table_text=None if batch.table_text is None else batch.table_text * of_object[:, -1:],
     )

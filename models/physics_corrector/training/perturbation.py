@@ -199,13 +199,13 @@ def _is_placed(batch: LayoutBatch) -> Tensor:
 
 def _sigma(kinds: Tensor, settings: PerturbationSettings, draw: _Draw) -> Tensor:
     """Draws standard deviations of x, y, z and yaw of each scene, (B, 4): scales times |N(0, 1)|."""
-    share = draw.uniform(len(kinds), 3)
+    share, factor = draw.uniform(len(kinds), 3), draw.normal(len(kinds), 2).abs()
     xy = settings.xy_low + share[:, 0] * (settings.xy_high - settings.xy_low)
     yaw = settings.yaw_low + share[:, 2] * (settings.yaw_high - settings.yaw_low)
     large = torch.stack([xy, xy, share[:, 1] * settings.z_high, yaw], 1)
     small = large.new_tensor([settings.small_xy, settings.small_xy, settings.small_xy / 4, settings.small_yaw])
     scale = torch.where((kinds == KINDS.index("small"))[:, None], small, large)
-    return scale * draw.normal(len(kinds), 1).abs()
+    return scale * factor[:, [0, 0, 0, 1]]  # yaw has its own: things can be far away and face the right way
 
 
 def _structured(batch: LayoutBatch, kinds: Tensor, is_root: Tensor, settings: PerturbationSettings, draw: _Draw) -> Tensor:

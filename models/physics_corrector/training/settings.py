@@ -112,6 +112,9 @@ class CorrectorTrainingSettings(Settings):
     perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
     """Errors of the coarse layouts."""
 
+    scattered: Share = 0.0
+    """Share of samples whose arrangement is replaced by a random one, so that habits of one world are not forced on all others."""
+
     hints: HintSettings = field(default_factory=HintSettings)
     """What a sample tells the network besides shapes and coarse poses."""
 
@@ -198,7 +201,18 @@ def training_preset(name: str) -> CorrectorTrainingSettings:
         warm_up=500,
         cool_down=0.5,
         ema=0.999,
-        perturbation=PerturbationSettings(small=0.25, jitter=0.55, swap=0.05, pile=0.05, height=0.0, edge=0.1, xy_high=0.12),
+        perturbation=PerturbationSettings(
+            small=0.25,
+            jitter=0.55,
+            swap=0.05,
+            pile=0.05,
+            height=0.0,
+            edge=0.1,
+            xy_high=0.12,
+            yaw_low=math.radians(2),
+            together=0.5,
+        ),
+        scattered=0.25,
         physics=PhysicsSchedule(share=0.0, limit=1.0, unroll_share=0.1, unroll_scenes=0.25, unroll_gradient=1),
         losses=LossSettings(sdf_weight=1.0, support_weight=0.0, table_factor=0.0, bounds_weight=0.5, clearance=1e-3),
         corrector=corrector,

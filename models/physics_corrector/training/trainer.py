@@ -23,6 +23,7 @@ from models.physics_corrector.training.dataset import TrainingSet
 from models.physics_corrector.training.hints import give_hints
 from models.physics_corrector.training.losses import flow_loss, physics_losses
 from models.physics_corrector.training.perturbation import perturb, reassign_targets
+from models.physics_corrector.training.scattering import scatter
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.stage_prefixes import drop_empty_slots, take_prefix
 from models.training.checkpoint import load_checkpoint, save_checkpoint
@@ -31,6 +32,9 @@ from stable_data.errors import ConfigError
 
 LOGGED = ("flow", "physics", "object_object", "object_table", "support", "unrolled", "total")
 """The figures of a step: the weighted terms of the loss, and the unweighted physical terms per scene."""
+
+
+_UNKNOWN = 0.5  # share of scattered scenes of whose objects nothing is known but their boxes
 
 
 class CorrectorTrainer:
@@ -115,10 +119,15 @@ class CorrectorTrainer:
     def _loss(self, batch: LayoutBatch, share: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Computes a chunk's part of the step's loss, and its figures, (len(LOGGED),)."""
         settings = self.settings
+        lots = torch.rand((4, len(batch)), generator=generator, device=self.place.device)
+        is_scattered = lots[2] < settings.scattered
+        if settings.scattered:
+            batch = replace(batch, poses=torch.where(is_scattered[:, None, None], scatter(batch, generator), batch.poses))
         coarse = perturb(batch, settings.perturbation, generator)
         targets = reassign_targets(coarse.poses, batch)
-        told = replace(give_hints(batch, targets, coarse.error, settings.hints, generator), poses=coarse.poses)
-        condition = Condition.of(told)
+        is_unknown = is_scattered & (lots[3] < _UNKNOWN)
+        told = give_hints(batch, targets, coarse.error, settings.hints, generator, is_unknown)
+        condition = Condition.of(replace(told, poses=coarse.poses))
         strength = settings.physics_at(self.step)
         zero = torch.zeros((), device=self.place.device)
         flow, estimate = zero, None
@@ -127,8 +136,6 @@ class CorrectorTrainer:
             predicted = self.flow.predict(self.velocity(), path, condition, generator)
             flow = settings.losses.flow_weight * share * flow_loss(predicted.velocity, path.velocity, condition.is_movable)
             estimate = self._at_heights(predicted.poses, targets), path.t
-        # Drawn in every step, so that the schedule of the physical losses does not change other draws.
-        lots = torch.rand((2, len(batch)), generator=generator, device=targets.device)
         physics = zero
         terms: tuple[Tensor, ...] = (zero, zero, zero)
         if strength and settings.physics.share and estimate is not None:

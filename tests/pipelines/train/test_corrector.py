@@ -9,8 +9,11 @@ from typer.testing import CliRunner
 
 from models.physics_corrector.flow.checkpoint import load_corrector
 from models.physics_corrector.flow.presets import CorrectorSettings
+from models.physics_corrector.learned_flow import load_flow
 from models.physics_corrector.training.dataset import TrainingScenes
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
+from models.point_encoder import load as load_encoder
+from models.point_encoder import save as save_encoder
 from pipelines.__main__ import app
 from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
 from pipelines.train.run import STATE
@@ -18,6 +21,7 @@ from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
 from tests.models.physics_corrector.training.training_scenes import TINY
+from tests.models.point_encoder.clouds import tiny_encoder
 
 SETTINGS = replace(TINY, steps=4, batch_size=4, chunk=2, num_surface=64, num_bottom=16)
 WATCH = CorrectorMonitoring(log_every=2, card_every=2, card_scenes=1, final_scenes=2, exact_scenes=1)
@@ -37,8 +41,10 @@ def out(cache: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(cache, tmp_path / "out"))
 
 
-def job(run: Path, out: Path, settings: CorrectorTrainingSettings = SETTINGS, minutes: float = 0.0) -> CorrectorTrainingJob:
-    return CorrectorTrainingJob(str(run), out, settings, WATCH, minutes)
+def job(
+    run: Path, out: Path, settings: CorrectorTrainingSettings = SETTINGS, minutes: float = 0.0, encoder: str = "auto"
+) -> CorrectorTrainingJob:
+    return CorrectorTrainingJob(str(run), out, settings, WATCH, minutes, encoder)
 
 
 def copied(run: Path, to: Path) -> Path:
@@ -142,13 +148,20 @@ def test_point_features_are_read_and_their_encoder_is_noted(clean_run: Path, cac
     )
     with pytest.raises(ConfigError, match="no table features"):
         job(run, copied(cache, tmp_path / "none"), point).run()
-    write_features(run)
+    encoder, file = tiny_encoder(), tmp_path / "encoder.safetensors"
+    save_encoder(encoder, file)
+    write_features(run, (encoder.fingerprint(),))
     out = copied(cache, tmp_path / "out")
-    job(run, out, point).run()
-    assert load_corrector(out / CorrectorTrainingJob.WEIGHTS).notes["encoder_fingerprint"] == "one"
-    write_features(run, ("two",))
-    with pytest.raises(ConfigError, match=r"encoder_fingerprint: one -> two"):
+    with pytest.raises(ConfigError, match="name the encoder's file with --encoder"):
         job(run, out, point).run()
+    job(run, out, point, encoder=str(file)).run()
+    weights = out / CorrectorTrainingJob.WEIGHTS
+    assert load_corrector(weights).notes["encoder_fingerprint"] == encoder.fingerprint()
+    assert load_encoder(weights.with_name("point_encoder.safetensors")).fingerprint() == encoder.fingerprint()
+    assert load_flow(str(weights)) is not None  # the encoder beside the weights is the one that is used
+    write_features(run, ("two",))
+    with pytest.raises(ConfigError, match="its features are of encoder two"):
+        job(run, out, point, encoder=str(file)).run()
     write_features(run, ("one", "two"))
     with pytest.raises(ConfigError, match="of the encoders one, two"):
         job(run, out, point).run()

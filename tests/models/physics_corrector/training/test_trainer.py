@@ -66,7 +66,7 @@ def test_the_loss_goes_down() -> None:
     training, losses = CorrectorTrainer(DATA, settings), []
     train(training, wants_stop=lambda: False, after=lambda _, figures: losses.append(figures["flow"]))
     assert training.step == 60
-    assert sum(losses[-15:]) < 0.6 * sum(losses[:15])
+    assert sum(losses[-15:]) < 0.75 * sum(losses[:15])
 
 
 def test_only_the_training_split_is_drawn_and_each_pass_once() -> None:
