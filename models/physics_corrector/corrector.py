@@ -31,8 +31,9 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.metrics.sampled_collision import add_sampled_collisions
-from stable_data.scene import TABLE, Scene
+from stable_data.scene import TABLE, Relation, Scene
 
 Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
 """Moves the objects of scenes: scenes, the shapes of their objects, the fixed instances of each -> the moved scenes."""
@@ -227,7 +228,9 @@ class PhysicsCorrector:
         options = replace(
             self.options,
             fixed=self.options.fixed | wanted.fixed,
-            asked=self.options.asked | wanted.asked,
+            asked=self.options.asked
+            | wanted.asked
+            | (_stated_directions(start.scene) if self.purpose == "rearrange" else set()),
             still=self.options.still | wanted.still,
         )
         if self.polish == "certify" and not layout.is_solved:
@@ -251,6 +254,11 @@ class PhysicsCorrector:
         if not _has_moved(start.scene, end):
             step = SolvedBy.START
         return result, certifier, _solved_by(result, step)
+
+
+def _stated_directions(scene: Scene) -> set[Relation]:
+    """The directions between objects that the task of a scene states."""
+    return set() if scene.task is None else {r for r in scene.task.relations if r.kind in DIRECTIONAL}
 
 
 def _solved_by(result: CertificationResult, step: SolvedBy) -> SolvedBy | None:

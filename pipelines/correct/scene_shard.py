@@ -155,10 +155,10 @@ def corrector_of(settings: CorrectSettings, store: AssetStore, *, flows: bool = 
     """
     when_full: WhenFull = "infeasible" if settings.when_full == "infeasible" else "drop"
     options = CertifyOptions(when_full=when_full, restore=settings.restore)
-    flow = load_flow(settings.weights, settings.steps) if flows else None
+    flow = load_flow(settings.weights, settings.steps, settings.error(), settings.device) if flows else None
     needs_grids = settings.refine or settings.polish != "certify"
-    refiner = Refiner(store, ContactGrids(contact_grid_cache())) if needs_grids else None
-    return PhysicsCorrector(flow, options, settings.judge_raw, refiner, settings.polish)
+    refiner = Refiner(store, ContactGrids(contact_grid_cache()), device=settings.device) if needs_grids else None
+    return PhysicsCorrector(flow, options, settings.judge_raw, refiner, settings.polish, settings.purpose)
 
 
 def dropped_notice(dropped: DroppedObject, scene_id: str) -> Notice:

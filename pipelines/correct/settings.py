@@ -4,8 +4,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, cast
 
-from models.physics_corrector.corrector import Polish
-from models.settings import Count, Positive, Settings
+from models.physics_corrector.corrector import Polish, Purpose
+from models.physics_corrector.learned_flow import ExpectedError
+from models.settings import Count, NonNegative, Positive, Settings
 from pipelines.execution.shard_size import shard_size
 from pipelines.preprocess.convention import ConventionChoice
 from pipelines.preprocess.scene import SceneSettings
@@ -26,6 +27,20 @@ class CorrectSettings(Settings):
 
     steps: Count = 0
     """Solver steps of the flow; 0 takes the number that is stored with the weights."""
+
+    purpose: Purpose = "repair"
+    """``repair``: layouts are meant as they are, objects move only as far as a clean layout needs, and directions between objects
+    are kept. ``rearrange``: objects go where the flow finds that they belong; supports, and directions that the task states, stay.
+    """
+
+    position_error: NonNegative = 0.0
+    """Metres; expected error of positions along x and along y, which the flow is told. 0: unknown."""
+
+    yaw_error: NonNegative = 0.0
+    """Radians; expected error of yaws, which the flow is told. 0: unknown."""
+
+    device: str = "cpu"
+    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved."""
 
     refine: bool = False
     """Whether layouts are refined in batches after the flow. Four of five need no certification then, but on a CPU that takes longer
@@ -80,7 +95,13 @@ class CorrectSettings(Settings):
     """Seconds; a scene that takes longer is a failure. Not enforced without worker processes."""
 
     def check(self) -> None:
-        """Refuses a simulation after no certification, which would not take place; see the base class."""
+        """Refuses a simulation after no certification, which would not take place, and a rearrangement without a flow."""
+        if self.purpose == "rearrange" and self.weights == "none":
+            raise ConfigError(
+                f"setting {self.section}.purpose is rearrange, but weights is none: nothing knows where things belong, expected weights; "
+                "set weights to auto, or purpose to repair",
+                "config_invalid",
+            )
         if self.settle and self.polish != "certify":
             raise ConfigError(
                 f"setting {self.section}.settle needs certification, but polish is {self.polish}; "
@@ -90,7 +111,7 @@ class CorrectSettings(Settings):
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows; a run is resumed only if they are equal."""
-        aside = ("num_pictures", "seconds_per_item", "write_dataset")
+        aside = ("num_pictures", "seconds_per_item", "write_dataset", "device")
         return {k: v for k, v in asdict(self).items() if k not in aside}
 
     def scene_settings(self) -> SceneSettings:
@@ -106,6 +127,10 @@ class CorrectSettings(Settings):
         if settings.weights not in ("auto", "none"):
             settings = replace(settings, weights=str(Path(settings.weights).expanduser().resolve()))
         return settings
+
+    def error(self) -> ExpectedError:
+        """What the flow is told of the errors of layouts."""
+        return ExpectedError(self.position_error or None, self.yaw_error or None)
 
     def of_items(self, count: int) -> Self:
         """The settings with the shard size for a number of items."""

@@ -39,10 +39,12 @@ class EditSettings(CorrectSettings):
     """How the language model is asked."""
 
     def check(self) -> None:
-        """Refuses edits without certification, which alone knows what an edit asks for; see the base class."""
+        """Refuses edits without certification, which alone knows what an edit asks for, and with a rearrangement; see the base class."""
         CorrectSettings.check(self)
         if self.polish != "certify":
             raise ConfigError(f"setting {self.section}.polish is {self.polish}, expected certify for edits", "config_invalid")
+        if self.purpose != "repair":
+            raise ConfigError(f"setting {self.section}.purpose is {self.purpose}, expected repair for edits", "config_invalid")
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows; a run is resumed only if they are equal.

@@ -59,6 +59,9 @@ class GenerateSettings(Settings):
     steps: Count = 0
     """Solver steps of the flow; 0 takes the number that is stored with the weights."""
 
+    device: str = "cpu"
+    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved."""
+
     refine: bool = False
     """Whether layouts are refined in batches after the flow. Four of five need no certification then, but on a CPU that takes longer
     than certification alone.
@@ -143,7 +146,16 @@ class GenerateSettings(Settings):
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows, without those of the reasoner; a run is resumed only if they are equal."""
-        aside = ("engine", "reasoner", "num_pictures", "core_hour_price", "engines", "engine_gpus", "seconds_per_item")
+        aside = (
+            "engine",
+            "reasoner",
+            "num_pictures",
+            "core_hour_price",
+            "engines",
+            "engine_gpus",
+            "seconds_per_item",
+            "device",
+        )
         own = {k: v for k, v in asdict(self).items() if k not in aside}
         licences = self.retrieval.licences
         own["retrieval"]["licences"] = None if licences is None else sorted(licences)  # JSON has no sets

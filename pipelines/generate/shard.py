@@ -332,8 +332,8 @@ def _open_certifier(work: GenerateWork) -> LocalCertifier:
 def _certifier(settings: GenerateSettings, shelf: AssetLibraries) -> LocalCertifier:
     options, store = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False), AssetStore(shelf)
     needs_grids = settings.refine or settings.polish != "certify"
-    refiner = Refiner(store, ContactGrids(contact_grid_cache()), _DEPTH) if needs_grids else None
-    flow = load_flow(settings.weights, settings.steps)
+    refiner = Refiner(store, ContactGrids(contact_grid_cache()), _DEPTH, settings.device) if needs_grids else None
+    flow = load_flow(settings.weights, settings.steps, device=settings.device)
     return LocalCertifier(PhysicsCorrector(flow, options, False, refiner, settings.polish), store)
 
 

@@ -1,5 +1,6 @@
 """The learned flow as the corrector calls it: scenes in, scenes out, weights that belong together."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,16 +10,16 @@ import pytest
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import CorrectionOptions, KnownShapes, shapes_by_instance
 from models.physics_corrector.certify.flow_start import certify_moved, choose_start
-from models.physics_corrector.corrector import PhysicsCorrector
+from models.physics_corrector.corrector import PhysicsCorrector, Purpose
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
-from models.physics_corrector.learned_flow import LearnedFlow, load_flow, weights_fingerprint
+from models.physics_corrector.learned_flow import ExpectedError, LearnedFlow, known_directions, load_flow, weights_fingerprint
 from models.point_encoder import PointEncoder
 from models.point_encoder import save as save_encoder
 from models.text_encoder import load_default as load_text_encoder
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.movement import movement
-from stable_data.scene import Scene
+from stable_data.scene import Relation, RelationKind, Scene, TaskInfo
 from tests.models.physics_corrector.certify.things import box, cylinder, laid
 from tests.models.physics_corrector.flow.conditions import awake_network, small_settings
 from tests.models.point_encoder.clouds import tiny_encoder
@@ -249,3 +250,45 @@ def test_a_shape_at_another_scale_has_the_same_code(weights: Path) -> None:
     assert np.array_equal(cup, other)
     assert len(flow._codes) == 2
     assert not np.array_equal(cup, book)
+
+
+def test_a_rearrangement_takes_all_moves_of_the_flow_and_keeps_what_the_task_states() -> None:
+    """A flow that exchanges two things: a repair takes it back, because it breaks a direction; a rearrangement does not."""
+    scene, shapes = laid(("a", CUP, 0.2, 0.3, 0.0), ("b", CUP, 0.5, 0.3, 0.0))
+
+    def exchange(scenes: Sequence[Scene], _: object, __: object) -> list[Scene]:
+        return [s.with_poses(s.poses()[::-1].copy()) for s in scenes]
+
+    def corrected(start: Scene, purpose: Purpose) -> Scene:
+        (done,) = PhysicsCorrector(exchange, purpose=purpose).correct([start], known([start], [list(shapes)]))
+        assert done.certified is not None
+        assert done.card_after is not None
+        assert done.card_after.clean
+        return done.certified
+
+    assert corrected(scene, "repair") == scene
+    assert corrected(scene, "rearrange").poses()[:, 0] == pytest.approx([0.5, 0.2])
+    stated = TaskInfo("a kitchen", "cup a is left of cup b", relations=(Relation("a", RelationKind.LEFT_OF, "b"),))
+    kept = corrected(replace(scene, task=stated), "rearrange")
+    assert kept["a"].position[0] < kept["b"].position[0]
+
+
+def test_directions_that_a_task_states_reach_the_network() -> None:
+    scene, _ = laid(("a", CUP, 0.2, 0.3, 0.0), ("b", CUP, 0.5, 0.3, 0.0))
+    stated = TaskInfo("a kitchen", "cup a is left of cup b", relations=(Relation("a", RelationKind.LEFT_OF, "b"),))
+    order = known_directions([scene, replace(scene, task=stated)], 3)
+    assert order.shape == (2, 3, 3, 2)
+    assert not order[0].any()
+    assert order[1, 0, 1].tolist() == [1.0, 0.0]  # b is farther along x than a
+    assert order[1, 1, 0].tolist() == [-1.0, 0.0]
+
+
+def test_expected_errors_change_the_result(weights: Path) -> None:
+    scenes, shapes = two_scenes()
+    results = []
+    for error in (ExpectedError(), ExpectedError(0.01, 0.1), ExpectedError(0.1, 0.1)):
+        flow = load_flow(str(weights), error=error)
+        assert flow is not None
+        results.append(flow(scenes[:1], shapes[:1], [FREE])[0].poses())
+    assert not np.allclose(results[0], results[1])
+    assert not np.allclose(results[1], results[2])
