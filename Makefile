@@ -23,7 +23,7 @@ env: $(READY) ## Make the environment in .venv with the pinned versions
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch cmeel-eigen
-	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[geometry,sim,torch,models,pipelines,bench,dev]'
+	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[geometry,sim,torch,models,pipelines,pysdf,bench,dev]'
 	touch $@
 
 demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a contact sheet: embedded set, preprocess, generate
@@ -67,10 +67,10 @@ edit: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<fold
 generate: $(READY) ## COUNT=<how many, drawn> or TASKS=<file of instructions and tables>, ASSETS=<library> ENGINE=<as for edit> OUT=<folder> to simulation-ready scenes
 	$(BIN)/python -m pipelines generate $(if $(TASKS),--tasks $(TASKS),--count $(COUNT)) --out $(if $(filter runs/preprocess,$(OUT)),runs/generate,$(OUT)) $(if $(ASSETS),--assets $(ASSETS)) $(if $(ENGINE),--engine $(ENGINE)) || [ $$? -eq 1 ]
 
-train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/near, runs/reasoner
+train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/reasoner
 	$(BIN)/python -m models.point_encoder.pretrain --out runs/encoder
-	$(BIN)/python -m pipelines train-corrector --data $(OUT) --out runs/corrector --preset embedded_set --config workflows/embedded.toml
-	$(BIN)/python -m pipelines train-corrector --data $(OUT) --out runs/near --preset embedded_set_near --set initial=runs/corrector/weights/physics_corrector.safetensors
+	$(BIN)/python -m pipelines preprocess --data $(DATA) --out runs/encoded --set features=runs/encoder/encoder.safetensors
+	$(BIN)/python -m pipelines train-corrector --data runs/encoded --out runs/corrector --preset embedded_set --config workflows/embedded.toml
 	$(BIN)/python -m pipelines train-reasoner --data $(OUT) --out runs/reasoner --config workflows/embedded.toml
 
 evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<folder of meshes> LAYOUTS=<file of start layouts> (without: scenes of DATA, shaken) OPTIONS=<more of benchmarks.correction>

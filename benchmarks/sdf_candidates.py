@@ -30,6 +30,7 @@ from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.geometry.sdf.build import probe_points, unit_mesh
 from stable_data.geometry.sdf.exact import SignedDistance
 from stable_data.geometry.sdf.narrow_band import distance_to_faces
+from stable_data.geometry.sdf.second_opinion import PysdfDistance
 from stable_data.scene import FloatArray
 
 Candidate: TypeAlias = Callable[[Mesh, FloatArray], FloatArray]
@@ -74,6 +75,7 @@ def _trimesh(mesh: Mesh, points: FloatArray) -> FloatArray:
 CANDIDATES: dict[str, Candidate] = {
     "libigl tree + winding": lambda mesh, points: SignedDistance(mesh)(points),
     "libigl pseudonormal": _pseudonormal,
+    "pysdf robust, subdivided": lambda mesh, points: PysdfDistance(mesh)(points),
     "pysdf robust": _pysdf(True),
     "pysdf": _pysdf(False),
     "embree parity": _parity,

@@ -104,12 +104,17 @@ def preprocess(
     from pipelines.preprocess.job import preprocess as run
     from pipelines.preprocess.settings import PreprocessSettings
     from pipelines.settings import resolve_settings
+    from stable_data.geometry.sdf.second_opinion import INSTALL, has_pysdf
 
     count = _count(workers, address)
     settings = resolve_settings(PreprocessSettings, "preprocess", config, set_ or [])
     if dry_run:
         typer.echo(json.dumps(describe(PreprocessJob(data, settings, WorkerPool())), indent=2))
         return
+    if not has_pysdf():
+        typer.echo(
+            f"the columns sdf_agreement and sign_disagreement stay null, because pysdf is not installed; {INSTALL}", err=True
+        )
     manifest = run(data, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())

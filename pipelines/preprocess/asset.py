@@ -15,6 +15,13 @@ from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
+from stable_data.geometry.sdf.second_opinion import (
+    SdfBackend,
+    SecondOpinion,
+    build_grid_by_pysdf,
+    has_pysdf,
+    second_opinion,
+)
 from stable_data.geometry.surface_sampling import surface_points
 from stable_data.mesatask import AssetAnnotation
 from stable_data.scene import QuatXyzw, Vec3
@@ -49,11 +56,13 @@ class AssetSettings:
 
     Attributes:
         num_points: Surface points of an asset.
+        sdf_backend: What computes the grids.
         decomposes: Whether a mesh that comes without convex parts is decomposed; otherwise its row has no parts, and whoever needs
             them computes them.
     """
 
     num_points: int = 1024
+    sdf_backend: SdfBackend = "exact"
     decomposes: bool = True
 
 
@@ -91,13 +100,14 @@ def preprocess_asset(
     progress.step = "mesh"
     asset = store.asset(use.asset_id)
     progress.step = "sdf"
-    grids = tuple(_grid_row(use.asset_id, steps, store) for steps in use.aspects)
+    grids = tuple(_grid_row(use.asset_id, steps, store, settings.sdf_backend) for steps in use.aspects)
+    notices = asset.notices + tuple(notice for row in grids if (notice := _disagreement(row)) is not None)
     progress.step = "points"
     row = _asset_row(use, annotation, asset, settings, embedding)
     progress.step = "parts"
     paint, odd = store.paint(use.asset_id)
     mesh = _mesh_row(use.asset_id, asset, store, paint, decomposes=settings.decomposes)
-    return AssetRows(row, mesh, grids, asset.notices + odd)
+    return AssetRows(row, mesh, grids, notices + odd)
 
 
 def _asset_row(
@@ -156,9 +166,12 @@ def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore, paint: Paint, 
     }
 
 
-def _grid_row(asset_id: str, steps: tuple[int, int, int], store: AssetStore) -> schemas.Row:
-    aspect = aspect_of(steps)
-    grid = store.grid(asset_id, aspect)
+def _grid_row(asset_id: str, steps: tuple[int, int, int], store: AssetStore, backend: SdfBackend) -> schemas.Row:
+    aspect, asset = aspect_of(steps), store.asset(asset_id)
+    is_exact, is_sheet = backend == "exact", asset.report.is_sheet
+    grid = store.grid(asset_id, aspect) if is_exact else build_grid_by_pysdf(asset.mesh, aspect, is_sheet=is_sheet)
+    # A sheet has no inside on which opinions could agree; grids of pysdf itself get no second opinion either.
+    opinion = second_opinion(grid, asset.mesh, aspect) if has_pysdf() and is_exact and not is_sheet else None
     return {
         "asset_id": asset_id,
         "aspect": aspect,
@@ -173,4 +186,20 @@ def _grid_row(asset_id: str, steps: tuple[int, int, int], store: AssetStore) -> 
         "max_error": grid.max_error,
         "far_error": grid.far_error,
         "sign_error": grid.sign_error,
+        "sdf_agreement": None if opinion is None else opinion.agreement,
+        "sign_disagreement": None if opinion is None else opinion.sign_disagreement,
     }
+
+
+def _disagreement(row: schemas.Row) -> Notice | None:
+    """The warning that a grid and pysdf disagree, if they do."""
+    if row["sdf_agreement"] is None:
+        return None
+    opinion = SecondOpinion(row["sdf_agreement"], row["sign_disagreement"])
+    if not opinion.disagrees:
+        return None
+    message = (
+        f"asset {row['asset_id']}: pysdf agrees with {100 * opinion.agreement:.1f} % of the distances of its grid, and disagrees with "
+        f"{100 * opinion.sign_disagreement:.1f} % of the signs, expected at least 99 and at most 1 %; check whether the mesh is closed"
+    )
+    return Notice(row["asset_id"], "sdf", "sdf_disagrees", message)

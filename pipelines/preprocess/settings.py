@@ -1,6 +1,6 @@
 """Settings of the preprocess job: which of them shape its rows."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar, cast
 
 from models.settings import Count, Positive, PositiveCount, Settings, Share
@@ -8,8 +8,26 @@ from pipelines.preprocess.convention import ConventionChoice
 from pipelines.preprocess.scene import SceneSettings
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
+from stable_data.geometry.sdf.second_opinion import INSTALL, SdfBackend, has_pysdf
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.convention_detection import position_convention
+
+
+@dataclass(frozen=True, slots=True)
+class SdfSettings(Settings):
+    """Settings of the signed-distance grids."""
+
+    backend: SdfBackend = "exact"
+    """``exact``: libigl near the surface, with pysdf as a second opinion where it is installed. ``pysdf``: pysdf at every node; its
+    errors are measured and stored. It needs the extra ``pysdf``, and takes longer.
+    """
+
+    def check(self) -> None:
+        """Refuses a backend that is not installed; see the base class."""
+        if self.backend == "pysdf" and not has_pysdf():
+            raise ConfigError(
+                f"setting preprocess.sdf.backend is pysdf, but pysdf is not installed; {INSTALL}", "pysdf_missing"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +58,9 @@ class PreprocessSettings(Settings):
 
     num_points: PositiveCount = 1024
     """Surface points of an asset."""
+
+    sdf: SdfSettings = field(default_factory=SdfSettings)
+    """Signed-distance grids."""
 
     all_assets: bool = True
     """Whether every annotated asset with a mesh is processed; else only those that a scene uses."""

@@ -72,7 +72,7 @@ class AssetStep(DatasetStep[AssetUse]):
         """The rows of one asset."""
         dataset, store = self.opened()
         embedding = _text_features(self.data, self.fingerprint).get(item.asset_id)
-        shaping = AssetSettings(self.settings.num_points)
+        shaping = AssetSettings(self.settings.num_points, self.settings.sdf.backend)
         made = preprocess_asset(item, dataset.annotation(item.asset_id), store, shaping, progress, embedding)
         warnings = [notice_row(n) for n in made.notices]
         return {"assets": [made.asset], "meshes": [made.mesh], "sdf": list(made.grids), "warnings": warnings}

@@ -287,6 +287,16 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("max_error", _number, "measured maximum error within one spacing of the surface", "extent"),
             _column("far_error", _number, "measured maximum error in the rest of the grid", "extent"),
             _column("sign_error", _number, "measured share of wrong signs at half a spacing or more from the surface"),
+            _column(
+                "sdf_agreement",
+                _number,
+                "share of random points at which pysdf's distance differs by less than a spacing; null for sheets and without pysdf",
+            ),
+            _column(
+                "sign_disagreement",
+                _number,
+                "share of random points, farther than a spacing from the surface, at which pysdf's sign differs; null likewise",
+            ),
         ]
     ),
     "features": pa.schema(
