@@ -32,9 +32,6 @@ class MetricCard:
     oc_0mm: float | None = field(metadata=_about("share of object pairs whose meshes touch or overlap (tolerance 0 mm)"))
     oc_1mm: float | None = field(metadata=_about("share of object pairs that collide deeper than 1 mm"))
     oc_10mm: float | None = field(metadata=_about("share of object pairs that collide deeper than 10 mm"))
-    float_gap: float | None = field(
-        metadata=_about("share of objects that float by the paper's rule: the gap to their support is over 0.5 mm")
-    )
     max_penetration_mm: float | None = field(metadata=_about("deepest penetration between two objects", "mm"))
     table_penetration_mm: float = field(metadata=_about("deepest penetration of an object into the table", "mm"))
     float_rate: float | None = field(metadata=_about("share of objects that float"))
@@ -48,6 +45,10 @@ class MetricCard:
         metadata=_about(
             "true where no object collides, floats, sinks into the table or is out of bounds, at a tolerance of 0.5 mm"
         )
+    )
+    float_gap: float | None = field(
+        default=None,
+        metadata=_about("share of objects that float by the paper's rule: the gap to their support is over 0.5 mm"),
     )
     oc_sdf: float | None = field(
         default=None,

@@ -10,6 +10,7 @@ from typer.testing import CliRunner, Result
 
 from pipelines.__main__ import app
 from pipelines.preprocess.settings import PreprocessSettings
+from stable_data.config_diff import flatten_config
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = PreprocessSettings(
@@ -23,7 +24,7 @@ def content(out: Path) -> dict[str, bytes]:
 
 
 def arguments_of(dataset: Path, out: Path, *more: str) -> list[str]:
-    settings = [f"--set={k}={json.dumps(v)}" for k, v in SMALL.shaping().items()]
+    settings = [f"--set={k}={json.dumps(v)}" for k, v in flatten_config(SMALL.shaping()).items()]
     where = ["--data", str(dataset), "--out", str(out)]
     return ["preprocess", *where, "--set=num_pictures=0", f"--set=features={SMALL.features}", *settings, *more]
 
