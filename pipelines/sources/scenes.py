@@ -1,6 +1,5 @@
 """The scene sources of a job: a folder in the MesaTask-10K format, or the tables of a run."""
 
-import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -16,6 +15,7 @@ from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
 from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetSource, AssetStore
+from stable_data.assets.user_cache import user_cache
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.geometry.shape import Shape
@@ -217,12 +217,12 @@ class TableSource:
 
 def mesh_cache() -> Path:
     """The folder of mesh files of all runs, named by content hash and shared by all processes of a user."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / "meshes"
+    return user_cache("meshes")
 
 
 def contact_grid_cache() -> Path:
     """The folder of the grids with which layouts are refined, named by content hash and shared by all processes of a user."""
-    return mesh_cache().with_name("contact_grids")
+    return user_cache("contact_grids")
 
 
 def _ids_by_file(folder: RunFolder) -> dict[str, tuple[str, ...]]:

@@ -1,16 +1,12 @@
 """Signed-distance grids for contacts, built once for each mesh and kept in files that all processes of a user share."""
 
-import hashlib
-import io
 from collections import OrderedDict
-from contextlib import suppress
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from stable_data.assets.store import aspect_of
-from stable_data.atomic_files import write_file_atomically
+from stable_data.assets.user_cache import ArrayFiles, array_key
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf import build as build_module
 from stable_data.geometry.sdf.build import GridLimits, build_grid
@@ -31,7 +27,7 @@ class ContactGrids:
     """
 
     def __init__(self, folder: Path | None = None, most: int = 2_000) -> None:
-        self._folder, self._most = folder, most
+        self._files, self._most = ArrayFiles(folder), most
         self._grids: OrderedDict[str, SdfGrid] = OrderedDict()
 
     def grid(self, mesh: Mesh, steps: tuple[int, int, int], *, is_sheet: bool) -> SdfGrid:
@@ -46,36 +42,18 @@ class ContactGrids:
 
     def _read(self, key: str) -> SdfGrid | None:
         """A grid from its file; None if there is no usable one."""
-        if self._folder is None:
+        found = self._files.read(key)
+        if found is None or not {"values", "origin", "figures"} <= found.keys() or len(found["figures"]) != len(_FIGURES):
             return None
-        try:
-            with np.load(self._folder / f"{key}.npz", allow_pickle=False) as file:
-                figures = dict(zip(_FIGURES, file["figures"].tolist(), strict=True))
-                return SdfGrid(file["values"], file["origin"], **figures)
-        except (OSError, ValueError, KeyError, EOFError):
-            return None
+        return SdfGrid(found["values"], found["origin"], **dict(zip(_FIGURES, found["figures"].tolist(), strict=True)))
 
     def _built(self, key: str, mesh: Mesh, steps: tuple[int, int, int], is_sheet: bool) -> SdfGrid:
         grid = build_grid(mesh, aspect=aspect_of(steps), is_sheet=is_sheet, limits=LIMITS)
-        if self._folder is not None:
-            content = io.BytesIO()
-            figures = np.array([getattr(grid, name) for name in _FIGURES])
-            np.savez(content, values=grid.values, origin=grid.origin, figures=figures)
-            with suppress(OSError):  # a full or read-only disk costs time, not the scene
-                self._folder.mkdir(parents=True, exist_ok=True)
-                write_file_atomically(self._folder / f"{key}.npz", content.getvalue())
+        figures = np.array([getattr(grid, name) for name in _FIGURES])
+        self._files.write(key, {"values": grid.values, "origin": grid.origin, "figures": figures})
         return grid
 
 
 def _digest(mesh: Mesh, steps: tuple[int, int, int], is_sheet: bool) -> str:
-    digest = hashlib.sha256(_code())
-    for part in (mesh.vertices.tobytes(), mesh.faces.tobytes(), repr((steps, is_sheet, LIMITS)).encode()):
-        digest.update(part)
-    return digest.hexdigest()[:24]
-
-
-@cache
-def _code() -> bytes:
-    """A hash of the code that builds grids: a changed build makes new files."""
-    folder = Path(build_module.__file__).parent
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))).digest()
+    code = Path(build_module.__file__).parent
+    return array_key(code, mesh.vertices.tobytes(), mesh.faces.tobytes(), repr((steps, is_sheet, LIMITS)).encode())

@@ -1,15 +1,21 @@
 """Rigid bodies of a scene for the physics engine: convex parts of its objects, in their yaw frames. An asset is decomposed once."""
 
 from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
 from weakref import WeakKeyDictionary
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.assets.store import AssetStore
-from stable_data.geometry.convex_decomposition import collider_parts
+from stable_data.assets.user_cache import ArrayFiles, array_key, user_cache
+from stable_data.geometry import convex_decomposition
+from stable_data.geometry.convex_decomposition import ConvexPart, collider_parts
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
-from stable_data.scene import Scene, SceneObject
+from stable_data.scene import FloatArray, IntArray, Scene, SceneObject
 from stable_data.simulation.settling import RigidBody, hull_volume
 
 DENSITY = 400.0
@@ -56,7 +62,7 @@ def asset_parts(asset_id: str, mesh: Mesh, store: AssetStore) -> tuple[Mesh, ...
     """Returns the convex parts of an asset, in the frame and unit of its mesh.
 
     They are the parts that the run stores in its table ``meshes``; else the parts in the asset's file, if they fit the mesh;
-    else a new decomposition of the mesh.
+    else a decomposition of the mesh, which the user's cache keeps.
 
     Args:
         asset_id: The asset.
@@ -68,8 +74,34 @@ def asset_parts(asset_id: str, mesh: Mesh, store: AssetStore) -> tuple[Mesh, ...
     """
     known = _ASSET_PARTS.setdefault(store, {})
     if asset_id not in known:
-        known[asset_id] = store.stored_parts(asset_id) or collider_parts(mesh, given=store.colliders(asset_id))
+        known[asset_id] = store.stored_parts(asset_id) or _decomposed(mesh, store.colliders(asset_id))
     return known[asset_id]
+
+
+def _decomposed(mesh: Mesh, given: Sequence[ConvexPart]) -> tuple[Mesh, ...]:
+    """The convex parts of a mesh, from the user's cache if they are there."""
+    files = ArrayFiles(user_cache("convex_parts"))
+    contents = [array.tobytes() for each in (mesh, *given) for array in (each.vertices, each.faces)]
+    key = array_key(Path(convex_decomposition.__file__), repr(_versions()).encode(), *contents)
+    found = files.read(key)
+    if found is not None and {"vertices", "faces", "counts"} <= found.keys():
+        return _split(found["vertices"], found["faces"], found["counts"])
+    parts = collider_parts(mesh, given=given)
+    counts = np.array([(len(part.vertices), len(part.faces)) for part in parts])
+    vertices, faces = (np.concatenate([getattr(part, name) for part in parts]) for name in ("vertices", "faces"))
+    files.write(key, {"vertices": vertices, "faces": faces, "counts": counts})
+    return parts
+
+
+@cache
+def _versions() -> list[str]:
+    """The versions of the libraries that decompose meshes."""
+    return [version(name) for name in ("manifold3d", "fast-simplification", "vhacdx")]
+
+
+def _split(vertices: FloatArray, faces: IntArray, counts: IntArray) -> tuple[Mesh, ...]:
+    ends = np.cumsum(counts, axis=0)[:-1]
+    return tuple(Mesh(v, f) for v, f in zip(np.split(vertices, ends[:, 0]), np.split(faces, ends[:, 1]), strict=True))
 
 
 def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density: float = DENSITY) -> list[RigidBody]:
