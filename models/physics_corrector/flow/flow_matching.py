@@ -18,10 +18,11 @@ from annotated_types import Interval
 from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
+from models.physics_corrector.flow.object_encoding import expected_shifts
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.settings import NonNegative, Settings, Share
 
-Source: TypeAlias = Literal["coarse", "gaussian"]
+Source: TypeAlias = Literal["coarse", "expected", "gaussian"]
 Solver: TypeAlias = Literal["euler", "midpoint", "heun"]
 Heights: TypeAlias = Literal["learned", "geometry"]
 Velocity: TypeAlias = Callable[[Tensor, Tensor, Condition, Tensor, Tensor | None], Tensor]
@@ -36,7 +37,10 @@ class FlowSettings(Settings):
     """Coordinates of the flow."""
 
     source: Source = "coarse"
-    """Start of a path: ``coarse`` is x_0 = x^c + σ ε, ``gaussian`` is y_0 = ε, standard normal in the coordinates."""
+    """Start of a path: ``coarse`` is x_0 = x^c + σ ε, ``gaussian`` is y_0 = ε, standard normal in the coordinates. ``expected`` is
+    like ``coarse``, but where the errors of positions are known, it starts where objects are expected by these errors alone
+    (:func:`~models.physics_corrector.flow.object_encoding.expected_shifts`).
+    """
 
     sigma: NonNegative = 0.2
     """σ in coordinate units: one unit is ``length_unit`` metres or ``yaw_unit`` radians."""
@@ -92,8 +96,14 @@ class FlowMatching:
     def start(self, condition: Condition, generator: torch.Generator | None = None, *, draw: bool = True) -> Tensor:
         """Returns y_0 of every object, (B, N, 4) float32: a draw from the source, or its mean."""
         coarse = self.settings.coordinates.encode(condition.poses, condition.poses)
-        is_coarse = self.settings.source == "coarse"
+        is_coarse = self.settings.source != "gaussian"
         start = coarse if is_coarse else torch.zeros_like(coarse)
+        if self.settings.source == "expected" and condition.error is not None:
+            sigma = condition.error[:, 0]
+            shift = expected_shifts(condition, torch.where(sigma.isfinite(), sigma, 1.0).clamp_min(1e-3))[1]
+            shift = torch.where(sigma.isfinite()[:, None, None], shift, 0)
+            shifted = torch.cat([condition.poses[..., :2] + shift, condition.poses[..., 2:]], -1)
+            start = self.settings.coordinates.encode(shifted, condition.poses)
         if draw:
             noise = torch.randn(coarse.shape, device=coarse.device, generator=generator)
             start = start + (self.settings.sigma if is_coarse else 1.0) * self._free(noise)

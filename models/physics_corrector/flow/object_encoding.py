@@ -17,6 +17,9 @@ NUM_WAVES = 8
 _LONGEST_WAVE = 4.0  # metres: longer than a table, so that every position on it has a different encoding
 _SMALLEST = 1e-3  # metres: lower bound of sizes, so that their logarithms are finite; also the lower bound of other ratios
 _TYPICAL_ERROR = (0.02, 0.2)  # metres and radians: errors with the logarithm 0
+_ASSUMED_ERROR = 0.05  # where it is unknown, metres
+_CONTENT_SPREAD = 0.4  # standard deviation of contents around the middle of their carrier, in its mean half size
+_BEYOND = 0.25  # expected distance from the edge of an object far beyond it, standard deviations
 
 
 def fourier_features(lengths: Tensor) -> Tensor:
@@ -95,17 +98,75 @@ CONTEXT_CHANNELS = 9 + 4 + 3 + PLACE_CHANNELS
 
 
 def error_features(condition: Condition) -> Tensor:
-    """Encodes the expected errors of the coarse poses, (B, N, ERROR_CHANNELS) float32: logarithms, and whether they are known."""
+    """Encodes the expected errors of the coarse poses, and what follows from them alone, (B, N, ERROR_CHANNELS) float32.
+
+    The channels are the logarithms of the errors and whether they are known, and the shifts of :func:`expected_shifts` in units of the
+    error, by each object alone and by all objects of its body.
+    """
     shape = condition.mask.shape
-    if condition.error is None:
-        return condition.poses.new_zeros(*shape, ERROR_CHANNELS)
-    unit = condition.error.new_tensor(_TYPICAL_ERROR)
-    known = condition.error.isfinite()
-    lengths = torch.where(known, (condition.error / unit).clamp(_SMALLEST, 1 / _SMALLEST).log(), 0)
-    return torch.cat([lengths, known.float()], -1)[:, None].expand(*shape, ERROR_CHANNELS)
+    error = condition.poses.new_full((shape[0], 2), torch.nan) if condition.error is None else condition.error
+    known = error.isfinite()
+    unit = error.new_tensor(_TYPICAL_ERROR)
+    lengths = torch.where(known, (error / unit).clamp(_SMALLEST, 1 / _SMALLEST).log(), 0)
+    told = torch.cat([lengths, known.float()], -1)[:, None].expand(*shape, 4)
+    sigma = torch.where(known[:, 0], error[:, 0], _ASSUMED_ERROR).clamp_min(_SMALLEST)
+    alone, together = expected_shifts(condition, sigma)
+    return torch.cat([told, alone / sigma[:, None, None], together / sigma[:, None, None]], -1)
 
 
-ERROR_CHANNELS = 4
+def expected_shifts(condition: Condition, sigma: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes how far objects are expected to be from their places, if all were displaced at random and only the table is known.
+
+    An object by itself is expected inside the table. If contents were displaced independently of their carrier, which shows where they
+    are no longer on it, they tell where the carrier was, and the carrier tells where they were.
+
+    Args:
+        condition: The scenes.
+        sigma: Standard deviation of the displacements along x and along y, metres, (B,), positive.
+
+    Returns:
+        The shift of each object from its coarse place by itself, and with the evidence of its body, two (B, N, 2) in metres; 0 for
+        padding and fixed objects, and by its body also for objects without a known support.
+    """
+    root, mask, xy = condition.roots(), condition.mask, condition.poses[..., :2]
+    slots = torch.arange(mask.shape[1], device=root.device)
+    index = torch.where(root >= 0, root, slots)
+    place = index[..., None].expand(-1, -1, 2)
+    is_root = index == slots
+    half = condition.sizes[..., :2].mean(-1) / 2
+    reach = half.gather(1, index)  # of the body's lowest object
+    apart = xy - xy.gather(1, place)
+    rides = ~is_root & (apart.norm(dim=-1) <= reach)  # still on its carrier: it moved with it, or not at all
+    variance = sigma[:, None].square()
+    spread = torch.where(is_root, 0.0, _CONTENT_SPREAD * reach).square()  # of contents around the middle of their carrier
+    weight = torch.where(mask & ~rides, 1 / (variance + spread), 0.0)
+    total = torch.zeros_like(weight).scatter_add(1, index, weight).clamp_min(_SMALLEST)
+    middle = torch.zeros_like(xy).scatter_add(1, place, weight[..., None] * xy) / total[..., None]
+    alone = _inside(xy, half, condition.table, sigma[:, None].expand_as(half))
+    of_root = _inside(middle, half, condition.table, total.rsqrt())
+    of_body = of_root.gather(1, place)
+    share = (variance / (variance + spread))[..., None]
+    strayed = share * of_body + (1 - share) * xy
+    together = torch.where(rides[..., None], of_body + apart, torch.where(is_root[..., None], of_root, strayed))
+    moves = condition.is_movable[..., None]
+    return torch.where(moves, alone - xy, 0), torch.where(moves & (root >= 0)[..., None], together - xy, 0)
+
+
+def _inside(xy: Tensor, half: Tensor, table: Tensor, sigma: Tensor) -> Tensor:
+    """The mean of a normal distribution around xy (B, N, 2) that is cut off at the edges of the table, less half a size (B, N)."""
+    low = torch.minimum(half[..., None], table[:, None] / 2)
+    high, deviation = table[:, None] - low, sigma[..., None]
+    a, b = ((edge - xy) / deviation for edge in (low, high))
+    mass = torch.special.ndtr(b) - torch.special.ndtr(a)
+    density = (torch.exp(-a.square() / 2) - torch.exp(-b.square() / 2)) / math.sqrt(2 * math.pi)
+    mean = xy + deviation * density / mass.clamp_min(1e-6)
+    # Far outside, the nearest edge and a little more.
+    beyond = torch.where(xy < low, low + _BEYOND * deviation, high - _BEYOND * deviation)
+    mean = torch.where(mass > 1e-4, mean, beyond)
+    return torch.maximum(torch.minimum(mean, high), low)
+
+
+ERROR_CHANNELS = 4 + 4
 ORDER_CHANNELS = 2
 
 

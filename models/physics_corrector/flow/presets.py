@@ -57,7 +57,7 @@ class CorrectorSettings(Settings):
 
 _TEXTS = 384  # of the packaged text encoder
 _TOLD: dict[str, Any] = {"num_texts": _TEXTS, "reads_errors": True}
-_STANDING = FlowSettings(heights="geometry", steps=2)
+_STANDING = FlowSettings(heights="geometry", source="expected", steps=2)
 
 PRESETS: Mapping[str, CorrectorSettings] = {
     # The paper's width, self-conditioning and absolute poses; the paper does not give levels, heads and widths: these are its

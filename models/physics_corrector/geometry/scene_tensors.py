@@ -59,6 +59,18 @@ class SceneTensors:
         """True for objects that may move, (B, N) bool."""
         return self.mask & ~self.is_fixed
 
+    def roots(self) -> Tensor:
+        """Index of the object on the table that carries each object, itself included, (B, N) int64; -1 if there is none."""
+        slots = torch.arange(self.mask.shape[1], device=self.parent.device).expand_as(self.parent)
+        root = slots
+        for _ in range(self.mask.shape[1]):
+            parent = self.parent.gather(1, root)
+            above = torch.where(parent >= 0, parent, root)
+            if torch.equal(above, root):
+                break
+            root = above
+        return torch.where(self.mask & (self.parent.gather(1, root) == ON_TABLE), root, -1)
+
     def to(self, device: torch.device | str) -> Self:
         """Copies the tensors to a device."""
         return self._map(lambda value: value.to(device))

@@ -33,7 +33,7 @@ def scatter(batch: LayoutBatch, generator: torch.Generator) -> Tensor:
     """
     num_scenes, num_slots = batch.mask.shape
     device = batch.poses.device
-    root = _roots(batch)
+    root = batch.roots()
     stuck = torch.zeros_like(batch.mask).scatter_reduce(1, root.clamp_min(0), batch.is_fixed & (root >= 0), "amax")
     slots = torch.arange(num_slots, device=device)
     moves = batch.mask & (root == slots) & ~stuck
@@ -61,20 +61,6 @@ def scatter(batch: LayoutBatch, generator: torch.Generator) -> Tensor:
         xy[:, k] = torch.where(moves[:, k, None], chosen, xy[:, k])
         is_placed[:, k] |= moves[:, k]
     return _with_bodies(batch, root, moves, xy, turn)
-
-
-def _roots(batch: LayoutBatch) -> Tensor:
-    """Index of the object on the table that carries each object, itself included, (B, N) int64; -1 if there is none."""
-    slots = torch.arange(batch.mask.shape[1], device=batch.parent.device).expand_as(batch.parent)
-    root = slots
-    for _ in range(batch.mask.shape[1]):
-        parent = batch.parent.gather(1, root.clamp_min(0))
-        above = torch.where((root >= 0) & (parent >= 0), parent, root)
-        if torch.equal(above, root):
-            break
-        root = above
-    stands = batch.parent.gather(1, root) == -1
-    return torch.where(batch.mask & stands, root, -1)
 
 
 def _with_bodies(batch: LayoutBatch, root: Tensor, moves: Tensor, xy: Tensor, turn: Tensor) -> Tensor:
