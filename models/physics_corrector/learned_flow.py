@@ -12,8 +12,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from models.device_batches import DeviceBatches
 from models.physics_corrector.certify.correction import Fixed
-from models.physics_corrector.device_batches import DeviceBatches
 from models.physics_corrector.flow.category_texts import category_texts
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.checkpoint import Checkpoint, load_corrector

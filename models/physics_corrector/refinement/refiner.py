@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from models.device_batches import DeviceBatches
 from models.physics_corrector.certify import constants
 from models.physics_corrector.certify.support_inference import expected_carriers
-from models.physics_corrector.device_batches import DeviceBatches
 from models.physics_corrector.refinement.contact_shapes import ContactShapeCache
 from models.physics_corrector.refinement.problem import RefinementProblem
 from models.physics_corrector.refinement.resting import lower_onto, stand_on_table, step_aside, unrested

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ from benchmarks.chaos import busy_workers
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess import job
 from pipelines.preprocess.job import preprocess
-from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import SceneStep
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
@@ -40,7 +40,7 @@ def test_what_is_missing_is_done_again(tiny: Path, tiny_run: Path, tmp_path: Pat
 
 
 def test_a_changed_setting_stops_with_was_and_now(dataset: Path, clean_run: Path) -> None:
-    changed = PreprocessSettings(**(SMALL.shaping() | {"important_threshold": 0.05}), num_pictures=0)
+    changed = replace(SMALL, important_threshold=0.05)
     with pytest.raises(ConfigError, match=r"important_threshold: 0\.02 -> 0\.05"):
         preprocess(str(dataset), str(clean_run), changed, WorkerPool())
 

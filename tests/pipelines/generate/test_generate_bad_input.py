@@ -171,10 +171,10 @@ def test_what_nobody_foresaw_costs_one_scene(
     settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"), scenes_per_shard=4, accept="clean", settle=False)
     real = getattr(module, step)
 
-    def fails(first: Any, *more: Any) -> Any:
+    def fails(first: Any, *more: Any, **named: Any) -> Any:
         if "task_2" in {scene.scene_id for scene in (first if isinstance(first, list) else [first])}:
             raise GEOSException("TopologyException:\nside location conflict")
-        return real(first, *more)
+        return real(first, *more, **named)
 
     monkeypatch.setattr(module, step, fails)
     generate(FOUR, str(tmp_path / "out"), settings, ALONE, [str(dataset)], report=False)

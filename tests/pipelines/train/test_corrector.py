@@ -203,7 +203,7 @@ def test_the_command_shows_its_plan_and_names_mistakes(clean_run: Path, tmp_path
         ("losses=1", "expected a table"),
         ("steps.more=1", "is a value"),
         ('features="shape"', "expected point or box"),
-        ("corrector.flow.source=noise", "expected coarse or gaussian"),
+        ("corrector.flow.source=noise", "expected coarse, expected or gaussian"),
     ):
         result = CliRunner().invoke(app, [*command, "--set", wrong])
         assert result.exit_code == 2

@@ -132,6 +132,7 @@ def test_grids_of_the_table_are_taken_instead_of_built() -> None:
     grid = store().grid("ball", (1.0, 1.0, 1.0))
     fields = {name: getattr(grid, name) for name in grid.__slots__}
     row = fields | {"values": grid.values.ravel(), "shape": grid.values.shape, "asset_id": "ball", "aspect": aspect_of(steps)}
+    row |= {"sdf_agreement": None, "sign_disagreement": None}
     grids = grids_from_rows(arrow_table("sdf", [row]).to_pylist())
     assert grids.keys() == {("ball", steps)}
     np.testing.assert_array_equal(grids["ball", steps].values, grid.values)

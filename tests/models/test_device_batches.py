@@ -3,7 +3,7 @@ from collections.abc import Sequence
 import pytest
 import torch
 
-from models.physics_corrector.device_batches import DeviceBatches
+from models.device_batches import DeviceBatches
 from stable_data.errors import ConfigError
 
 
