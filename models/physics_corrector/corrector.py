@@ -195,7 +195,8 @@ class PhysicsCorrector:
             card_raw = add_sampled_collisions(audit_raw.card(), request.raw, start.shapes, audit_raw)
         scene, shapes, _ = assets.resolved(layout.scene)
         raw = layout.raw
-        if start.audit.card().clean and not wanted.may_tilt and self.purpose == "repair":
+        is_dropped = wanted.may_tilt and _has_moved(start.scene, scene)
+        if start.audit.card().clean and not is_dropped and self.purpose == "repair":
             raw = None  # a clean scene stays as it is, whatever the flow proposes
         result, certifier, solved_by = self._polished(start, replace(layout, scene=scene, raw=raw), shapes, wanted)
         shape_of = shapes_by_instance(scene, shapes)
