@@ -76,6 +76,10 @@ class PhysicsCorrector:
     polish: Polish = "certify"
     purpose: Purpose = "repair"
 
+    @property
+    def _rearranges(self) -> bool:
+        return self.purpose == "rearrange"
+
     def correct(
         self,
         scenes: Sequence[Scene],
@@ -149,9 +153,9 @@ class PhysicsCorrector:
             is_clean = request.audit is not None and request.audit.card().clean is True
             if self.refiner is None or self.polish == "off" or options.asked or options.still:
                 continue
-            if is_clean and not options.may_tilt and self.purpose == "repair":
+            if is_clean and not options.may_tilt and not self._rearranges:
                 continue
-            start, shapes, _ = assets.resolved(choose_start(layout.scene, layout.raw, rearranges=self.purpose == "rearrange"))
+            start, shapes, _ = assets.resolved(choose_start(layout.scene, layout.raw, rearranges=self._rearranges))
             start = _with_carriers(start, shapes)
             earlier = {o.instance for o in start.objects} - options.new if options.may_tilt else set()
             layouts.append(LayoutToRefine(start, shapes, self.options.fixed | options.fixed, steady | earlier))
@@ -196,7 +200,7 @@ class PhysicsCorrector:
         scene, shapes, _ = assets.resolved(layout.scene)
         raw = layout.raw
         is_dropped = wanted.may_tilt and _has_moved(start.scene, scene)
-        if start.audit.card().clean and not is_dropped and self.purpose == "repair":
+        if start.audit.card().clean and not is_dropped and not self._rearranges:
             raw = None  # a clean scene stays as it is, whatever the flow proposes
         result, certifier, solved_by = self._polished(start, replace(layout, scene=scene, raw=raw), shapes, wanted)
         shape_of = shapes_by_instance(scene, shapes)
@@ -226,20 +230,17 @@ class PhysicsCorrector:
         self, start: InputScene, layout: PreparedLayout, shapes: Sequence[Shape], wanted: CorrectionOptions
     ) -> tuple[CertificationResult, Certifier, SolvedBy | None]:
         """What follows the flow and the refinement, by ``polish``; the result, its certifier, and what made it clean."""
+        stated = _stated_directions(start.scene) if self._rearranges else set()
         options = replace(
             self.options,
             fixed=self.options.fixed | wanted.fixed,
-            asked=self.options.asked
-            | wanted.asked
-            | (_stated_directions(start.scene) if self.purpose == "rearrange" else set()),
+            asked=self.options.asked | wanted.asked | stated,
             still=self.options.still | wanted.still,
         )
         if self.polish == "certify" and not layout.is_solved:
             # What the refinement has reached is the better start, but the scene itself remains the other one.
-            rearranges = self.purpose == "rearrange"
-            result, certifier = certify_moved(
-                layout.scene, layout.refined or layout.raw, shapes, options, rearranges=rearranges
-            )
+            moved_scene = layout.refined or layout.raw
+            result, certifier = certify_moved(layout.scene, moved_scene, shapes, options, rearranges=self._rearranges)
             moved = result.scene is not None and _has_moved(start.scene, result.scene)
             return result, certifier, _solved_by(result, SolvedBy.CERTIFY if moved or result.dropped else SolvedBy.START)
         end = layout.refined or layout.raw or layout.scene

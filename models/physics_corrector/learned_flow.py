@@ -89,7 +89,7 @@ class LearnedFlow:
         self._device, self._batches = device, DeviceBatches("flow", _BATCH)
         checkpoint.network.to(device)
         self._codes: dict[bytes, npt.NDArray[np.float32]] = {}
-        self._unit_shapes: WeakKeyDictionary[Shape, tuple[bytes, Shape]] = WeakKeyDictionary()
+        self._keys: WeakKeyDictionary[Shape, bytes] = WeakKeyDictionary()
         if num_features := checkpoint.settings.network.num_features:
             if num_features != FEATURE_CHANNELS:
                 raise ConfigError(
@@ -169,28 +169,32 @@ class LearnedFlow:
         features = np.zeros((len(shapes), num_slots, self._checkpoint.settings.network.num_features), np.float32)
         for b, own in enumerate(shapes):
             for n, shape in enumerate(own):
-                features[b, n] = self._codes[self._unit_shape(shape)[0]]
+                features[b, n] = self._codes[self._key(shape)]
         return torch.from_numpy(features)
 
-    def _unit_shape(self, shape: Shape) -> tuple[bytes, Shape]:
-        """The shape that is encoded, the same for all scales, and its key."""
-        if shape not in self._unit_shapes:
-            assert self._encoder is not None
-            unit = shape
-            if self._encoder.preprocessing.normalise != "centre":  # all other rules make the feature independent of the scale
-                unit = Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
-            key = hashlib.sha256(unit.vertices.tobytes() + unit.faces.tobytes()).digest()
-            self._unit_shapes[shape] = key, unit
-        return self._unit_shapes[shape]
+    def _unit_shape(self, shape: Shape) -> Shape:
+        """The shape that is encoded: the same for all scales, if the feature does not depend on the scale."""
+        assert self._encoder is not None
+        if self._encoder.preprocessing.normalise == "centre":
+            return shape
+        return Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
+
+    def _key(self, shape: Shape) -> bytes:
+        """A hash of the shape that is encoded, computed once for each shape."""
+        if shape not in self._keys:
+            unit = self._unit_shape(shape)
+            self._keys[shape] = hashlib.sha256(unit.vertices.tobytes() + unit.faces.tobytes()).digest()
+        return self._keys[shape]
 
     def _encode(self, shapes: Sequence[Shape]) -> None:
         """Computes the point features of shapes that have none yet."""
         assert self._encoder is not None
-        wanted = dict(self._unit_shape(shape) for shape in shapes)
+        wanted = {self._key(shape): shape for shape in shapes}
         new = [key for key in wanted if key not in self._codes]
         if len(self._codes) + len(new) > _MAX_CACHED_CODES:
             self._codes = {key: self._codes[key] for key in wanted if key in self._codes}
-        clouds = [PointCloud.of_shape(wanted[key], self._encoder.preprocessing.num_points) for key in new]
+        num_points = self._encoder.preprocessing.num_points
+        clouds = [PointCloud.of_shape(self._unit_shape(wanted[key]), num_points) for key in new]
         self._codes |= dict(zip(new, self._encoder.codes(clouds, self._encoder.batch_size), strict=True))
 
 

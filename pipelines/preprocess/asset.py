@@ -198,8 +198,9 @@ def _disagreement(row: schemas.Row) -> Notice | None:
     opinion = SecondOpinion(row["sdf_agreement"], row["sign_disagreement"])
     if not opinion.disagrees:
         return None
+    agreement, wrong = 100 * opinion.agreement, 100 * (opinion.sign_disagreement or 0.0)
     message = (
-        f"asset {row['asset_id']}: pysdf agrees with {100 * opinion.agreement:.1f} % of the distances of its grid, and disagrees with "
-        f"{100 * opinion.sign_disagreement:.1f} % of the signs, expected at least 99 and at most 1 %; check whether the mesh is closed"
+        f"asset {row['asset_id']}: pysdf agrees with {agreement:.1f} % of the distances of its grid, and disagrees with {wrong:.1f} % of "
+        "the signs, expected at least 99 and at most 1 %; check whether the mesh is closed"
     )
     return Notice(row["asset_id"], "sdf", "sdf_disagrees", message)

@@ -7,6 +7,8 @@ arrays are computed again; a disk that is full or read-only costs time, never a 
 import hashlib
 import io
 import os
+import zipfile
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
@@ -41,9 +43,11 @@ class ArrayFiles:
         if self._folder is None:
             return None
         try:
-            with np.load(self._folder / f"{key}.npz", allow_pickle=False) as file:
+            # numpy would leave the file itself open if it is damaged.
+            content = io.BytesIO((self._folder / f"{key}.npz").read_bytes())
+            with np.load(content, allow_pickle=False) as file:
                 return {name: file[name] for name in file.files}
-        except (OSError, ValueError, KeyError, EOFError):
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             return None
 
     def write(self, key: str, arrays: Arrays) -> None:

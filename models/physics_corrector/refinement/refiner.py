@@ -4,8 +4,9 @@ Scenes that are not clean are refined again, with a larger clearance. A refined 
 each object is on or in its carrier and steady there, and no directional relation is broken. All others are for ``certify``.
 """
 
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -27,6 +28,8 @@ from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.collision import ROUNDING, TOLERANCE
 from stable_data.scene import TABLE, FloatArray, Scene
+
+T = TypeVar("T")
 
 # Tuned on: the proposals of 48 generated scenes, 132 layouts.
 _ROUNDS = ((4e-4, 60), (1e-3, 100), (2e-3, 200))  # clearance in metres and iterations of each round
@@ -92,14 +95,8 @@ class Refiner:
             The scenes, in order; positions along the table and yaws are unchanged. A layout with a mesh that gives no grid or
             samples is unchanged.
         """
-        found = [layout.scene for layout in layouts]
-        usable = [
-            k for k, layout in enumerate(layouts) if layout.scene.objects and self.has_shapes(layout.scene, layout.shapes)
-        ]
-        rested = self._batches.run([layouts[k] for k in usable], self._rested_batch)
-        for k, scene in zip(usable, rested, strict=True):
-            found[k] = scene
-        return found
+        rested = self._run(layouts, self._rested_batch)
+        return [layout.scene if scene is None else scene for layout, scene in zip(layouts, rested, strict=True)]
 
     def _rested_batch(self, layouts: Sequence[LayoutToRefine]) -> list[Scene]:
         scenes, fixed = [one.scene for one in layouts], [one.fixed for one in layouts]
@@ -116,13 +113,16 @@ class Refiner:
             One result per layout, in order; it depends on the other layouts only by rounding. None if a mesh of a layout gives no
             grid or samples.
         """
-        found: list[RefinedLayout | None] = [None] * len(layouts)
+        return self._run(layouts, self._refined_batch)
+
+    def _run(self, layouts: Sequence[LayoutToRefine], compute: Callable[[Sequence[LayoutToRefine]], list[T]]) -> list[T | None]:
+        """Computes something of each layout in batches; None where a mesh gives no grid or samples, or there is no object."""
         usable = [
             k for k, layout in enumerate(layouts) if layout.scene.objects and self.has_shapes(layout.scene, layout.shapes)
         ]
-        refined = self._batches.run([layouts[k] for k in usable], self._refined_batch)
-        for k, layout in zip(usable, refined, strict=True):
-            found[k] = layout
+        found: list[T | None] = [None] * len(layouts)
+        for k, result in zip(usable, self._batches.run([layouts[k] for k in usable], compute), strict=True):
+            found[k] = result
         return found
 
     def has_shapes(self, scene: Scene, shapes: Sequence[Shape]) -> bool:

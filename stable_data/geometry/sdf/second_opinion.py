@@ -36,16 +36,16 @@ class SecondOpinion:
 
     Attributes:
         agreement: Share of points at which the distances without sign differ by less than a spacing.
-        sign_disagreement: Share of points with different signs, of those farther than a spacing from the surface.
+        sign_disagreement: Share of points with different signs, of those farther than a spacing from the surface; None if none is.
     """
 
     agreement: float
-    sign_disagreement: float
+    sign_disagreement: float | None
 
     @property
     def disagrees(self) -> bool:
         """Whether one of the two is probably wrong."""
-        return self.agreement < _LEAST_AGREEMENT or self.sign_disagreement > _MOST_WRONG_SIGNS
+        return self.agreement < _LEAST_AGREEMENT or (self.sign_disagreement or 0.0) > _MOST_WRONG_SIGNS
 
 
 def has_pysdf() -> bool:
@@ -95,7 +95,7 @@ def second_opinion(grid: SdfGrid, mesh: Mesh, aspect: Vec3) -> SecondOpinion:
     wrong = (read < 0) != (other < 0)
     return SecondOpinion(
         float((np.abs(np.abs(read) - np.abs(other)) < grid.spacing).mean()),
-        float(wrong[is_clear].mean()) if is_clear.any() else 0.0,
+        float(wrong[is_clear].mean()) if is_clear.any() else None,
     )
 
 

@@ -17,8 +17,11 @@ def test_what_is_written_is_read_and_damage_is_nothing(tmp_path: Path) -> None:
     assert found is not None
     assert found["a"].tolist() == [0, 1, 2]
     assert found["b"].dtype == np.float32
-    (tmp_path / "deep" / "one.npz").write_bytes(b"PK damaged")
-    assert files.read("one") is None
+    path = tmp_path / "deep" / "one.npz"
+    whole = path.read_bytes()
+    for damaged in (b"", b"PK damaged", whole[:-30], whole[:60] + b"x" * 8 + whole[68:], whole[: len(whole) // 2]):
+        path.write_bytes(damaged)
+        assert files.read("one") is None
     nothing = ArrayFiles(None)
     nothing.write("one", {"a": np.arange(3)})
     assert nothing.read("one") is None
