@@ -5,7 +5,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +19,13 @@ from models.physics_corrector.flow.checkpoint import Checkpoint, load_corrector
 from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.geometry.scene_batch import pad_scenes
 from models.physics_corrector.packing.packing_problem import AXES
-from models.point_encoder import FEATURE_CHANNELS, PointCloud, PointEncoder
+from models.point_encoder import FEATURE_CHANNELS, PointEncoder
 from models.point_encoder import load as load_encoder
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
+from models.point_encoder.shape_codes import ShapeCodes
 from models.text_encoder import load_default as load_text_encoder
 from stable_data.assets.text_embeddings import TextEncoder
+from stable_data.assets.user_cache import user_cache
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import Scene
@@ -37,8 +38,6 @@ AUTO, NONE = "auto", "none"
 
 _BATCH = 64  # scenes in one batch of the network
 _MAX_CACHED_TEXTS = 20_000  # text features of categories in memory: 31 MB
-_MAX_CACHED_CODES = 20_000  # point features of shapes in memory: 5 MB
-_DIGITS = 6  # decimals of a shape whose largest side is 1: one mesh at two scales has one key in spite of rounding errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +66,7 @@ class LearnedFlow:
         steps: Solver steps; 0 uses those of the settings.
         error: Expected errors of the layouts; a network that does not read them ignores these.
         device: Device of the network and of the encoder.
+        codes: Folder that keeps the point features; None keeps them in memory alone.
 
     Raises:
         ConfigError: The network reads features, but not 64 (``checkpoint_mismatch``), or an encoder is missing or not the one of
@@ -81,15 +81,13 @@ class LearnedFlow:
         steps: int = 0,
         error: ExpectedError = UNKNOWN_ERROR,
         device: str = "cpu",
+        codes: Path | None = None,
     ) -> None:
         self._checkpoint, self._steps, self._error = checkpoint, steps, error
         self._text_encoder = text_encoder if checkpoint.settings.network.num_texts else None
         self._texts: dict[str, npt.NDArray[np.float32]] = {}
-        self._encoder = encoder.to(device) if encoder is not None and checkpoint.settings.network.num_features else None
         self._device, self._batches = device, DeviceBatches("flow", _BATCH)
         checkpoint.network.to(device)
-        self._codes: dict[bytes, npt.NDArray[np.float32]] = {}
-        self._keys: WeakKeyDictionary[Shape, bytes] = WeakKeyDictionary()
         if num_features := checkpoint.settings.network.num_features:
             if num_features != FEATURE_CHANNELS:
                 raise ConfigError(
@@ -98,6 +96,8 @@ class LearnedFlow:
                     "checkpoint_mismatch",
                 )
             _check_encoder(checkpoint, "encoder", "none" if encoder is None else encoder.fingerprint())
+        has_codes = encoder is not None and checkpoint.settings.network.num_features
+        self._codes = ShapeCodes(encoder.to(device), codes) if encoder is not None and has_codes else None
         if checkpoint.settings.network.num_texts:
             _check_encoder(checkpoint, "text_encoder", "none" if text_encoder is None else text_encoder.fingerprint)
 
@@ -118,7 +118,7 @@ class LearnedFlow:
         num_slots = arrays["mask"].shape[1]
         condition = Condition(
             **arrays,
-            features=None if self._encoder is None else self._features(shapes, num_slots),
+            features=None if self._codes is None else self._features(shapes, num_slots),
             **self._told(scenes, num_slots),
         )
         if not condition.mask.any():
@@ -164,38 +164,15 @@ class LearnedFlow:
         return [self._texts[text] for text in texts]
 
     def _features(self, shapes: Sequence[Sequence[Shape]], num_slots: int) -> Tensor:
-        """Computes the point features of the objects, (B, N, 64) float32; new shapes are encoded together."""
-        self._encode([shape for own in shapes for shape in own])
-        features = np.zeros((len(shapes), num_slots, self._checkpoint.settings.network.num_features), np.float32)
+        """Returns the point features of the objects, (B, N, 64) float32."""
+        assert self._codes is not None
+        found = self._codes([shape for own in shapes for shape in own])
+        features = np.zeros((len(shapes), num_slots, found.shape[1]), np.float32)
+        first = 0
         for b, own in enumerate(shapes):
-            for n, shape in enumerate(own):
-                features[b, n] = self._codes[self._key(shape)]
+            features[b, : len(own)] = found[first : first + len(own)]
+            first += len(own)
         return torch.from_numpy(features)
-
-    def _unit_shape(self, shape: Shape) -> Shape:
-        """The shape that is encoded: the same for all scales, if the feature does not depend on the scale."""
-        assert self._encoder is not None
-        if self._encoder.preprocessing.normalise == "centre":
-            return shape
-        return Shape(np.round(shape.vertices / shape.size.max(), _DIGITS), shape.faces)
-
-    def _key(self, shape: Shape) -> bytes:
-        """A hash of the shape that is encoded, computed once for each shape."""
-        if shape not in self._keys:
-            unit = self._unit_shape(shape)
-            self._keys[shape] = hashlib.sha256(unit.vertices.tobytes() + unit.faces.tobytes()).digest()
-        return self._keys[shape]
-
-    def _encode(self, shapes: Sequence[Shape]) -> None:
-        """Computes the point features of shapes that have none yet."""
-        assert self._encoder is not None
-        wanted = {self._key(shape): shape for shape in shapes}
-        new = [key for key in wanted if key not in self._codes]
-        if len(self._codes) + len(new) > _MAX_CACHED_CODES:
-            self._codes = {key: self._codes[key] for key in wanted if key in self._codes}
-        num_points = self._encoder.preprocessing.num_points
-        clouds = [PointCloud.of_shape(self._unit_shape(wanted[key]), num_points) for key in new]
-        self._codes |= dict(zip(new, self._encoder.codes(clouds, self._encoder.batch_size), strict=True))
 
 
 def known_directions(scenes: Sequence[Scene], num_slots: int) -> npt.NDArray[np.float32]:
@@ -233,7 +210,8 @@ def load_flow(
     checkpoint = load_corrector(path)
     network = checkpoint.settings.network
     encoder = load_encoder(_encoder_beside(path)) if network.num_features else None
-    return LearnedFlow(checkpoint, encoder, load_text_encoder() if network.num_texts else None, steps, error, device)
+    text_encoder = load_text_encoder() if network.num_texts else None
+    return LearnedFlow(checkpoint, encoder, text_encoder, steps, error, device, user_cache("point_codes"))
 
 
 def weights_fingerprint(weights: str) -> str:

@@ -5,6 +5,7 @@ Colliders are the convex parts of the objects; the table is a box whose top is z
 
 import hashlib
 import struct
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -35,9 +36,12 @@ _TABLE_THICKNESS = 0.1
 _JITTER_SECONDS = 1.0
 _REST_SECONDS = 0.1
 _TURN_ARM = 0.05  # metres; turning counts as the speed of a point at this distance
-# A watch ends early after this time in which no object was fast enough to move far, if all are within this share of the limits:
-# an object that creeps may suddenly slip by a few millimetres.
+# A simulation ends early by the movement of the objects in this time, if all are within this share of the limits: an object that
+# creeps may suddenly slip by a few millimetres.
 _CALM_SECONDS, _CALM_SHARE = 0.2, 0.5
+_IMPACT_SECONDS = (
+    0.1  # after the start, in which contacts take up the weights; this does not count as movement that becomes slower
+)
 _MAX_CACHED_BYTES = 64 * 2**20  # hulls that MuJoCo keeps for further models: about 5,000
 _FLATTEST = 1e-6  # parts thinner than this share of their length (or 1 µm) have no volume to collide with, and are left out
 
@@ -59,9 +63,10 @@ class PhysicsOptions:
         impratio: Ratio of the stiffness of friction to that of the normal direction; it prevents creeping with elliptic cones.
         sleep_speed: In the watch, objects slower than this, metres a second, are not simulated, with all that they touch, until
             another object touches them (0: all are simulated). They could creep a third of a millimetre in the watch.
-        rest_move: The watch ends early if for a fifth of a second the fastest object was too slow to move this far, metres, in
-            the time that is left, if it did not become faster, and if no object came half as far as a stable scene allows (0:
-            never). Turning counts as for ``rest_speed``. Later moves, drift and jitter are then not seen.
+        rest_move: Settling and watch end early if the objects, as they moved in the last fifth of a second, would not come this
+            far, metres, in the time that is left, if they did not become faster than a fifth of a second before, and if no object
+            came half as far as a stable scene allows (0: never). Turning counts as for ``rest_speed``. Later moves, drift and
+            jitter are then not seen.
         stops_early: The scene is not watched if an object exceeded a limit in the settling: it is not stable in any case. Rest
             poses, drift and jitter are then unknown.
     """
@@ -179,13 +184,16 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         penetration = float(max(0.0, -data.contact.dist.min())) if data.ncon else 0.0
-        settled = _simulate(model, data, options.settle_seconds, options, options.rest_speed)
+        calm = Calm(start, options, options.settle_seconds + options.watch_seconds)
+        settled = _simulate(model, data, options.settle_seconds, options, options.rest_speed, calm)
         path = np.concatenate([start[None], settled])
         if not np.isfinite(path).all() or (options.stops_early and _instability_reason(names, *_largest_movement(path), 0.0)):
             watched = settled[:0]
         else:
             enable_sleeping(model, options)  # not before: a body that begins to fall is as slow as one at rest
-            watched = _simulate(model, data, options.watch_seconds, options, calm=_Calm(path, options))
+            watched = _simulate(
+                model, data, options.watch_seconds, options, calm=Calm(start, options, options.watch_seconds, path)
+            )
     if not (np.isfinite(path).all() and np.isfinite(watched).all()):
         return _diverged(names, np.concatenate([path, watched])[:-1], penetration)  # the last sample is NaN
     return _verdict(names, path, watched, penetration, options)
@@ -330,40 +338,45 @@ def hull_volume(part: Mesh) -> float:
     return max(0.0, float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6)
 
 
-class _Calm:
-    """Decides when a watch can end, because its verdict will hardly change any more: see ``PhysicsOptions.rest_move``.
+class Calm:
+    """Decides when a simulation can end, because its verdict will hardly change any more: see ``PhysicsOptions.rest_move``.
 
     Args:
-        path: Poses so far, (T, N, 7), from the start.
+        start: Poses at the start, (N, 7) float64: position, quaternion in any order.
         options: Settings.
+        seconds: Simulated time from now to the end.
+        path: Poses so far, (T, N, 7); by default the start alone.
     """
 
-    def __init__(self, path: FloatArray, options: PhysicsOptions) -> None:
-        self._start, self._rest_move = path[0], options.rest_move
-        self._patience = round(_CALM_SECONDS / options.sample_seconds)
-        self._moves, self._turns = _largest_movement(path)
-        self._speeds: list[float] = []  # of the latest samples in a row that are calm
+    def __init__(self, start: FloatArray, options: PhysicsOptions, seconds: float, path: FloatArray | None = None) -> None:
+        self._start, self._rest_move, self._interval = start, options.rest_move, options.sample_seconds
+        self._seconds_left = seconds
+        self._window = round(_CALM_SECONDS / options.sample_seconds)
+        self._moves, self._turns = _largest_movement(start[None] if path is None else path)
+        self._wait = round(_IMPACT_SECONDS / options.sample_seconds) if path is None else 0
+        self._recent: deque[FloatArray] = deque(maxlen=self._window + 1)
+        self._shifts: deque[float] = deque(maxlen=self._window + 1)
 
-    def has_come(self, pose: FloatArray, speed: float, seconds_left: float) -> bool:
-        """Whether the watch can end.
-
-        Args:
-            pose: The latest poses, (N, 7).
-            speed: Speed of the fastest body, metres a second.
-            seconds_left: Time that is left of the watch.
-        """
+    def has_come(self, pose: FloatArray) -> bool:
+        """Whether the simulation can end; called once a sample, with the latest poses (N, 7)."""
+        self._seconds_left -= self._interval
         moves, turns = _largest_movement(np.stack([self._start, pose]))
         self._moves, self._turns = np.maximum(self._moves, moves), np.maximum(self._turns, turns)
-        if not (
-            speed * seconds_left < self._rest_move
+        self._wait -= 1
+        if self._wait < 0:
+            self._recent.append(pose)
+        if len(self._recent) <= self._window:
+            return False
+        # How far bodies came in the window, not how fast they are: contacts jitter without moving anything.
+        moves, turns = _largest_movement(np.stack([pose, *self._recent]))
+        self._shifts.append(float(np.maximum(moves, _TURN_ARM * np.radians(turns)).max(initial=0.0)))
+        return (
+            len(self._shifts) > self._window
+            and self._shifts[-1] / _CALM_SECONDS * self._seconds_left < self._rest_move
+            and self._shifts[-1] <= self._shifts[0]  # what begins to fall is slow, but becomes faster
             and self._moves.max(initial=0.0) < _CALM_SHARE * MOVE_LIMIT
             and self._turns.max(initial=0.0) < _CALM_SHARE * TURN_LIMIT
-        ):
-            self._speeds.clear()
-            return False
-        self._speeds.append(speed)
-        # What begins to fall is slow, but becomes faster.
-        return len(self._speeds) > self._patience and speed <= self._speeds[-1 - self._patience]
+        )
 
 
 def _simulate(
@@ -372,7 +385,7 @@ def _simulate(
     seconds: float,
     options: PhysicsOptions,
     rest_speed: float = 0.0,
-    calm: _Calm | None = None,
+    calm: Calm | None = None,
 ) -> FloatArray:
     """Poses of all bodies at every sample, (T, N, 7) float64: position, quaternion xyzw; NaN from the sample that diverged.
 
@@ -393,12 +406,11 @@ def _simulate(
             samples.append(np.full_like(pose, np.nan))
             break
         samples.append(pose)
-        speed, num_left = _speed(data), num_samples - len(samples)
         if data.ntree_awake == 0:  # nothing moves any more: the samples that are left are equal, bit for bit
-            samples += [pose] * num_left
+            samples += [pose] * (num_samples - len(samples))
             break
-        num_still = num_still + 1 if speed < rest_speed else 0
-        if num_still > patience or (calm is not None and calm.has_come(pose, speed, num_left * stride * options.timestep)):
+        num_still = num_still + 1 if _speed(data) < rest_speed else 0
+        if num_still > patience or (calm is not None and calm.has_come(pose)):
             break
     return np.stack(samples)
 

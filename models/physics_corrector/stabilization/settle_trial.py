@@ -8,14 +8,9 @@ import numpy as np
 from models.physics_corrector.packing.slab_outline import BoolArray
 from stable_data.scene import FloatArray, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
-from stable_data.simulation.settling import PhysicsOptions, RigidBody, compile_bodies, enable_sleeping, without_log_file
+from stable_data.simulation.settling import Calm, PhysicsOptions, RigidBody, compile_bodies, enable_sleeping, without_log_file
 
 _OPTIONS = PhysicsOptions()  # as for the verdict on stability
-# Tuned on: not recorded.
-_SAMPLE = 0.02  # simulated time between two samples of the poses, seconds
-# A trial ends early after this many samples in which every object is slower than this, metres a second.
-_REST_SPEED, _REST_SAMPLES = 2e-4, 15
-_ARM = 0.05  # distance from the centre at which an angular velocity counts as a speed, metres
 
 
 class SettleTrial:
@@ -36,7 +31,7 @@ class SettleTrial:
         self, bodies: Sequence[RigidBody], poses: FloatArray, free: Sequence[int], held: Sequence[int], table: Tabletop
     ) -> None:
         self.free = list(free)
-        self._stride = max(1, round(_SAMPLE / _OPTIONS.timestep))
+        self._stride = max(1, round(_OPTIONS.sample_seconds / _OPTIONS.timestep))
 
         def at(k: int, *, movable: bool) -> RigidBody:
             x, y, z, yaw = poses[k].tolist()
@@ -93,13 +88,13 @@ class SettleTrial:
         mujoco.mj_resetData(model, data)
         # Sleep is enabled only after the settling time, as for the verdict on stability; a run before this one enabled it.
         model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-        settling = round(_OPTIONS.settle_seconds / _SAMPLE)
+        settling = round(_OPTIONS.settle_seconds / _OPTIONS.sample_seconds)
         start = np.zeros((len(self.free), 7))
         start[:, :3] = poses[self.free, :3]
         start[:, 3], start[:, 6] = np.cos(poses[self.free, 3] / 2), np.sin(poses[self.free, 3] / 2)
         data.qpos[:] = start.ravel()
         moves, turns = np.zeros(len(start)), np.zeros(len(start))
-        still, now = 0, start
+        now, calm = start, Calm(start, _OPTIONS, seconds)
         with without_log_file():
             for number in range(round(seconds / _OPTIONS.timestep / self._stride)):
                 if number == settling:
@@ -114,10 +109,6 @@ class SettleTrial:
                 cosine = np.abs((now[:, 3:] * start[:, 3:]).sum(axis=1))
                 turns = np.maximum(turns, np.degrees(2 * np.arccos(np.minimum(cosine, 1.0))))
                 gone = (moves > move) | (turns > turn)
-                if gone.all() or (ends_at_first and gone.any()):
-                    break
-                speed = np.abs(np.array(data.qvel).reshape(-1, 6) * ([1.0] * 3 + [_ARM] * 3)).max(initial=0.0)
-                still = still + 1 if speed < _REST_SPEED else 0
-                if still >= _REST_SAMPLES:
+                if gone.all() or (ends_at_first and gone.any()) or calm.has_come(now):
                     break
         return now, moves, turns

@@ -242,16 +242,6 @@ def test_a_scene_does_not_depend_on_what_was_met_before(weights: Path) -> None:
     assert used(scenes[:1], shapes[:1], [FREE])[0] == fresh(scenes[:1], shapes[:1], [FREE])[0]
 
 
-def test_a_shape_at_another_scale_has_the_same_code(weights: Path) -> None:
-    flow = load_flow(str(weights))
-    assert flow is not None
-    large = Shape(1.37 * CUP.vertices, CUP.faces)
-    cup, other, book = (flow._features([[shape]], 1)[0, 0] for shape in (CUP, large, BOOK))
-    assert np.array_equal(cup, other)
-    assert len(flow._codes) == 2
-    assert not np.array_equal(cup, book)
-
-
 def test_a_rearrangement_takes_all_moves_of_the_flow_and_keeps_what_the_task_states() -> None:
     """A flow that exchanges two things: a repair takes it back, because it breaks a direction; a rearrangement does not."""
     scene, shapes = laid(("a", CUP, 0.2, 0.3, 0.0), ("b", CUP, 0.5, 0.3, 0.0))
