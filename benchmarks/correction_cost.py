@@ -7,7 +7,9 @@
   time of all processes together, and by processor time as if the cores had no other work;
 - growth: layouts of 5 to 60 objects, three of each number: objects of those scenes with all that they carry, on a square table
   of which their footprints cover 30 %, perturbed by 4 cm and 0.2 rad (standard deviations). Measured are processor seconds of
-  one core, and the exponent of seconds against objects, by least squares of the logarithms over all layouts.
+  one core, and the exponent of seconds against objects, by least squares of the logarithms over all layouts;
+- full tables: layouts of 60 and 200 objects whose footprints cover 60 % to 200 % of the table, with certification alone. Objects
+  without a place are left out.
 
 ``certify`` is certification alone, ``flow + certify`` certification after the learned flow, both with the scene's own audit and
 relations. Data that is computed once an asset, such as point features, is computed before. Run with
@@ -51,6 +53,14 @@ SIZES = (5, 8, 12, 18, 27, 40, 60)
 _METHODS = ("certify", "flow + certify")
 _TYPICAL = 15  # number of objects
 _OCCUPANCY = 0.3  # total footprint of the objects on the table over its area
+_FULL = (
+    (60, 0.6),
+    (60, 0.8),
+    (60, 1.0),
+    (60, 1.5),
+    (200, 1.0),
+    (200, 2.0),
+)  # numbers of objects and occupancies of full tables
 _SHAKE = 0.04  # standard deviation of x and y, metres
 _LAYOUTS = 3  # layouts of each number of objects
 
@@ -65,6 +75,8 @@ class Cost:
         num_objects: Number of objects.
         is_clean: Whether the result is clean, possibly with dropped objects.
         seconds: Processor time.
+        num_dropped: Number of objects that were left out.
+        occupancy: Footprints of the objects on the table over its area; None if it was not set.
     """
 
     method: str
@@ -72,6 +84,8 @@ class Cost:
     num_objects: int
     is_clean: bool
     seconds: float
+    num_dropped: int = 0
+    occupancy: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +137,7 @@ class Bench:
 
     def costs(self, name: str, scenes: Iterable[Scene]) -> list[Cost]:
         """Measures a method on scenes."""
-        return [self._cost(name, scene) for scene in scenes]
+        return [self.cost(name, scene) for scene in scenes]
 
     def jittered(self, seed: int) -> list[Scene]:
         """Returns the scenes, made coarse by the kind ``jitter``."""
@@ -139,10 +153,17 @@ class Bench:
         rng = np.random.default_rng(0)
         return [shaken(crowd(self.scenes, n, rng), _SHAKE, rng) for n in SIZES for _ in range(_LAYOUTS)]
 
-    def _cost(self, name: str, scene: Scene) -> Cost:
+    def full_tables(self) -> list[tuple[float, Scene]]:
+        """Returns layouts on tables that are almost or too full, with their occupancies."""
+        rng = np.random.default_rng(1)
+        return [(share, shaken(crowd(self.scenes, n, rng, share), _SHAKE, rng)) for n, share in _FULL]
+
+    def cost(self, name: str, scene: Scene, occupancy: float | None = None) -> Cost:
+        """Measures a method on a scene."""
         scene, shapes, _ = self._store.resolved(scene)
         done = self._methods[name].correct(scene, shapes, self._store)
-        return Cost(name, scene.scene_id, len(shapes), done.converged, done.seconds)
+        num_dropped = len(shapes) - len(done.scene.objects)
+        return Cost(name, scene.scene_id, len(shapes), done.converged, done.seconds, num_dropped, occupancy)
 
     def _related(self, scene: Scene) -> Scene:
         scene, shapes, _ = self._store.resolved(scene)
@@ -150,13 +171,14 @@ class Bench:
         return relate_scene(posed, audit_posed_scene(posed), {}).scene
 
 
-def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scene:
+def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator, occupancy: float = _OCCUPANCY) -> Scene:
     """Builds a layout of ``count`` objects at a fixed occupancy: objects of scenes, with all that they carry, in a grid.
 
     Args:
         scenes: The scenes, with supports.
         count: Number of objects.
         rng: Source of randomness.
+        occupancy: Total footprint of the objects on the table over its area.
 
     Raises:
         SceneError: Every object on a table carries too many others to reach the number (``scenes_unsuited``).
@@ -172,7 +194,7 @@ def crowd(scenes: Sequence[Scene], count: int, rng: np.random.Generator) -> Scen
             )
         chosen.append(fitting[rng.integers(len(fitting))])
     footprint = sum(first.size[0] * first.size[1] for first, *_ in chosen)
-    side, across = math.sqrt(footprint / _OCCUPANCY), math.ceil(math.sqrt(len(chosen)))
+    side, across = math.sqrt(footprint / occupancy), math.ceil(math.sqrt(len(chosen)))
     objects = []
     for k, (first, *carried) in enumerate(chosen):
         place = (np.array(divmod(k, across)) + 0.5) * side / across - first.position[:2]
@@ -264,8 +286,13 @@ def main(
         raise SystemExit(str(error)) from error
     growth = [cost for name in bench.methods for cost in bench.costs(name, tqdm(crowds, desc=name, unit="scene"))]
     print(growth_table(growth))
+    full = [bench.cost("certify", scene, share) for share, scene in tqdm(bench.full_tables(), desc="full tables", unit="scene")]
+    print(f"{'objects':>7}{'occupancy':>11}{'s':>8}{'left out':>10}{'clean':>7}")
+    for c in full:
+        print(f"{c.num_objects:>7}{c.occupancy:>11.0%}{c.seconds:>8.1f}{c.num_dropped:>10}{c.is_clean!s:>7}")
     if file is not None:
-        figures = {"throughput": [asdict(rate) for rate in rates], "growth": [asdict(cost) for cost in growth]}
+        figures = {"throughput": [asdict(rate) for rate in rates]}
+        figures |= {"growth": [asdict(cost) for cost in growth], "full": [asdict(cost) for cost in full]}
         file.write_text(json.dumps(figures, indent=1) + "\n")
 
 

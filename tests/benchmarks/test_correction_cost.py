@@ -78,6 +78,13 @@ def test_the_exponent_is_that_of_the_law() -> None:
     assert [line.split()[-1] for line in lines] == ["clean", "1/1", "1/1", "0/1", "1.50"]
 
 
+def test_what_has_no_place_on_a_full_table_is_counted(bench: Bench, rng: np.random.Generator) -> None:
+    cost = bench.cost("certify", crowd(bench.scenes, 16, rng, 2.5), 2.5)
+    assert cost.is_clean
+    assert 0 < cost.num_dropped < 16
+    assert (cost.num_objects, cost.occupancy) == (16, 2.5)
+
+
 def test_only_clean_scenes_count() -> None:
     costs = tuple(Cost("certify", "", 15, is_clean=n > 0, seconds=0.5) for n in range(5))
     assert "4 of 5 scenes of 15 to 15 objects (15.0) clean, 0.80 scenes/s with 2 processes (3.20 by processor time)" in str(

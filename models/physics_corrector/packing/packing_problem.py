@@ -113,18 +113,40 @@ class PackingProblem:
 
     def without(self, gone: Sequence[int]) -> "PackingProblem":
         """Returns the problem without the constraints of some bodies; these stay where they are."""
-        fewer = copy.copy(self)
-        away = np.zeros(len(self.stiffness), bool)
-        away[list(gone)] = True
-        fewer.is_free = self.is_free & ~away
-        rows = np.flatnonzero(~away[self.first_body] & ~away[self.second_body])
+        there = np.ones(len(self.stiffness), bool)
+        there[list(gone)] = False
+        is_constraint = there[self.first_body] & there[self.second_body], there[self.subjects] & there[self.targets]
+        return self._with(self.is_free & there, *is_constraint)
+
+    def around(self, k: int, shifts: FloatArray, distance: float, rings: int) -> "PackingProblem":
+        """Returns the problem in which only a body and those around it may move.
+
+        Args:
+            k: The body.
+            shifts: The shifts, (B, 2), metres, of which all but these bodies' stay.
+            distance: Slabs nearer than this are neighbours, metres.
+            rings: 1: the neighbours may move; 2: their neighbours too, and so on.
+        """
+        rows = self.near(shifts, distance)[0]
+        first, second = self.first_body[rows], self.second_body[rows]
+        moves = np.arange(len(self.stiffness)) == k
+        for _ in range(rings):
+            touched = self.is_free & moves
+            moves = moves | np.isin(np.arange(len(moves)), np.concatenate([second[touched[first]], first[touched[second]]]))
+        moves &= self.is_free
+        is_constraint = moves[self.first_body] | moves[self.second_body], moves[self.subjects] | moves[self.targets]
+        return self._with(moves, *is_constraint)
+
+    def _with(self, is_free: BoolArray, rows: BoolArray, orders: BoolArray) -> "PackingProblem":
+        """The problem with other free bodies, and with some of the pairs and of the relations."""
+        other = copy.copy(self)
+        other.is_free = is_free
         for name in ("first_body", "second_body", "first", "second", "normals", "apart", "offsets", "_reach"):
-            setattr(fewer, name, getattr(self, name)[rows])
-        kept = np.flatnonzero(~away[self.subjects] & ~away[self.targets])
+            setattr(other, name, getattr(self, name)[rows])
         for name in ("_axes", "_offsets", "subjects", "targets"):
-            setattr(fewer, name, getattr(self, name)[kept])
-        fewer.orders = tuple(self.orders[k] for k in kept)
-        return fewer
+            setattr(other, name, getattr(self, name)[orders])
+        other.orders = tuple(self.orders[k] for k in np.flatnonzero(orders))
+        return other
 
     def near(self, shifts: FloatArray, distance: float) -> tuple[IntArray, FloatArray]:
         """Returns pairs of slabs nearer than a distance, (N,), and how far each is beyond its half-planes, (N, 2M), metres."""

@@ -22,7 +22,9 @@ FREE = 1e-4
 _NEAR = 0.08  # pairs farther apart than this are left out of a step, metres
 _MARGIN = 2e-4  # margin of a directional relation, metres
 _EASE = 2e-4  # keeps the dual strictly concave: metres of violation per unit of price
-_GRADIENT_STEPS, _NEWTON_STEPS, _HALVINGS = 60, 25, 20
+# Newton steps: on a table that is too full, each step needs 20 and more until it is exact, but the next step of the projection sets
+# another problem anyway.
+_GRADIENT_STEPS, _NEWTON_STEPS, _HALVINGS = 60, 8, 20
 _EXACT = 1e-5  # a gradient or a change below this ends the iterations
 _DEAR = 1.0  # a relation of a higher price decides the direction in which its bodies separate
 _ALONG = 0.35  # least cosine between that direction and the relation
@@ -220,7 +222,9 @@ def _solve_step(
     return moved, force
 
 
-def box_dual(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: FloatArray) -> FloatArray:
+def box_dual(
+    matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: FloatArray, steps: int = _NEWTON_STEPS
+) -> FloatArray:
     """Minimises ``½ |A'x|² − b'x`` over ``0 <= x <= upper`` by projected Newton steps (Bertsekas 1982).
 
     Args:
@@ -228,6 +232,7 @@ def box_dual(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: F
         linear: b, (M,).
         upper: Upper bound of x, (M,).
         start: Start values, (M,).
+        steps: Largest number of Newton steps.
 
     Returns:
         x, (M,).
@@ -236,7 +241,7 @@ def box_dual(matrix: FloatArray, linear: FloatArray, upper: FloatArray, start: F
     push = x @ matrix
     gradient = matrix @ push + _EASE * x - linear
     value = 0.5 * float(push @ push + _EASE * (x @ x)) - float(linear @ x)
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(steps):
         held = ((x <= 0) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
         free = np.flatnonzero(~held)
         if not len(free) or np.abs(gradient[free]).max() < _EXACT:

@@ -12,8 +12,10 @@ from stable_data.scene import FloatArray
 
 _STEPS = 16
 _GROWTH_STEPS = 3  # at each size
-_PLACES = 8  # places at which a body that was left out is tried again
+_PLACES, _FEWEST_PLACES = 8, 2  # places at which a body that was left out is tried again
+_TRIES = 160  # in one round; with many bodies there are fewer places for each
 _ROUNDS = 2  # rounds in which all of these are tried
+_NEIGHBOUR, _RINGS = 0.03, 4  # distance of neighbours, metres; rings of them that make room for a body that is put back
 _SHARES = (0.2, 0.4, 0.6)  # shares of the bodies that are left out at first
 
 
@@ -60,13 +62,14 @@ def _without(problem: PackingProblem, aims: FloatArray, out: Sequence[int]) -> t
 def _put_back(problem: PackingProblem, aims: FloatArray, shifts: FloatArray, out: list[int]) -> tuple[FloatArray, list[int]]:
     """Puts bodies that were left out at free places or where others make room, the largest first."""
     for _ in range(_ROUNDS):
-        before = len(out)
+        before, places = len(out), max(_FEWEST_PLACES, min(_PLACES, _TRIES // max(1, len(out))))
         for k in sorted(out, key=lambda k: _room(problem, k)):
             others = problem.without([b for b in out if b != k])
-            for place in least_blocked_place(others, shifts, aims, k, _PLACES):
+            for place in least_blocked_place(others, shifts, aims, k, places):
                 there = shifts.copy()
                 there[k] = place
-                moved, is_separated = project(others, there, there, _STEPS, RELEASED)
+                around = others.around(k, there, _NEIGHBOUR, _RINGS)
+                moved, is_separated = project(around, there, there, _STEPS, RELEASED)
                 if is_separated:
                     shifts, out = moved, [b for b in out if b != k]
                     break

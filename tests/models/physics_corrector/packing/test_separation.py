@@ -37,7 +37,7 @@ def test_the_dual_is_solved_whatever_it_starts_from(seed: int, num_rows: int, nu
     matrix, linear = rng.normal(size=(num_rows, num_columns)), rng.normal(size=num_rows)
     upper = rng.uniform(0.1, 3.0, num_rows)
     for start in (np.zeros(num_rows), rng.uniform(0.0, 5.0, num_rows)):
-        x = box_dual(matrix, linear, upper, start)
+        x = box_dual(matrix, linear, upper, start, 200)
         gradient = matrix @ (x @ matrix) - linear + 2e-4 * x
         assert (x >= 0).all()
         assert (x <= upper).all()
@@ -62,6 +62,21 @@ def test_a_relation_that_was_given_up_is_won_back() -> None:
     assert not crowd.broken(shifts).any()
     assert is_free_of_overlap(crowd, shifts)
     assert np.abs(shifts).max() < 0.01
+
+
+def test_only_the_bodies_around_one_make_room_for_it() -> None:
+    """A row of squares, of which each touches the next: two rings around the third are the first five."""
+    places = np.column_stack([0.1 + 0.11 * np.arange(8), np.full(8, 0.3)])
+    crowd = crowd_of([(0.1, 0.1)] * 8, places, (1.2, 0.6), (order(0, 7, RelationKind.LEFT_OF, places),))
+    around = crowd.around(2, np.zeros((8, 2)), 0.03, 2)
+    assert np.flatnonzero(around.is_free).tolist() == [0, 1, 2, 3, 4]
+    assert len(around.orders) == 1
+    there = np.zeros((8, 2))
+    there[2] = (0.05, 0.0)
+    shifts, is_parted = project(around, there, there, 16)
+    assert is_parted
+    np.testing.assert_array_equal(shifts[5:], 0.0)
+    assert is_free_of_overlap(crowd, shifts)
 
 
 def test_bodies_that_are_without_leave_no_trace() -> None:
