@@ -12,8 +12,9 @@ from stable_data.geometry.sdf import build as build_module
 from stable_data.geometry.sdf.build import GridLimits, build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 
-LIMITS = GridLimits(min_nodes=32**3, max_nodes=48**3)
-"""Resolution of the grids: coarser than those of preprocess, because the exact audit judges the result."""
+LIMITS = GridLimits(min_nodes=32**3, max_nodes=80**3)
+"""Resolution of the grids: coarser than those of preprocess, because the exact audit judges the result, but with nodes inside of
+placemats and magazines."""
 
 _FIGURES = ("spacing", "extent", "shell_thickness", "wall_thickness", "mean_error", "max_error", "far_error", "sign_error")
 
@@ -23,20 +24,22 @@ class ContactGrids:
 
     Args:
         folder: Keeps the grids; None keeps them in memory alone.
-        most: Grids in memory, 0.2 MB each.
+        max_bytes: Grids in memory; 0.1 to 1 MB each.
     """
 
-    def __init__(self, folder: Path | None = None, most: int = 2_000) -> None:
-        self._files, self._most = ArrayFiles(folder), most
+    def __init__(self, folder: Path | None = None, max_bytes: int = 2**28) -> None:
+        self._files, self._max_bytes = ArrayFiles(folder), max_bytes
         self._grids: OrderedDict[str, SdfGrid] = OrderedDict()
+        self._num_bytes = 0
 
     def grid(self, mesh: Mesh, steps: tuple[int, int, int], *, is_sheet: bool) -> SdfGrid:
         """Returns the grid of a repaired mesh at an aspect in steps (``stable_data.assets.store.aspect_steps``)."""
         key = _digest(mesh, steps, is_sheet)
         if key not in self._grids:
-            while len(self._grids) >= self._most:
-                self._grids.popitem(last=False)
-            self._grids[key] = self._read(key) or self._built(key, mesh, steps, is_sheet)
+            self._grids[key] = grid = self._read(key) or self._built(key, mesh, steps, is_sheet)
+            self._num_bytes += grid.values.nbytes
+            while self._num_bytes > self._max_bytes and len(self._grids) > 1:
+                self._num_bytes -= self._grids.popitem(last=False)[1].values.nbytes
         self._grids.move_to_end(key)
         return self._grids[key]
 

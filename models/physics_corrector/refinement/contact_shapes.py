@@ -22,7 +22,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import surface_points
 from stable_data.scene import FloatArray, QuatXyzw, Scene, Vec3
 
-_NUM_SAMPLES = 512  # samples of a shape
+_NUM_SAMPLES = 1024  # samples of a shape
 _NUM_CORNERS = 160  # of these at most so many are corners of its convex hull, which touch first
 _NUM_SIDES = 32  # corners of an outline
 _MOST_UNITS = 5_000  # shapes of scale 1 in memory, 8 kB each

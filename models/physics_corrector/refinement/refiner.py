@@ -14,6 +14,8 @@ from torch import Tensor
 
 from models.device_batches import DeviceBatches
 from models.physics_corrector.certify import constants
+from models.physics_corrector.certify.mesh_queries import MeshQueries
+from models.physics_corrector.certify.resting_pose import is_at_rest
 from models.physics_corrector.certify.support_inference import expected_carriers
 from models.physics_corrector.refinement.contact_shapes import ContactShapeCache
 from models.physics_corrector.refinement.problem import RefinementProblem
@@ -111,14 +113,21 @@ class Refiner:
 
         Returns:
             One result per layout, in order; it depends on the other layouts only by rounding. None if a mesh of a layout gives no
-            grid or samples.
+            grid or samples, or if the objects do not fit on the table.
         """
-        return self._run(layouts, self._refined_batch)
+        return self._run(layouts, self._refined_batch, _may_fit)
 
-    def _run(self, layouts: Sequence[LayoutToRefine], compute: Callable[[Sequence[LayoutToRefine]], list[T]]) -> list[T | None]:
-        """Computes something of each layout in batches; None where a mesh gives no grid or samples, or there is no object."""
+    def _run(
+        self,
+        layouts: Sequence[LayoutToRefine],
+        compute: Callable[[Sequence[LayoutToRefine]], list[T]],
+        suits: Callable[[LayoutToRefine], bool] = lambda _: True,
+    ) -> list[T | None]:
+        """Computes something of each layout that suits, in batches; None for others, without objects, or without grid or samples."""
         usable = [
-            k for k, layout in enumerate(layouts) if layout.scene.objects and self.has_shapes(layout.scene, layout.shapes)
+            k
+            for k, layout in enumerate(layouts)
+            if layout.scene.objects and suits(layout) and self.has_shapes(layout.scene, layout.shapes)
         ]
         found: list[T | None] = [None] * len(layouts)
         for k, result in zip(usable, self._batches.run([layouts[k] for k in usable], compute), strict=True):
@@ -138,11 +147,13 @@ class Refiner:
         done: dict[int, RefinedLayout] = {}
         now = list(layouts)
         left = list(range(len(layouts)))
+        resting: list[Set[str]] = []
         for clearance, iterations in _ROUNDS:
             some, origins = [now[b] for b in left], [layouts[b].scene for b in left]
             shapes, fixed = [one.shapes for one in some], [one.fixed for one in some]
             problem = RefinementProblem.of([one.scene for one in some], shapes, fixed, origins, self._cache).to(self._device)
-            poses = refine_poses(problem, clearance, iterations)
+            resting = resting or _resting_exactly(problem, some)
+            poses = refine_poses(problem, clearance, iterations, _marked(problem, some, [resting[b] for b in left]))
             keeps_order, steady = _keeps_order(poses, problem), _steadiness(poses, problem)
             found = poses.double().cpu().numpy()
             for row, b in enumerate(left):
@@ -170,13 +181,14 @@ class Refiner:
         )
 
 
-def refine_poses(problem: RefinementProblem, clearance: float, iterations: int) -> Tensor:
+def refine_poses(problem: RefinementProblem, clearance: float, iterations: int, resting: Tensor | None = None) -> Tensor:
     """Rests what is carried and separates the bodies.
 
     Args:
         problem: The scenes.
         clearance: Wanted distance of bodies, metres.
         iterations: Largest number of steps of the separation.
+        resting: Objects that are known to rest on their carriers, (B * N,) bool: they stay there.
 
     Returns:
         Refined poses, (B, N, 4) float32.
@@ -184,7 +196,7 @@ def refine_poses(problem: RefinementProblem, clearance: float, iterations: int) 
     poses = stand_on_table(problem.layout.poses, problem)
     carried = problem.carried
     if bool(carried.any()):
-        moving = unrested(poses, problem, carried)
+        moving = unrested(poses, problem, carried if resting is None else carried & ~resting)
         if bool(moving.any()):
             poses = step_aside(poses, problem, moving, _ASIDE_CLEARANCE, _ASIDE_STEPS)
             poses = lower_onto(poses, problem, moving)[0]
@@ -208,6 +220,48 @@ def _steadied(poses: Tensor, problem: RefinementProblem, moving: Tensor) -> Tens
         poses = step_aside(poses, problem, tipping, _ASIDE_CLEARANCE, _ASIDE_STEPS)
         poses = lower_onto(poses, problem, tipping)[0]
     return poses
+
+
+def _may_fit(layout: LayoutToRefine) -> bool:
+    """Whether the footprints of what stands on the table cover at most the table; else only leaving out objects helps."""
+    carried = expected_carriers(layout.scene)
+    covered = 0.0
+    for k, (o, shape) in enumerate(zip(layout.scene.objects, layout.shapes, strict=True)):
+        if k not in carried and o.support in (None, TABLE):
+            x, y = shape.footprint.T
+            covered += abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+    return covered <= float(np.prod(layout.scene.table.size_xy))
+
+
+def _resting_exactly(problem: RefinementProblem, layouts: Sequence[LayoutToRefine]) -> list[Set[str]]:
+    """The objects of each layout that rest on what is below them by their meshes, although by their grids they may not.
+
+    Grids have errors of tenths of a millimetre, which would move a pen that leans in its cup to a place where it does not.
+    """
+    num_slots = problem.layout.mask.shape[1]
+    poses = stand_on_table(problem.layout.poses, problem)
+    suspects = unrested(poses, problem, problem.carried).view(-1, num_slots).nonzero().tolist()
+    roots, stood = problem.forest.root.view(-1, num_slots).tolist(), poses.double().cpu().numpy()
+    found: list[Set[str]] = []
+    for b, layout in enumerate(layouts):
+        objects, numbers = layout.scene.objects, [k for row, k in suspects if row == b]
+        meshes = MeshQueries([s if s.is_exact else Shape(s.vertices, s.faces) for s in layout.shapes]) if numbers else None
+        rest = set()
+        for k in numbers:
+            beside = [j for j in range(len(objects)) if j != k and roots[b][j] == roots[b][k]]
+            if meshes is not None and is_at_rest(meshes, stood[b], k, stood[b, k], beside):
+                rest.add(objects[k].instance)
+        found.append(rest)
+    return found
+
+
+def _marked(problem: RefinementProblem, layouts: Sequence[LayoutToRefine], names: Sequence[Set[str]]) -> Tensor:
+    """The objects of layouts that are among the names of each, (M,) bool."""
+    marked = torch.zeros(problem.layout.mask.shape, dtype=torch.bool)
+    for b, (layout, own) in enumerate(zip(layouts, names, strict=True)):
+        for k, o in enumerate(layout.scene.objects):
+            marked[b, k] = o.instance in own
+    return marked.reshape(-1).to(problem.mobility.device)
 
 
 def _keeps_order(poses: Tensor, problem: RefinementProblem) -> list[bool]:

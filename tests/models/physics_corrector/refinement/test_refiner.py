@@ -9,6 +9,7 @@ import pytest
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import SolvedBy
 from models.physics_corrector.corrector import PhysicsCorrector, Polish
+from models.physics_corrector.refinement import refiner
 from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout, Refiner
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.geometry.mesh import Mesh
@@ -55,6 +56,34 @@ def test_a_clean_scene_and_fixed_objects_stay_bit_by_bit() -> None:
     assert found.scene["plate"] is CROWDED["plate"]
 
 
+def test_what_rests_by_its_mesh_stays_whatever_its_grid_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grids have errors: here each carried object counts as not at rest, and only the ball does float."""
+    stack = scene(
+        thing("plate", (0.4, 0.4, 0.005, 0.2), support="table"),
+        thing("cube_0", (0.4, 0.4, 0.06, 0.0), support="plate"),
+        thing("cube_1", (0.6, 0.4, 0.05, 0.0), support="table"),
+        thing("ball", (0.61, 0.4, 0.17, 0.0), support="cube_1"),
+    )
+    monkeypatch.setattr(refiner, "unrested", lambda poses, problem, carried: carried)
+    found = refined(stack)
+    assert found.scene["cube_0"] is stack["cube_0"]
+    assert found.scene["ball"].position[2] == pytest.approx(0.15, abs=5e-4)
+
+
+@pytest.mark.parametrize("thickness", [0.02, 0.1])
+def test_thin_mats_lie_on_each_other(thickness: float) -> None:
+    """0.4 m wide, and 2 or 10 mm thick: nodes of a coarser grid would all be outside."""
+    scale = (2.0, 2.0, 10 * thickness)
+    height = SHAPES["plate"].size[2] * scale[2]
+    mats = scene(
+        thing("plate_0", (0.4, 0.4, height / 2, 0.0), scale=scale, support="table"),
+        thing("plate_1", (0.42, 0.41, height / 2 + 0.02, 0.1), scale=scale, support="plate_0"),
+    )
+    found = refined(mats)
+    assert found.is_solved
+    assert found.scene["plate_1"].position[2] == pytest.approx(1.5 * height, abs=4e-4)
+
+
 def test_a_scene_is_refined_alone_as_among_others() -> None:
     layouts = [LayoutToRefine(of, shapes_of(of)) for of in (CLEAN, CROWDED, CLEAN)]
     among = REFINER.refine(layouts)[1]
@@ -63,10 +92,17 @@ def test_a_scene_is_refined_alone_as_among_others() -> None:
 
 
 def test_what_cannot_become_clean_is_not_solved() -> None:
-    full = scene(*(thing(f"plate_{k}", (0.5, 0.4, 0.005, 0.1 * k), support="table") for k in range(40)))
-    found = refined(full)
+    stuck = scene(*(thing(f"plate_{k}", (0.5, 0.4, 0.005, 0.1 * k), support="table") for k in range(3)))
+    found = refined(stuck, fixed=frozenset({"plate_0", "plate_1", "plate_2"}))
     assert not found.is_solved
     assert found.audit.card().clean is False
+
+
+def test_an_overfull_table_is_left_to_certification() -> None:
+    full = scene(*(thing(f"plate_{k}", (0.5, 0.4, 0.005, 0.1 * k), support="table") for k in range(40)))
+    assert REFINER.refine([LayoutToRefine(full, shapes_of(full))]) == [None]
+    (done,) = PhysicsCorrector(refiner=REFINER, polish="verify").correct([full], store())
+    assert done.status is CorrectionStatus.UNCLEAN
 
 
 def test_a_lost_carrier_is_not_solved() -> None:
@@ -139,3 +175,11 @@ def test_grids_are_read_from_their_files_and_built_again_if_these_are_broken(tmp
     assert file.stat().st_size > 1000
     ContactGrids(tmp_path).grid(mesh, (1, 0, 0), is_sheet=False)
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_few_grids_stay_in_memory(tmp_path: Path) -> None:
+    grids = ContactGrids(tmp_path, max_bytes=1)
+    meshes = [Mesh(SHAPES[name].vertices, SHAPES[name].faces) for name in ("cup", "cube")]
+    first = [grids.grid(mesh, (0, 0, 0), is_sheet=False) for mesh in meshes]
+    assert len(grids._grids) == 1
+    assert np.array_equal(grids.grid(meshes[0], (0, 0, 0), is_sheet=False).values, first[0].values)
