@@ -4,7 +4,8 @@
 in the MesaTask-10K format, a preprocess run or a generate run. The start layouts are those of the file, or of a kind: ``shaken``
 (scenes of the folder, perturbed until their collisions fill the buckets), ``given`` (the scenes themselves), ``perturbed`` (held-out
 scenes of a preprocess run with each kind of error of the training), ``proposed`` and ``proposed_whole`` (the layouts of each stage of a
-generate run before their correction, or the last ones alone).
+generate run before their correction, or the last ones alone), ``dropped`` and ``dropped_whole`` (the same after the stage's new objects
+were dropped onto their carriers, as generation does first).
 
 Methods: ``flow``, ``refine``, ``certify`` and their combinations, and the optimisers. Every verdict is the exact audit's, at 0.5 mm, on
 the result of a method; its own verdict is the column ``done``. ``start`` is the layout itself. With ``--given``, the corrector knows
@@ -68,6 +69,7 @@ from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, settle
 from stable_data.storage.run_folder import RunFolder
 
 _START = "start"
+_KINDS = ("shaken", "given", "perturbed", "proposed", "proposed_whole", "dropped", "dropped_whole")
 _TIMED = ("certify", "flow + certify", "refine + certify", "flow + refine + certify")
 _OBLIQUE = math.radians(5)  # a tilt that is this far from every right angle
 
@@ -351,10 +353,11 @@ def chosen_layouts(
         found = [StartLayout(scene, None, "", 0) for scene in readable_scenes(MesaTaskDataset(Path(place)))]
     elif kind == "perturbed":
         found = list(perturbed_layouts(held_out_scenes(place, per_bucket), store, PerturbationSettings()))
-    elif kind in ("proposed", "proposed_whole"):
-        found = list(proposed_layouts(RunFolder(place), is_whole=kind == "proposed_whole"))
+    elif kind in ("proposed", "proposed_whole", "dropped", "dropped_whole"):
+        drops = store if kind.startswith("dropped") else None
+        found = list(proposed_layouts(RunFolder(place), is_whole=kind.endswith("whole"), store=drops))
     else:
-        raise ConfigError(f"kind is {kind!r}, expected shaken, given, perturbed, proposed or proposed_whole", "config_invalid")
+        raise ConfigError(f"kind is {kind!r}, expected one of {', '.join(_KINDS)}", "config_invalid")
     found = found[::every]
     buckets = dict.fromkeys(layout.bucket for layout in found)
     return [layout for bucket in buckets for layout in [x for x in found if x.bucket == bucket][:per_bucket]]
@@ -363,9 +366,7 @@ def chosen_layouts(
 def main(
     place: Annotated[str, typer.Argument(help="Folder in the MesaTask-10K format, preprocess run or generate run.")],
     layouts: Annotated[Path | None, typer.Option(help="File of start layouts over the meshes of PLACE.")] = None,
-    kind: Annotated[
-        str, typer.Option(help="Without a file: shaken, given, perturbed, proposed or proposed_whole layouts of PLACE.")
-    ] = "shaken",
+    kind: Annotated[str, typer.Option(help=f"Without a file, layouts of PLACE: {', '.join(_KINDS)}.")] = "shaken",
     per_bucket: Annotated[int, typer.Option(help="Layouts of each bucket, or of each kind of error.")] = 4,
     every: Annotated[int, typer.Option(min=1, help="Only every n-th layout.")] = 1,
     method: Annotated[list[str] | None, typer.Option(help="A baseline, or parts of the corrector; all by default.")] = None,

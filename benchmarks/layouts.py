@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from models.physics_corrector.geometry.scene_batch import LayoutBatch, pad_scenes
+from models.physics_corrector.stabilization.drop_simulation import drop_new_objects
 from models.physics_corrector.training.dataset import clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings, perturb
 from stable_data.assets.store import AssetStore
@@ -183,12 +184,14 @@ def perturbed_layouts(
             yield StartLayout(clean.with_poses(at[: len(own)]), clean, kind, 0)
 
 
-def proposed_layouts(run: RunFolder, *, is_whole: bool = False) -> Iterator[StartLayout]:
+def proposed_layouts(run: RunFolder, *, is_whole: bool = False, store: AssetStore | None = None) -> Iterator[StartLayout]:
     """Reads the layouts of each stage of a generate run before its correction; objects have the tilts of the finished scene.
 
     Args:
         run: The run.
         is_whole: Whether only the last stage of each scene is read.
+        store: Meshes of the assets, to drop the objects of the stage onto and into their carriers, as generation does before
+            its correction; None leaves them where they were proposed.
 
     Yields:
         The layouts, without a target; those with objects that the finished scene does not have are left out.
@@ -210,6 +213,9 @@ def proposed_layouts(run: RunFolder, *, is_whole: bool = False) -> Iterator[Star
         on = {r.subject: r.target for r in carried}
         standing = tuple(replace(o, support=on.get(o.instance, TABLE)) for o in moved)
         layout = replace(scene, scene_id=f"{scene.scene_id}, {turn['stage']}", objects=standing, relations=carried)
+        if store is not None:
+            new = {o.instance for o in layout.objects if str(o.stage) == turn["stage"]}
+            layout = drop_new_objects(store.resolved(layout)[0], new, frozenset(), store).scene
         yield StartLayout(layout, None, str(turn["stage"]), 0)
 
 
