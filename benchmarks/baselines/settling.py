@@ -14,7 +14,7 @@ from stable_data.simulation.scene_geometry import object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, settle
 
 _AT_REST = 1e-3  # largest move during the watched time, metres
-_OPTIONS = PhysicsOptions(settle_seconds=2.5, watch_seconds=0.1)
+_OPTIONS = PhysicsOptions(settle_seconds=2.5, watch_seconds=0.1, rest_move=0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleRes
 MAX_PENETRATION_MM = 0.4
 """Deepest contact of an accepted scene, below the 0.5 mm up to which the audit counts a scene as clean."""
 
-_SETTLE = PhysicsOptions(settle_seconds=2.0, watch_seconds=0.02, rest_speed=1e-3)
+_SETTLE = PhysicsOptions(settle_seconds=2.0, watch_seconds=0.02, rest_speed=1e-3, rest_move=0.0)
 _REST = PhysicsOptions(settle_seconds=0.4, watch_seconds=0.6, rest_move=0.0)
 _MAX_MOVE_MM, _MAX_TURN_DEG = 0.3, 0.3  # largest movement of an object at rest during the simulation _REST
 _SNAP = 1.5e-4  # a settled tilt becomes the planned one if no corner of the box moves farther, metres

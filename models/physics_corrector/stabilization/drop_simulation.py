@@ -34,7 +34,7 @@ from stable_data.simulation.settling import PhysicsOptions, settle
 
 # Tuned on: not recorded.
 _SIMULATION = PhysicsOptions(
-    settle_seconds=1.5, watch_seconds=0.02, rest_speed=2e-3
+    settle_seconds=1.5, watch_seconds=0.02, rest_speed=2e-3, rest_move=0.0
 )  # times in seconds, speed in metres a second
 _INSET = 0.01  # the centre of a dropped object starts at least this far inside its carrier's outline, metres
 _SAME_TILT = 1.5e-4  # a turn that moves no corner of the box farther than this counts as no change of tilt, metres
