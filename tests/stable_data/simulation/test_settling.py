@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from stable_data.geometry.mesh import Mesh
@@ -162,9 +163,9 @@ def ends_after(path: Iterable[FloatArray], *, so_far: FloatArray | None = None) 
     return next((number for number, pose in enumerate(path, 1) if calm.has_come(pose)), None)
 
 
-def at_x(distances: FloatArray) -> FloatArray:
+def at_x(distances: npt.ArrayLike) -> FloatArray:
     """A path along x, (T, 1, 7), from distances (T,), metres."""
-    path = np.repeat(AT_REST[None], len(distances), 0)
+    path = np.repeat(AT_REST[None], len(np.asarray(distances)), 0)
     path[:, 0, 0] += distances
     return path
 
