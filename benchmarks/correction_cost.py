@@ -37,6 +37,7 @@ from benchmarks.audit import readable_scenes
 from benchmarks.baselines.outcome import Baseline
 from benchmarks.corrector_parts import corrector_parts
 from benchmarks.layouts import shaken
+from benchmarks.text_table import align_columns
 from models.physics_corrector.geometry.scene_batch import LayoutBatch, pad_scenes
 from models.physics_corrector.training.perturbation import PerturbationSettings, perturb
 from stable_data.assets.store import AssetStore
@@ -53,14 +54,7 @@ SIZES = (5, 8, 12, 18, 27, 40, 60)
 _METHODS = ("certify", "flow + certify")
 _TYPICAL = 15  # number of objects
 _OCCUPANCY = 0.3  # total footprint of the objects on the table over its area
-_FULL = (
-    (60, 0.6),
-    (60, 0.8),
-    (60, 1.0),
-    (60, 1.5),
-    (200, 1.0),
-    (200, 2.0),
-)  # numbers of objects and occupancies of full tables
+_FULL = {60: (0.6, 0.8, 1.0, 1.5), 200: (1.0, 2.0)}  # occupancies of full tables by number of objects
 _SHAKE = 0.04  # standard deviation of x and y, metres
 _LAYOUTS = 3  # layouts of each number of objects
 
@@ -156,10 +150,10 @@ class Bench:
     def full_tables(self) -> list[tuple[float, Scene]]:
         """Returns layouts on tables that are almost or too full, with their occupancies."""
         rng = np.random.default_rng(1)
-        return [(share, shaken(crowd(self.scenes, n, rng, share), _SHAKE, rng)) for n, share in _FULL]
+        return [(s, shaken(crowd(self.scenes, n, rng, s), _SHAKE, rng)) for n, shares in _FULL.items() for s in shares]
 
     def cost(self, name: str, scene: Scene, occupancy: float | None = None) -> Cost:
-        """Measures a method on a scene."""
+        """Measures a method on a scene of an occupancy."""
         scene, shapes, _ = self._store.resolved(scene)
         done = self._methods[name].correct(scene, shapes, self._store)
         num_dropped = len(shapes) - len(done.scene.objects)
@@ -287,9 +281,8 @@ def main(
     growth = [cost for name in bench.methods for cost in bench.costs(name, tqdm(crowds, desc=name, unit="scene"))]
     print(growth_table(growth))
     full = [bench.cost("certify", scene, share) for share, scene in tqdm(bench.full_tables(), desc="full tables", unit="scene")]
-    print(f"{'objects':>7}{'occupancy':>11}{'s':>8}{'left out':>10}{'clean':>7}")
-    for c in full:
-        print(f"{c.num_objects:>7}{c.occupancy:>11.0%}{c.seconds:>8.1f}{c.num_dropped:>10}{c.is_clean!s:>7}")
+    rows = [[str(c.num_objects), f"{c.occupancy:.0%}", f"{c.seconds:.1f}", str(c.num_dropped), str(c.is_clean)] for c in full]
+    print(align_columns([["objects", "occupancy", "s", "left out", "clean"], *rows], 0))
     if file is not None:
         figures = {"throughput": [asdict(rate) for rate in rates]}
         figures |= {"growth": [asdict(cost) for cost in growth], "full": [asdict(cost) for cost in full]}

@@ -278,7 +278,7 @@ def _with_carriers(scene: Scene, shapes: Sequence[Shape]) -> Scene:
     """Returns a scene whose objects all have a support: where one is unknown, those that the layout suggests."""
     if all(o.support is not None for o in scene.objects):
         return scene
-    meshes = MeshQueries([s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes])
+    meshes = MeshQueries([s.as_mesh() for s in shapes])
     choices = infer_carriers(meshes, scene.poses(), expected_carriers(scene))
     names = [o.instance for o in scene.objects]
     carriers = [TABLE if choice[0].parent == TABLE_TOP else names[choice[0].parent] for choice in choices]

@@ -96,8 +96,7 @@ class LearnedFlow:
                     "checkpoint_mismatch",
                 )
             _check_encoder(checkpoint, "encoder", "none" if encoder is None else encoder.fingerprint())
-        has_codes = encoder is not None and checkpoint.settings.network.num_features
-        self._codes = ShapeCodes(encoder.to(device), codes) if encoder is not None and has_codes else None
+        self._codes = ShapeCodes(encoder.to(device), codes) if encoder is not None and num_features else None
         if checkpoint.settings.network.num_texts:
             _check_encoder(checkpoint, "text_encoder", "none" if text_encoder is None else text_encoder.fingerprint)
 

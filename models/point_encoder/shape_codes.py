@@ -40,7 +40,7 @@ class ShapeCodes:
             MeshError: A shape has no surface.
         """
         wanted = {self._key(shape): shape for shape in shapes}
-        new = {key: shape for key, shape in wanted.items() if key not in self._codes and not self._read(key)}
+        new = {key: shape for key, shape in wanted.items() if key not in self._codes and not self._load(key)}
         if len(self._codes) + len(new) > _MOST:
             self._codes = {key: self._codes[key] for key in wanted.keys() - new.keys()}
         clouds = [PointCloud.of_shape(self._unit_shape(s), self._encoder.preprocessing.num_points) for s in new.values()]
@@ -50,8 +50,8 @@ class ShapeCodes:
         codes = [self._codes[self._key(shape)] for shape in shapes]
         return np.array(codes, np.float32).reshape(-1, FEATURE_CHANNELS)
 
-    def _read(self, key: str) -> bool:
-        """Reads the feature of a key from its file, if there is a usable one."""
+    def _load(self, key: str) -> bool:
+        """Loads the feature of a key from its file; returns whether there is a usable one."""
         found = (self._files.read(key) or {}).get("code")
         if found is None or found.shape != (FEATURE_CHANNELS,) or found.dtype != np.float32 or not np.isfinite(found).all():
             return False

@@ -49,6 +49,10 @@ class Shape:
         """Creates the box that replaces a missing mesh, metres."""
         return cls(_BOX_CORNERS * np.asarray(size), _BOX_FACES, is_exact=False)
 
+    def as_mesh(self) -> "Shape":
+        """Returns the shape as if its geometry were known: a box that replaces a mesh counts as that box."""
+        return self if self.is_exact else Shape(self.vertices, self.faces)
+
     @cached_property
     def size(self) -> FloatArray:
         """Extent of the box, (3,) float64, metres, yaw frame."""

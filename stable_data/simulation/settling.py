@@ -39,9 +39,8 @@ _TURN_ARM = 0.05  # metres; turning counts as the speed of a point at this dista
 # A simulation ends early by the movement of the objects in this time, if all are within this share of the limits: an object that
 # creeps may suddenly slip by a few millimetres.
 _CALM_SECONDS, _CALM_SHARE = 0.2, 0.5
-_IMPACT_SECONDS = (
-    0.1  # after the start, in which contacts take up the weights; this does not count as movement that becomes slower
-)
+# In this time after the start contacts take up the weights; that is no movement that becomes slower.
+_IMPACT_SECONDS = 0.1
 _MAX_CACHED_BYTES = 64 * 2**20  # hulls that MuJoCo keeps for further models: about 5,000
 _FLATTEST = 1e-6  # parts thinner than this share of their length (or 1 µm) have no volume to collide with, and are left out
 
@@ -184,16 +183,13 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         penetration = float(max(0.0, -data.contact.dist.min())) if data.ncon else 0.0
-        calm = Calm(start, options, options.settle_seconds + options.watch_seconds)
-        settled = _simulate(model, data, options.settle_seconds, options, options.rest_speed, calm)
+        settled = _simulate(model, data, options.settle_seconds, options, options.rest_speed, Calm.of_settling(start, options))
         path = np.concatenate([start[None], settled])
         if not np.isfinite(path).all() or (options.stops_early and _instability_reason(names, *_largest_movement(path), 0.0)):
             watched = settled[:0]
         else:
             enable_sleeping(model, options)  # not before: a body that begins to fall is as slow as one at rest
-            watched = _simulate(
-                model, data, options.watch_seconds, options, calm=Calm(start, options, options.watch_seconds, path)
-            )
+            watched = _simulate(model, data, options.watch_seconds, options, calm=Calm.of_watch(path, options))
     if not (np.isfinite(path).all() and np.isfinite(watched).all()):
         return _diverged(names, np.concatenate([path, watched])[:-1], penetration)  # the last sample is NaN
     return _verdict(names, path, watched, penetration, options)
@@ -342,26 +338,40 @@ class Calm:
     """Decides when a simulation can end, because its verdict will hardly change any more: see ``PhysicsOptions.rest_move``.
 
     Args:
-        start: Poses at the start, (N, 7) float64: position, quaternion in any order.
+        path: Poses so far, (T, N, 7) float64, from the start: position in metres, quaternion in any order.
         options: Settings.
         seconds: Simulated time from now to the end.
-        path: Poses so far, (T, N, 7); by default the start alone.
+        ignored: Time from now whose movement does not tell how fast objects become, seconds.
     """
 
-    def __init__(self, start: FloatArray, options: PhysicsOptions, seconds: float, path: FloatArray | None = None) -> None:
-        self._start, self._rest_move, self._interval = start, options.rest_move, options.sample_seconds
+    def __init__(self, path: FloatArray, options: PhysicsOptions, seconds: float, ignored: float = 0.0) -> None:
+        self._start, self._rest_move, self._interval = path[0], options.rest_move, options.sample_seconds
         self._seconds_left = seconds
         self._window = round(_CALM_SECONDS / options.sample_seconds)
-        self._moves, self._turns = _largest_movement(start[None] if path is None else path)
-        self._wait = round(_IMPACT_SECONDS / options.sample_seconds) if path is None else 0
+        self._moves, self._turns = _largest_movement(path)
+        self._wait = round(ignored / options.sample_seconds)
         self._recent: deque[FloatArray] = deque(maxlen=self._window + 1)
         self._shifts: deque[float] = deque(maxlen=self._window + 1)
+
+    @classmethod
+    def of_settling(cls, start: FloatArray, options: PhysicsOptions, seconds: float | None = None) -> "Calm":
+        """For a simulation that begins at poses (N, 7) and takes so many seconds; by default those of settling and watch."""
+        whole = options.settle_seconds + options.watch_seconds
+        return cls(start[None], options, whole if seconds is None else seconds, _IMPACT_SECONDS)
+
+    @classmethod
+    def of_watch(cls, path: FloatArray, options: PhysicsOptions) -> "Calm":
+        """For the watch after a path (T, N, 7)."""
+        return cls(path, options, options.watch_seconds)
 
     def has_come(self, pose: FloatArray) -> bool:
         """Whether the simulation can end; called once a sample, with the latest poses (N, 7)."""
         self._seconds_left -= self._interval
         moves, turns = _largest_movement(np.stack([self._start, pose]))
         self._moves, self._turns = np.maximum(self._moves, moves), np.maximum(self._turns, turns)
+        is_near = (self._moves < _CALM_SHARE * MOVE_LIMIT).all() and (self._turns < _CALM_SHARE * TURN_LIMIT).all()
+        if not (self._rest_move and is_near):  # neither comes back
+            return False
         self._wait -= 1
         if self._wait < 0:
             self._recent.append(pose)
@@ -374,8 +384,6 @@ class Calm:
             len(self._shifts) > self._window
             and self._shifts[-1] / _CALM_SECONDS * self._seconds_left < self._rest_move
             and self._shifts[-1] <= self._shifts[0]  # what begins to fall is slow, but becomes faster
-            and self._moves.max(initial=0.0) < _CALM_SHARE * MOVE_LIMIT
-            and self._turns.max(initial=0.0) < _CALM_SHARE * TURN_LIMIT
         )
 
 

@@ -82,7 +82,7 @@ class Certifier:
             raise SceneError(f"{scene.scene_id}: fixed {unknown} are not in the scene, expected its instances", "fixed_unknown")
         self.scene, self.options, self.original = scene, options, original or scene
         self._given = shapes
-        self.shapes = [s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes]
+        self.shapes = [s.as_mesh() for s in shapes]
         self.meshes = MeshQueries(self.shapes, options.depth)
         self.search: LayoutSearch | None = None
 

@@ -115,8 +115,8 @@ class PackingProblem:
         """Returns the problem without the constraints of some bodies; these stay where they are."""
         there = np.ones(len(self.stiffness), bool)
         there[list(gone)] = False
-        is_constraint = there[self.first_body] & there[self.second_body], there[self.subjects] & there[self.targets]
-        return self._with(self.is_free & there, *is_constraint)
+        rows, orders = there[self.first_body] & there[self.second_body], there[self.subjects] & there[self.targets]
+        return self._with(self.is_free & there, rows, orders)
 
     def around(self, k: int, shifts: FloatArray, distance: float, rings: int) -> "PackingProblem":
         """Returns the problem in which only a body and those around it may move.
@@ -127,18 +127,19 @@ class PackingProblem:
             distance: Slabs nearer than this are neighbours, metres.
             rings: 1: the neighbours may move; 2: their neighbours too, and so on.
         """
-        rows = self.near(shifts, distance)[0]
-        first, second = self.first_body[rows], self.second_body[rows]
+        near = self.near(shifts, distance)[0]
+        first, second = self.first_body[near], self.second_body[near]
         moves = np.arange(len(self.stiffness)) == k
         for _ in range(rings):
-            touched = self.is_free & moves
-            moves = moves | np.isin(np.arange(len(moves)), np.concatenate([second[touched[first]], first[touched[second]]]))
-        moves &= self.is_free
-        is_constraint = moves[self.first_body] | moves[self.second_body], moves[self.subjects] | moves[self.targets]
-        return self._with(moves, *is_constraint)
+            inner = moves.copy()
+            moves[second[inner[first]]] = True
+            moves[first[inner[second]]] = True
+            moves &= self.is_free
+        rows, orders = moves[self.first_body] | moves[self.second_body], moves[self.subjects] | moves[self.targets]
+        return self._with(moves, rows, orders)
 
     def _with(self, is_free: BoolArray, rows: BoolArray, orders: BoolArray) -> "PackingProblem":
-        """The problem with other free bodies, and with some of the pairs and of the relations."""
+        """The problem with other free bodies (B,), and with some of the pairs (E,) and of the relations (K,)."""
         other = copy.copy(self)
         other.is_free = is_free
         for name in ("first_body", "second_body", "first", "second", "normals", "apart", "offsets", "_reach"):

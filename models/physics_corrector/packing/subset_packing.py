@@ -12,8 +12,8 @@ from stable_data.scene import FloatArray
 
 _STEPS = 16
 _GROWTH_STEPS = 3  # at each size
-_PLACES, _FEWEST_PLACES = 8, 2  # places at which a body that was left out is tried again
-_TRIES = 160  # in one round; with many bodies there are fewer places for each
+# Places at which a body that was left out is tried again: the most and the fewest, so that all bodies together have about _TRIES.
+_PLACES, _FEWEST_PLACES, _TRIES = 8, 2, 160
 _ROUNDS = 2  # rounds in which all of these are tried
 _NEIGHBOUR, _RINGS = 0.03, 4  # distance of neighbours, metres; rings of them that make room for a body that is put back
 _SHARES = (0.2, 0.4, 0.6)  # shares of the bodies that are left out at first

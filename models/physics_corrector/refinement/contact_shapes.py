@@ -25,7 +25,7 @@ from stable_data.scene import FloatArray, QuatXyzw, Scene, Vec3
 _NUM_SAMPLES = 1024  # samples of a shape
 _NUM_CORNERS = 160  # of these at most so many are corners of its convex hull, which touch first
 _NUM_SIDES = 32  # corners of an outline
-_MOST_UNITS = 5_000  # shapes of scale 1 in memory, 8 kB each
+_MOST_UNITS = 5_000  # shapes of scale 1 in memory, 13 kB each
 _DIGITS = 6  # decimals by which two relative scales are equal
 
 
@@ -35,7 +35,7 @@ class ContactShapes:
 
     Attributes:
         tensors: Their signed distances.
-        samples: Points of their surfaces, (K, 512, 3) float32, metres, yaw frame.
+        samples: Points of their surfaces, (K, 1024, 3) float32, metres, yaw frame.
         outline: Corners of their outlines seen from above, (K, 32, 2) float32, metres, yaw frame.
         middle: Their centres of mass, (K, 3) float32, metres, yaw frame.
     """

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+import shapely
 import torch
 from torch import Tensor
 
@@ -147,13 +148,11 @@ class Refiner:
         done: dict[int, RefinedLayout] = {}
         now = list(layouts)
         left = list(range(len(layouts)))
-        resting: list[Set[str]] = []
         for clearance, iterations in _ROUNDS:
             some, origins = [now[b] for b in left], [layouts[b].scene for b in left]
             shapes, fixed = [one.shapes for one in some], [one.fixed for one in some]
             problem = RefinementProblem.of([one.scene for one in some], shapes, fixed, origins, self._cache).to(self._device)
-            resting = resting or _resting_exactly(problem, some)
-            poses = refine_poses(problem, clearance, iterations, _marked(problem, some, [resting[b] for b in left]))
+            poses = refine_poses(problem, clearance, iterations, _resting_exactly(problem, shapes))
             keeps_order, steady = _keeps_order(poses, problem), _steadiness(poses, problem)
             found = poses.double().cpu().numpy()
             for row, b in enumerate(left):
@@ -228,40 +227,28 @@ def _may_fit(layout: LayoutToRefine) -> bool:
     covered = 0.0
     for k, (o, shape) in enumerate(zip(layout.scene.objects, layout.shapes, strict=True)):
         if k not in carried and o.support in (None, TABLE):
-            x, y = shape.footprint.T
-            covered += abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+            covered += shapely.Polygon(shape.footprint).area
     return covered <= float(np.prod(layout.scene.table.size_xy))
 
 
-def _resting_exactly(problem: RefinementProblem, layouts: Sequence[LayoutToRefine]) -> list[Set[str]]:
-    """The objects of each layout that rest on what is below them by their meshes, although by their grids they may not.
+def _resting_exactly(problem: RefinementProblem, shapes: Sequence[Sequence[Shape]]) -> Tensor:
+    """The objects that rest on what is below them by their meshes, although by their grids they may not, (B * N,) bool.
 
     Grids have errors of tenths of a millimetre, which would move a pen that leans in its cup to a place where it does not.
     """
     num_slots = problem.layout.mask.shape[1]
     poses = stand_on_table(problem.layout.poses, problem)
-    suspects = unrested(poses, problem, problem.carried).view(-1, num_slots).nonzero().tolist()
-    roots, stood = problem.forest.root.view(-1, num_slots).tolist(), poses.double().cpu().numpy()
-    found: list[Set[str]] = []
-    for b, layout in enumerate(layouts):
-        objects, numbers = layout.scene.objects, [k for row, k in suspects if row == b]
-        meshes = MeshQueries([s if s.is_exact else Shape(s.vertices, s.faces) for s in layout.shapes]) if numbers else None
-        rest = set()
+    suspects = unrested(poses, problem, problem.carried).cpu()
+    root, stood = problem.forest.root.cpu(), poses.double().cpu().numpy()
+    found = torch.zeros_like(suspects)
+    for b, own in enumerate(shapes):
+        first = b * num_slots
+        numbers = suspects[first : first + len(own)].nonzero()[:, 0].tolist()
+        meshes = MeshQueries([shape.as_mesh() for shape in own])
         for k in numbers:
-            beside = [j for j in range(len(objects)) if j != k and roots[b][j] == roots[b][k]]
-            if meshes is not None and is_at_rest(meshes, stood[b], k, stood[b, k], beside):
-                rest.add(objects[k].instance)
-        found.append(rest)
-    return found
-
-
-def _marked(problem: RefinementProblem, layouts: Sequence[LayoutToRefine], names: Sequence[Set[str]]) -> Tensor:
-    """The objects of layouts that are among the names of each, (M,) bool."""
-    marked = torch.zeros(problem.layout.mask.shape, dtype=torch.bool)
-    for b, (layout, own) in enumerate(zip(layouts, names, strict=True)):
-        for k, o in enumerate(layout.scene.objects):
-            marked[b, k] = o.instance in own
-    return marked.reshape(-1).to(problem.mobility.device)
+            beside = (root[first : first + len(own)] == root[first + k]).nonzero()[:, 0].tolist()
+            found[first + k] = is_at_rest(meshes, stood[b], k, stood[b, k], [j for j in beside if j != k])
+    return found.to(problem.mobility.device)
 
 
 def _keeps_order(poses: Tensor, problem: RefinementProblem) -> list[bool]:

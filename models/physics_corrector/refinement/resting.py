@@ -107,7 +107,10 @@ def lower_onto(poses: Tensor, problem: RefinementProblem, moving: Tensor) -> tup
 
 def unrested(poses: Tensor, problem: RefinementProblem, carried: Tensor) -> Tensor:
     """Which carried objects (M,) float, or are in what is below them or beside them in their body, (M,) bool."""
-    distance = _HeightSearch(poses, problem, torch.zeros_like(carried)).distances(carried)[0]
+    search, distance = _HeightSearch(poses, problem, torch.zeros_like(carried)), torch.zeros_like(problem.mobility)
+    for number in range(1, int(problem.forest.level.max()) + 1):  # each level on the one below
+        which = carried & (problem.forest.level == number)
+        distance = torch.where(which, search.distances(which)[0], distance)
     pairs = pairs_in_bodies(poses, problem, carried, 0.0)
     contacts = find_contacts(poses, problem, pairs, 0.0)
     contacts = contacts.take(contacts.distance < -_UNRESTED)

@@ -188,7 +188,7 @@ def _lean_in_container(
 
 def _lower_onto_first(scene: Scene, shapes: Sequence[Shape], first: int) -> Scene:
     """Moves the objects from index ``first`` on over the first object, and lowers them onto it and onto each other."""
-    meshes = MeshQueries([s if s.is_exact else Shape(s.vertices, s.faces) for s in shapes])
+    meshes = MeshQueries([s.as_mesh() for s in shapes])
     poses = scene.poses()
     outline = _outline(scene.objects[0], shapes[0])
     inner = outline.buffer(-_INSET)

@@ -94,7 +94,7 @@ class SettleTrial:
         start[:, 3], start[:, 6] = np.cos(poses[self.free, 3] / 2), np.sin(poses[self.free, 3] / 2)
         data.qpos[:] = start.ravel()
         moves, turns = np.zeros(len(start)), np.zeros(len(start))
-        now, calm = start, Calm(start, _OPTIONS, seconds)
+        now, calm = start, Calm.of_settling(start, _OPTIONS, seconds)
         with without_log_file():
             for number in range(round(seconds / _OPTIONS.timestep / self._stride)):
                 if number == settling:

@@ -9,8 +9,10 @@ from models.point_encoder.cloud import SCANNET, PointCloud
 from models.point_encoder.shape_codes import ShapeCodes
 from stable_data.geometry.shape import Shape
 from tests.models.point_encoder.clouds import tiny_encoder
+from tests.scenes import cup
 
-SHAPES = [Shape.box((0.1, 0.1, 0.1)), Shape.box((0.3, 0.02, 0.05)), Shape.box((0.2, 0.2, 0.2))]
+CUP = cup(0.04, 0.1, 0.005)
+SHAPES = [CUP, Shape.box((0.3, 0.02, 0.05)), Shape(1.37 * CUP.vertices, CUP.faces)]
 
 
 @pytest.fixture
@@ -33,7 +35,8 @@ def test_features_are_those_of_the_encoder_and_computed_once(tmp_path: Path, sam
     found = codes(SHAPES)
     expected = encoder.codes([PointCloud.of_shape(s, encoder.preprocessing.num_points) for s in SHAPES], 1)
     np.testing.assert_allclose(found, expected, atol=1e-2)  # the vertices are rounded
-    np.testing.assert_array_equal(found[0], found[2])  # a cube at another scale
+    np.testing.assert_array_equal(found[0], found[2])  # the same at another scale
+    assert not np.array_equal(found[0], found[1])
     sampled.clear()
     np.testing.assert_array_equal(codes(SHAPES[::-1]), found[::-1])
     np.testing.assert_array_equal(ShapeCodes(encoder, tmp_path)(SHAPES), found)  # another process

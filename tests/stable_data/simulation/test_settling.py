@@ -159,7 +159,7 @@ def test_what_is_near_a_limit_is_watched_to_the_end(monkeypatch: pytest.MonkeyPa
 
 def ends_after(path: Iterable[FloatArray], *, so_far: FloatArray | None = None) -> int | None:
     """The number of samples after which a watch of 3 s ends; None: it does not."""
-    calm = Calm(AT_REST, PhysicsOptions(), 3.0, so_far)
+    calm = Calm.of_settling(AT_REST, PhysicsOptions(), 3.0) if so_far is None else Calm.of_watch(so_far, PhysicsOptions())
     return next((number for number, pose in enumerate(path, 1) if calm.has_come(pose)), None)
 
 
@@ -182,6 +182,9 @@ def test_a_simulation_does_not_end_while_something_could_move_far() -> None:
     turned[1, 0, 3:] = (0.0, 0.0, np.sin(np.radians(2.6) / 2), np.cos(np.radians(2.6) / 2))
     assert ends_after(at_x(still), so_far=moved) is None
     assert ends_after(at_x(still), so_far=turned) is None
+    assert ends_after(at_x(still), so_far=AT_REST[None]) == 21  # a watch has no impact before it
+    never = Calm.of_settling(AT_REST, PhysicsOptions(rest_move=0.0), 3.0)
+    assert not any(never.has_come(AT_REST) for _ in range(150))
 
 
 @pytest.mark.parametrize("offset", [1e-3, 1e-4, 1e-6, 1e-9])

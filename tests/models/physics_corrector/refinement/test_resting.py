@@ -1,5 +1,7 @@
 """Carried objects come to rest on what is below them; roots stand on the table."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -49,6 +51,15 @@ def test_what_an_object_carries_comes_along() -> None:
     poses = lower_onto(problem.layout.poses, problem, moving)[0][0]
     assert float(poses[1, 2]) == pytest.approx(0.06, abs=4e-4)
     assert float(poses[2, 2] - poses[1, 2]) == pytest.approx(0.055, abs=1e-6)
+
+
+def test_each_object_of_a_stack_is_judged_by_the_one_below_it() -> None:
+    cubes = [thing(f"cube_{k}", (0.4, 0.4, 0.06 + 0.1 * k, 0), support=f"cube_{k - 1}" if k else "plate") for k in range(3)]
+    plate = thing("plate", (0.4, 0.4, 0.005, 0), support="table")
+    problem = problem_of(scene(plate, *cubes))
+    assert not unrested(problem.layout.poses, problem, problem.carried).any()
+    floating = problem_of(scene(plate, cubes[0], replace(cubes[1], position=(0.4, 0.4, 0.165)), cubes[2]))
+    assert unrested(floating.layout.poses, floating, floating.carried).tolist() == [False, False, True, True]
 
 
 def test_only_what_floats_or_is_sunk_has_to_come_to_rest() -> None:
