@@ -50,7 +50,8 @@ from benchmarks.layouts import StartLayout, held_out_scenes, perturbed_layouts, 
 from benchmarks.steerable_drake import in_drake
 from benchmarks.text_table import align_columns
 from models.physics_corrector.corrector import Purpose
-from models.physics_corrector.learned_flow import AUTO, ExpectedError
+from models.physics_corrector.flow.expected_error import ExpectedError
+from models.physics_corrector.learned_flow import AUTO
 from models.physics_corrector.training.perturbation import PerturbationSettings
 from pipelines.sources.scenes import scene_source
 from stable_data.assets.store import AssetStore

@@ -9,7 +9,8 @@ from benchmarks.baselines.outcome import Baseline, BaselineResult
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import CorrectionOptions
 from models.physics_corrector.corrector import Flow, PhysicsCorrector, Polish, Purpose
-from models.physics_corrector.learned_flow import AUTO, NONE, UNKNOWN_ERROR, ExpectedError, load_flow
+from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
+from models.physics_corrector.learned_flow import AUTO, NONE, load_flow
 from models.physics_corrector.refinement.refiner import Refiner
 from pipelines.sources.scenes import contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids

@@ -18,8 +18,8 @@ import torch
 
 from models.physics_corrector.geometry.scene_batch import LayoutBatch, pad_scenes
 from models.physics_corrector.stabilization.drop_simulation import drop_new_objects
-from models.physics_corrector.training.dataset import clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings, perturb
+from models.physics_corrector.training.sources import clean_targets
 from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape

@@ -374,8 +374,20 @@ def fit_encoder(
 @app.command("train-corrector", epilog=_KEYS.format("train-corrector"))
 @with_clear_errors
 def train_corrector(
-    data: Annotated[str, typer.Option(help="Folder of a preprocess run; every node of a cluster must see it under this path.")],
+    data: Annotated[
+        list[str],
+        typer.Option(
+            help="Folder of a preprocess run; every node of a cluster must see it under this path. May be repeated: one training on "
+            "several runs."
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; every node must see it too.")],
+    proposals: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Folder of a generate run on assets of --data: its proposals and their corrections are samples too. May be repeated."
+        ),
+    ] = None,
     preset: Annotated[
         str,
         typer.Option(
@@ -393,16 +405,26 @@ def train_corrector(
     address: Address = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and a summary of the data, and stop.")] = False,
 ) -> None:
-    """Train the Physics Corrector on the clean scenes of a run. Run again to continue after a stop.
+    """Train the Physics Corrector on the clean scenes of runs, and on proposals of the reasoner. Run again to continue after a stop.
 
     Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
     """
     from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
+    from pipelines.execution.ray_executor import WorkerPool
     from pipelines.settings import resolve_settings
     from pipelines.train.corrector import CorrectorTrainingJob
 
     settings = resolve_settings(CorrectorTrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
-    job = CorrectorTrainingJob(data, out, settings, minutes=minutes, encoder=encoder)
+    job = CorrectorTrainingJob(
+        data[0],
+        out,
+        settings,
+        minutes=minutes,
+        encoder=encoder,
+        also=tuple(data[1:]),
+        proposals=tuple(proposals or ()),
+        repairers=WorkerPool(_count(-1, address), address),
+    )
     if dry_run:
         typer.echo(json.dumps(job.describe(), indent=2))
         return

@@ -3,7 +3,6 @@
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from models.physics_corrector.flow.category_texts import category_texts
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.checkpoint import Checkpoint, load_corrector
 from models.physics_corrector.flow.condition import Condition
+from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
 from models.physics_corrector.geometry.scene_batch import pad_scenes
 from models.physics_corrector.packing.packing_problem import AXES
 from models.point_encoder import FEATURE_CHANNELS, PointEncoder
@@ -38,22 +38,6 @@ AUTO, NONE = "auto", "none"
 
 _BATCH = 64  # scenes in one batch of the network
 _MAX_CACHED_TEXTS = 20_000  # text features of categories in memory: 31 MB
-
-
-@dataclass(frozen=True, slots=True)
-class ExpectedError:
-    """How far the given layouts are expected to be from where things belong; None where that is not known.
-
-    Attributes:
-        position: Standard deviation along x and along y, metres.
-        yaw: Standard deviation, radians.
-    """
-
-    position: float | None = None
-    yaw: float | None = None
-
-
-UNKNOWN_ERROR = ExpectedError()
 
 
 class LearnedFlow:

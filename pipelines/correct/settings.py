@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, cast
 
 from models.physics_corrector.corrector import Polish, Purpose
-from models.physics_corrector.learned_flow import ExpectedError
+from models.physics_corrector.flow.expected_error import ExpectedError
 from models.settings import Count, NonNegative, Positive, Settings
 from pipelines.execution.shard_size import shard_size
 from pipelines.preprocess.convention import ConventionChoice

@@ -21,7 +21,8 @@ from models.dual_system.requests import GenerationResult, Turn
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.certify.correction import CertificationRequest, Correction
 from models.physics_corrector.corrector import PhysicsCorrector
-from models.physics_corrector.learned_flow import ExpectedError, load_flow
+from models.physics_corrector.flow.expected_error import PROPOSAL_ERROR
+from models.physics_corrector.learned_flow import load_flow
 from models.physics_corrector.refinement.refiner import Refiner
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
@@ -75,7 +76,6 @@ SOURCE = "generated"
 TIMING_FOLDER = "timing"
 """Files in the run's folder with the process seconds of each shard. They are no table, because they differ between runs."""
 
-_PROPOSAL_ERROR = ExpectedError(0.01, 0.1)  # of proposed layouts: what a correction moves and turns them by, metres and radians
 _DEPTH = 0.8 * TOLERANCE
 """Largest accepted penetration, metres; a margin, because a judge with fewer directions measures up to an eighth more."""
 
@@ -334,7 +334,7 @@ def _certifier(settings: GenerateSettings, shelf: AssetLibraries) -> LocalCertif
     options, store = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False), AssetStore(shelf)
     needs_grids = settings.refine or settings.polish != "certify"
     refiner = Refiner(store, ContactGrids(contact_grid_cache()), _DEPTH, settings.device) if needs_grids else None
-    flow = load_flow(settings.weights, settings.steps, _PROPOSAL_ERROR, settings.device)
+    flow = load_flow(settings.weights, settings.steps, PROPOSAL_ERROR, settings.device)
     return LocalCertifier(PhysicsCorrector(flow, options, False, refiner, settings.polish), store)
 
 

@@ -10,21 +10,34 @@ OUT/cache/                                  data computed from the run's tables;
 """
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from models.physics_corrector.flow.checkpoint import save_corrector
-from models.physics_corrector.training.dataset import TrainingScenes, TrainingSet
+from models.physics_corrector.learned_flow import NONE
+from models.physics_corrector.training.dataset import TrainingSet
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
+from models.physics_corrector.training.sources import TrainingScenes
 from models.physics_corrector.training.trainer import CorrectorTrainer, train
-from models.physics_corrector.training.validation import Card, ValidationScenes, scalar_figures, validation_card
+from models.physics_corrector.training.validation import (
+    PROPOSED,
+    ROWS,
+    Card,
+    ValidationScenes,
+    scalar_figures,
+    validation_card,
+)
 from models.text_encoder import load_default as load_text_encoder
 from models.training.distributed import ProcessContext
+from pipelines.correct.job import correct
+from pipelines.correct.settings import CorrectSettings
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.features import AUTO
 from pipelines.train.point_encoder import encoder_of_features, save_beside
-from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
+from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, absolute_uri, json_bytes, result_line
 from stable_data.code_version import code_version
+from stable_data.content_id import content_id
 from stable_data.storage.run_folder import RunFolder
 
 _FAST_ROWS = ("small", "jitter", "pile")
@@ -56,10 +69,14 @@ class CorrectorTrainingJob(TrainingJob):
     """The training of the Physics Corrector.
 
     Attributes:
+        data: Folder of a preprocess run, or its URI.
+        also: Further ones.
+        proposals: Folders of generate runs, or their URIs, with proposals on assets of these runs.
         settings: The settings that shape the weights.
         watch: Logging and validation.
         minutes: Time after which it stops and saves its checkpoint; 0 is no limit.
         encoder: The encoder of the run's features, as in ``preprocess.features``; ``auto`` finds it.
+        repairers: The workers that repair targets.
     """
 
     NAME = "train_corrector"
@@ -70,10 +87,36 @@ class CorrectorTrainingJob(TrainingJob):
     watch: CorrectorMonitoring = CorrectorMonitoring()
     minutes: float = 0.0
     encoder: str = AUTO
+    also: tuple[str, ...] = ()
+    proposals: tuple[str, ...] = ()
+    repairers: WorkerPool = field(default_factory=WorkerPool)
 
     def source(self) -> TrainingScenes:
-        """The source of the training scenes."""
-        return TrainingScenes(self.data_uri, self.folder / "cache", self.settings.num_surface, self.settings.num_bottom)
+        """The source of the training scenes, in which targets are repaired if the settings want it."""
+        uris = self._uris()
+        if self.settings.targets == "repair":
+            uris = tuple(str(self._repaired(uri)) for uri in uris)
+        return self._source(uris)
+
+    def _uris(self) -> tuple[str, ...]:
+        return tuple(map(absolute_uri, (self.data, *self.also)))
+
+    def _source(self, uris: tuple[str, ...]) -> TrainingScenes:
+        proposals = tuple(map(absolute_uri, self.proposals))
+        return TrainingScenes(
+            uris, self.folder / "cache", self.settings.num_surface, self.settings.num_bottom, proposals=proposals
+        )
+
+    def _repaired(self, uri: str) -> Path:
+        """The folder of the corrected scenes of a run."""
+        return self.folder / "cache" / f"repaired-{content_id(uri)}"
+
+    def _repair_targets(self) -> None:
+        """Corrects the scenes of all runs, or the missing ones; those that are clean stay as they are."""
+        for uri in self._uris() if self.settings.targets == "repair" else ():
+            # Without a flow: targets must not depend on earlier weights.
+            settings = CorrectSettings(weights=NONE, judge_raw=False, num_pictures=0)
+            correct(uri, str(self._repaired(uri)), settings, self.repairers, report=False)
 
     def _data(self) -> TrainingSet:
         """Reads the scenes with what the network reads of them."""
@@ -82,17 +125,18 @@ class CorrectorTrainingJob(TrainingJob):
 
     def describe(self) -> dict[str, Any]:
         """Describes what a run would do, for ``--dry-run``; no table is read whole."""
-        fingerprint = self.source().fingerprint()
+        source = self._source(self._uris())
         network, _ = self.settings.resolved(1).corrector.build()
         return {
             "settings": asdict(self.settings),
-            "data_fingerprint": fingerprint,
-            "num_scenes": RunFolder(self.source().uri).num_rows("scenes"),
+            "data_fingerprint": source.fingerprint(),
+            "num_scenes": source.num_scenes(),
             "num_parameters": sum(p.numel() for p in network.parameters()),
         }
 
     def prepare(self) -> tuple["CorrectorTrainingJob", dict[str, Any], TrainingSet]:
         """Reads the scenes; see the base class."""
+        self._repair_targets()
         data = self._data()
         if data.encoder:
             save_beside(encoder_of_features(self.data_uri, data.encoder, self.encoder), self.folder / self.WEIGHTS)
@@ -104,6 +148,7 @@ class CorrectorTrainingJob(TrainingJob):
             "targets": dict(data.counts),
             "num_train": len(data.of_split(0)),
             "num_validation": len(data.of_split(1)),
+            "num_proposals": len(data.proposals_of_split(0)),
             "settings": asdict(job.settings),
         }
         return job, details, data
@@ -158,6 +203,8 @@ class CorrectorTrainingJob(TrainingJob):
         closed = manifest | {"status": "complete" if is_done else "stopped", "steps_done": step}
         folder.write_bytes("manifest.json", json_bytes(closed))
         steps, used = f"{step} of {self.settings.steps}", f"{manifest['num_train']} scenes"
+        if manifest["num_proposals"]:
+            used += f" and {manifest['num_proposals']} proposals"
         rest = "card.json" if is_done else "run again to continue"
         return result_line(folder, steps, used, manifest["targets"], self.WEIGHTS, rest)
 
@@ -177,9 +224,12 @@ def _card_of(
         return {}
     scenes = source.scenes([data.scene_ids[n] for n in places[:num_exact].tolist()]) if num_exact else []
     held_out = ValidationScenes(training.data, places, scenes, source.store() if scenes else None)
-    velocity = training.velocity(training.averaged())
-    chosen = {} if rows is None else {"rows": rows}
-    return validation_card(velocity, training.flow, held_out, training.settings.perturbation, 0, **chosen)
+    velocity, perturbation = training.velocity(training.averaged()), training.settings.perturbation
+    card = validation_card(velocity, training.flow, held_out, perturbation, 0, ROWS if rows is None else rows)
+    if len(proposals := data.proposals_of_split(1)[:num_scenes]):
+        proposed = ValidationScenes(training.data, proposals)
+        card |= validation_card(velocity, training.flow, proposed, perturbation, 0, (PROPOSED,))
+    return card
 
 
 def _scalars(card: Card) -> dict[str, float]:

@@ -119,7 +119,12 @@ class TrainingJob(ABC):
     @property
     def data_uri(self) -> str:
         """The run, as an absolute path or a URI."""
-        return self.data if "://" in self.data else str(Path(self.data).expanduser().resolve())
+        return absolute_uri(self.data)
+
+
+def absolute_uri(run: str) -> str:
+    """A run as an absolute path or a URI."""
+    return run if "://" in run else str(Path(run).expanduser().resolve())
 
 
 def result_line(folder: RunFolder, steps: str, used: str, counts: Mapping[str, int], *notes: str) -> str:

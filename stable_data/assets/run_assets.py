@@ -2,6 +2,7 @@
 
 import hashlib
 import weakref
+from collections.abc import Set
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -55,6 +56,14 @@ class RunAssets:
             files.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise cannot_write(str(files), error) from error
+
+    def asset_ids(self) -> Set[str]:
+        """The assets that have a mesh."""
+        return self._content_of.keys()
+
+    def sha256(self, asset_id: str) -> str | None:
+        """Returns the hash of an asset's GLB that its row states; None if the run has no mesh of it."""
+        return self._content_of.get(asset_id)
 
     def asset_path(self, asset_id: str) -> Path | None:
         """Returns the repaired mesh of an asset as a GLB file, or None if the run has no mesh of it.

@@ -12,9 +12,9 @@ from benchmarks.correction import judged
 from benchmarks.corrector_ablation import ARMS, FULL, Arm, arm, full_settings
 from benchmarks.corrector_parts import CorrectorTerms, corrector_parts
 from benchmarks.layouts import StartLayout, held_out_scenes, perturbed_layouts
-from models.physics_corrector.training.dataset import clean_targets
 from models.physics_corrector.training.perturbation import KINDS, PerturbationSettings
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
+from models.physics_corrector.training.sources import clean_targets
 from models.physics_corrector.training.validation import Card
 from pipelines.sources.scenes import scene_source
 from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob

@@ -27,9 +27,16 @@ class LayoutBatch(SceneTensors):
 
     Attributes:
         shape_index: Index of each object's shape in a ``ShapeTensors``, (B, N) int64.
+        coarse: Poses that were proposed in place of ``poses``, (B, N, 4) float32, nan in scenes without a proposal; or None.
     """
 
     shape_index: Tensor = field(kw_only=True)
+    coarse: Tensor | None = field(default=None, kw_only=True)
+
+    @property
+    def is_proposed(self) -> Tensor:
+        """Whether a scene has a proposal, (B,) bool."""
+        return torch.zeros_like(self.has_zone) if self.coarse is None else ~self.coarse[:, 0, 0].isnan()
 
     @classmethod
     def from_scenes(

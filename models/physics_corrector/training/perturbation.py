@@ -1,5 +1,7 @@
 """Makes coarse layouts from clean ones, with the kinds of errors that a reasoner makes, for training and validation.
 
+Scenes with a proposal keep it: it is their coarse layout.
+
 All draws are from one generator, on whole batches. The scale of the errors is drawn per scene (LEGO-Net's Gaussian of
 Gaussians), so that a scene has small or large errors throughout. In some scenes objects move with their support, in others they
 do not. Poses of fixed objects and padding are unchanged, bit by bit.
@@ -12,6 +14,7 @@ from typing import Literal, TypeAlias, get_args
 import torch
 from torch import Tensor
 
+from models.physics_corrector.flow.expected_error import PROPOSAL_ERROR
 from models.physics_corrector.flow.pose_coordinates import wrap_angle
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.training.assignment import assign
@@ -100,9 +103,9 @@ class Perturbation:
 
     Attributes:
         poses: Coarse poses, (B, N, 4) float32, metres and radians, world frame.
-        kinds: The kind of each scene as an index of KINDS, (B,) int64.
+        kinds: The kind of each scene as an index of KINDS, (B,) int64; of no meaning for proposals.
         error: Standard deviations of the errors of all objects along x and along y in metres, and of yaw in radians, (B, 2)
-            float32; the errors that a kind adds to some objects are not counted.
+            float32; the errors that a kind adds to some objects are not counted. For proposals ``PROPOSAL_ERROR``.
     """
 
     poses: Tensor
@@ -137,7 +140,12 @@ def perturb(
     carried = torch.where(is_together[:, None] & ~is_root, settings.carried, 1.0)
     noise = draw.normal(*batch.poses.shape) * sigma[:, None] * carried[..., None]
     moved = batch.poses + noise + _structured(batch, kinds, is_root, settings, draw)
-    return Perturbation(_with_carried(batch, moved, is_together), kinds, sigma[:, [0, 3]])
+    coarse, error = _with_carried(batch, moved, is_together), sigma[:, [0, 3]]
+    if batch.coarse is not None:
+        is_proposed = batch.is_proposed
+        coarse = torch.where(is_proposed[:, None, None], batch.coarse, coarse)
+        error = torch.where(is_proposed[:, None], error.new_tensor([PROPOSAL_ERROR.position, PROPOSAL_ERROR.yaw]), error)
+    return Perturbation(coarse, kinds, error)
 
 
 def reassign_targets(coarse: Tensor, batch: LayoutBatch) -> Tensor:

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 from annotated_types import Interval
 
 from models.physics_corrector.flow.presets import CorrectorSettings, preset
-from models.physics_corrector.training.dataset import FeatureSource
 from models.physics_corrector.training.hints import HintSettings
 from models.physics_corrector.training.losses import LossSettings
 from models.physics_corrector.training.perturbation import PerturbationSettings
+from models.physics_corrector.training.sources import FeatureSource
 from models.physics_corrector.training.stage_prefixes import PrefixSettings
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
 from stable_data.config_diff import flatten_config
@@ -112,8 +112,16 @@ class CorrectorTrainingSettings(Settings):
     perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
     """Errors of the coarse layouts."""
 
+    targets: Literal["clean", "repair"] = "clean"
+    """Scenes that are not clean are left out (``clean``), or corrected first (``repair``)."""
+
+    proposed: Share = 0.3
+    """Share of samples that are proposals of a reasoner with their corrections, if a run with proposals is given."""
+
     scattered: Share = 0.0
-    """Share of samples whose arrangement is replaced by a random one, so that habits of one world are not forced on all others."""
+    """Share of the other samples whose arrangement is replaced by a random one, so that habits of one world are not forced on all
+    others.
+    """
 
     hints: HintSettings = field(default_factory=HintSettings)
     """What a sample tells the network besides shapes and coarse poses."""

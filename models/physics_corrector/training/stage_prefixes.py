@@ -83,4 +83,5 @@ def drop_empty_slots(batch: LayoutBatch) -> LayoutBatch:
         parent=reorder(parent),
         features=None if batch.features is None else reorder(batch.features),
         texts=None if batch.texts is None else reorder(batch.texts),
+        coarse=None if batch.coarse is None else reorder(batch.coarse),
     )

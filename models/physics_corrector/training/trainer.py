@@ -54,7 +54,8 @@ class CorrectorTrainer:
 
     def __init__(self, data: TrainingSet, settings: CorrectorTrainingSettings, place: ProcessContext = CPU) -> None:
         self.settings, self.place = settings, place
-        self.data, self._train = data.to(place.device), data.of_split(0)
+        self.data = data.to(place.device)
+        self._train, self._proposals = data.of_split(0).numpy(), data.proposals_of_split(0).numpy()
         with torch.random.fork_rng():  # the seed of the weights must not change the caller's random state
             torch.manual_seed(settings.seed)
             network, self.flow = settings.corrector.build()
@@ -105,12 +106,19 @@ class CorrectorTrainer:
                 yield part, float(part.is_movable.sum() / total), self._generator(1 + number)
 
     def _scenes_of_step(self) -> Any:
-        """The scenes of this step, (batch_size,) int64: a slice of the sequence of shuffled passes over the training split."""
-        train, size = self._train.numpy(), self.settings.batch_size
+        """The scenes and proposals of this step, (batch_size,) int64."""
+        size = self.settings.batch_size
+        num_proposals = round(self.settings.proposed * size) if len(self._proposals) else 0
+        return np.concatenate([self._next(self._train, size - num_proposals), self._next(self._proposals, num_proposals)])
+
+    def _next(self, indices: Any, size: int) -> Any:
+        """This step's slice of the sequence of shuffled passes over some scenes, (size,) int64."""
+        if not size:
+            return indices[:0]
         start, stop = self.step * size, (self.step + 1) * size
-        passes = range(start // len(train), (stop - 1) // len(train) + 1)
-        order = np.concatenate([np.random.default_rng([self.settings.seed, p]).permutation(train) for p in passes])
-        return order[start - passes[0] * len(train) :][:size]
+        passes = range(start // len(indices), (stop - 1) // len(indices) + 1)
+        order = np.concatenate([np.random.default_rng([self.settings.seed, p]).permutation(indices) for p in passes])
+        return order[start - passes[0] * len(indices) :][:size]
 
     def _generator(self, number: int) -> torch.Generator:
         words = np.random.SeedSequence([self.settings.seed, self.step, number]).generate_state(1, np.uint64)
@@ -120,7 +128,7 @@ class CorrectorTrainer:
         """Computes a chunk's part of the step's loss, and its figures, (len(LOGGED),)."""
         settings = self.settings
         lots = torch.rand((4, len(batch)), generator=generator, device=self.place.device)
-        is_scattered = lots[2] < settings.scattered
+        is_scattered = (lots[2] < settings.scattered) & ~batch.is_proposed
         if settings.scattered:
             batch = replace(batch, poses=torch.where(is_scattered[:, None, None], scatter(batch, generator), batch.poses))
         coarse = perturb(batch, settings.perturbation, generator)

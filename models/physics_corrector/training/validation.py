@@ -1,6 +1,7 @@
 """The validation card: figures of raw samples of the flow on held-out scenes, and of their coarse layouts.
 
-Each row is a kind of perturbation at a fixed seed; ``jitter_fixed`` is ``jitter`` with the objects of earlier stages fixed. The
+Each row is a kind of perturbation at a fixed seed; ``jitter_fixed`` is ``jitter`` with the objects of earlier stages fixed, and
+``proposed`` are proposals of a reasoner, with the errors told as in generation. The
 figures from grids are fast; those of the exact audit (docs/audit.md) and of the scene graph are slow and use fewer scenes.
 Verdicts that are unknown are left out and counted, never treated as a pass.
 """
@@ -39,6 +40,9 @@ Card: TypeAlias = dict[str, dict[str, Figures]]
 """Row -> ``coarse`` and ``raw`` -> figures."""
 
 ROWS = (*KINDS, "jitter_fixed")
+PROPOSED = "proposed"
+"""The row of proposals; the scenes must be proposals."""
+
 _SUPPORTED = (RelationKind.ON, RelationKind.IN)
 _CARD_FIGURES = (
     "oc",
@@ -85,7 +89,7 @@ def validation_card(
         held_out: The scenes.
         settings: Settings of the perturbations.
         seed: Seed of the perturbations: the same scenes and seed give the same coarse layouts.
-        rows: Some of ROWS.
+        rows: Some of ROWS and PROPOSED.
     """
     shapes = [] if held_out.store is None else [held_out.store.shapes(scene)[0] for scene in held_out.scenes]
     return {row: _row(row, velocity, flow, held_out, shapes, settings, seed) for row in rows}
@@ -103,15 +107,16 @@ def _row(
 ) -> dict[str, Figures]:
     data, places = held_out.data, held_out.places
     device = data.batch.poses.device
-    generator = torch.Generator(device).manual_seed(seed + ROWS.index(row))
+    generator = torch.Generator(device).manual_seed(seed + (*ROWS, PROPOSED).index(row))
     batch = data.take(places.to(device))
     if row.endswith("_fixed"):
         last = torch.full((len(batch),), 2, device=device)
         batch = prefix(batch, data.stage[places.to(device)], last, torch.ones_like(batch.has_zone))
     batch = drop_empty_slots(batch)  # whole scenes: the order of their objects does not change
-    kind: Kind = next(k for k in KINDS if row.removesuffix("_fixed") == k)
-    coarse = perturb(batch, settings, generator, kind).poses
-    condition = Condition.of(replace(batch, poses=coarse))
+    kind: Kind | None = next((k for k in KINDS if row.removesuffix("_fixed") == k), None)
+    drawn = perturb(batch, settings, generator, kind)
+    coarse = drawn.poses
+    condition = Condition.of(replace(batch, poses=coarse, error=drawn.error if row == PROPOSED else None))
     start = generator if flow.settings.source == "gaussian" else None  # as at inference: from x^c, or from a draw
     raw = flow.sample(velocity, condition, generator=start)
     figures = {name: grid_figures(poses, coarse, batch, data.geometry) for name, poses in (("coarse", coarse), ("raw", raw))}

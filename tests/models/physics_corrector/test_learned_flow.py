@@ -12,7 +12,8 @@ from models.physics_corrector.certify.correction import CorrectionOptions, Known
 from models.physics_corrector.certify.flow_start import certify_moved, choose_start
 from models.physics_corrector.corrector import PhysicsCorrector, Purpose
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
-from models.physics_corrector.learned_flow import ExpectedError, LearnedFlow, known_directions, load_flow, weights_fingerprint
+from models.physics_corrector.flow.expected_error import ExpectedError
+from models.physics_corrector.learned_flow import LearnedFlow, known_directions, load_flow, weights_fingerprint
 from models.point_encoder import PointEncoder
 from models.point_encoder import save as save_encoder
 from models.text_encoder import load_default as load_text_encoder

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 from models.physics_corrector.flow.checkpoint import load_corrector
 from models.physics_corrector.flow.presets import CorrectorSettings
 from models.physics_corrector.learned_flow import load_flow
-from models.physics_corrector.training.dataset import TrainingScenes
 from models.physics_corrector.training.settings import CorrectorTrainingSettings
+from models.physics_corrector.training.sources import TrainingScenes
 from models.point_encoder import load as load_encoder
 from models.point_encoder import save as save_encoder
 from pipelines.__main__ import app
@@ -31,7 +31,7 @@ WATCH = CorrectorMonitoring(log_every=2, card_every=2, card_scenes=1, final_scen
 def cache(clean_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a training computes of the run first."""
     root = tmp_path_factory.mktemp("cache")
-    TrainingScenes(str(clean_run), root / "cache", 64, 16).load("box")
+    TrainingScenes((str(clean_run),), root / "cache", 64, 16).load("box")
     return root
 
 
@@ -65,7 +65,7 @@ def test_a_training_leaves_weights_logs_card_and_manifest(clean_run: Path, out: 
     line = job(clean_run, out).run()
     assert "4 of 4 steps" in line
     checkpoint = load_corrector(out / CorrectorTrainingJob.WEIGHTS, SETTINGS.corrector)
-    run = TrainingScenes(str(clean_run), out / "cache", 64, 16)
+    run = TrainingScenes((str(clean_run),), out / "cache", 64, 16)
     assert checkpoint.notes["steps"] == "4"
     assert checkpoint.notes["data_fingerprint"] == run.fingerprint()
     assert json.loads(checkpoint.notes["training"])["seed"] == 0
@@ -166,7 +166,7 @@ def test_point_features_are_read_and_their_encoder_is_noted(clean_run: Path, cac
     with pytest.raises(ConfigError, match="of the encoders one, two"):
         job(run, out, point).run()
     write_features(run, skip=1)
-    used = {o.asset_id for scene in TrainingScenes(str(run), out / "cache").scenes(_scene_ids(run)) for o in scene.objects}
+    used = {o.asset_id for scene in TrainingScenes((str(run),), out / "cache").scenes(_scene_ids(run)) for o in scene.objects}
     first = RunFolder(str(run)).table("assets", ["asset_id"])["asset_id"].to_pylist()[0]
     assert first in used
     with pytest.raises(ConfigError, match=f"asset {first} has no features"):
@@ -179,8 +179,8 @@ def _scene_ids(run: Path) -> list[str]:
 
 
 def test_the_kept_set_is_the_computed_one(clean_run: Path, out: Path, tmp_path: Path) -> None:
-    kept = TrainingScenes(str(clean_run), out / "cache", 64, 16).load("box")
-    made = TrainingScenes(str(clean_run), tmp_path / "new", 64, 16).load("box")
+    kept = TrainingScenes((str(clean_run),), out / "cache", 64, 16).load("box")
+    made = TrainingScenes((str(clean_run),), tmp_path / "new", 64, 16).load("box")
     assert kept.scene_ids == made.scene_ids
     assert kept.counts == made.counts
     for name in ("poses", "mask", "shape_index", "parent", "sizes"):
