@@ -16,7 +16,8 @@ from torch import Tensor
 from models.device_batches import DeviceBatches
 from models.physics_corrector.certify import constants
 from models.physics_corrector.certify.mesh_queries import MeshQueries
-from models.physics_corrector.certify.resting_pose import is_at_rest
+from models.physics_corrector.certify.resting_pose import is_at_rest, resting_pose
+from models.physics_corrector.certify.static_stability import stands_alone
 from models.physics_corrector.certify.support_inference import expected_carriers
 from models.physics_corrector.refinement.contact_shapes import ContactShapeCache
 from models.physics_corrector.refinement.problem import RefinementProblem
@@ -152,8 +153,9 @@ class Refiner:
             some, origins = [now[b] for b in left], [layouts[b].scene for b in left]
             shapes, fixed = [one.shapes for one in some], [one.fixed for one in some]
             problem = RefinementProblem.of([one.scene for one in some], shapes, fixed, origins, self._cache).to(self._device)
-            poses = refine_poses(problem, clearance, iterations, _resting_exactly(problem, shapes))
-            keeps_order, steady = _keeps_order(poses, problem), _steadiness(poses, problem)
+            problem, resting, leaning = _rest_exactly(problem, some)
+            poses = refine_poses(problem, clearance, iterations, resting)
+            keeps_order, steady = _keeps_order(poses, problem), _steadiness(poses, problem, leaning)
             found = poses.double().cpu().numpy()
             for row, b in enumerate(left):
                 now[b] = replace(now[b], scene=_moved(now[b], found[row]))
@@ -231,24 +233,46 @@ def _may_fit(layout: LayoutToRefine) -> bool:
     return covered <= float(np.prod(layout.scene.table.size_xy))
 
 
-def _resting_exactly(problem: RefinementProblem, shapes: Sequence[Sequence[Shape]]) -> Tensor:
-    """The objects that rest on what is below them by their meshes, although by their grids they may not, (B * N,) bool.
+def _rest_exactly(
+    problem: RefinementProblem, layouts: Sequence[LayoutToRefine]
+) -> tuple[RefinementProblem, Tensor, Tensor]:
+    """Rests by the meshes what by the grids is not at rest on its carrier, where no search of heights can help.
 
-    Grids have errors of tenths of a millimetre, which would move a pen that leans in its cup to a place where it does not.
+    Grids have errors of tenths of a millimetre, which would move a pen that leans in its cup to a place where it does not. What does
+    not stand by itself, such as this pen, gets a pose at which it leans.
+
+    Returns:
+        The problem with these poses; the objects that rest, (B * N,) bool; and those of them that are steady by statics with
+        friction.
     """
     num_slots = problem.layout.mask.shape[1]
     poses = stand_on_table(problem.layout.poses, problem)
-    suspects = unrested(poses, problem, problem.carried).cpu()
+    suspects, carried = unrested(poses, problem, problem.carried).cpu(), problem.carried.cpu()
     root, stood = problem.forest.root.cpu(), poses.double().cpu().numpy()
-    found = torch.zeros_like(suspects)
-    for b, own in enumerate(shapes):
-        first = b * num_slots
-        numbers = suspects[first : first + len(own)].nonzero()[:, 0].tolist()
-        meshes = MeshQueries([shape.as_mesh() for shape in own])
+    resting, steady = torch.zeros_like(suspects), torch.zeros_like(suspects)
+    poses = poses.clone()
+    for b, layout in enumerate(layouts):
+        first, count = b * num_slots, len(layout.shapes)
+        numbers = suspects[first : first + count].nonzero()[:, 0].tolist()
+        if not numbers:
+            continue
+        meshes, edges = MeshQueries([shape.as_mesh() for shape in layout.shapes]), expected_carriers(layout.scene)
+        moving = {k for k in numbers if carried[first + k]}
         for k in numbers:
-            beside = (root[first : first + len(own)] == root[first + k]).nonzero()[:, 0].tolist()
-            found[first + k] = is_at_rest(meshes, stood[b], k, stood[b, k], [j for j in beside if j != k])
-    return found.to(problem.mobility.device)
+            beside = (root[first : first + count] == root[first + k]).nonzero()[:, 0].tolist()
+            beside.remove(k)
+            if is_at_rest(meshes, stood[b], k, stood[b, k], beside):
+                resting[first + k] = True
+            elif k in edges and not stands_alone(meshes.shapes[k]):
+                done = [j for j in beside if j not in moving]
+                found = resting_pose(meshes, stood[b], k, edges[k], done) if edges[k].parent in done else None
+                if found is not None:
+                    stood[b, k], poses[b, k] = found.pose, torch.from_numpy(found.pose).to(poses)
+                    resting[first + k], steady[first + k] = True, found.is_steady
+            if resting[first + k]:
+                moving.discard(k)
+    device = problem.mobility.device
+    return replace(problem, layout=replace(problem.layout, poses=poses)), resting.to(device), steady.to(device)
 
 
 def _keeps_order(poses: Tensor, problem: RefinementProblem) -> list[bool]:
@@ -263,9 +287,10 @@ def _keeps_order(poses: Tensor, problem: RefinementProblem) -> list[bool]:
     return found
 
 
-def _steadiness(poses: Tensor, problem: RefinementProblem) -> FloatArray:
-    """The steadiness of all carried objects, (B, N) float64; inf for other objects."""
-    found: FloatArray = steadiness(poses, problem, problem.carried).view(problem.layout.mask.shape).double().cpu().numpy()
+def _steadiness(poses: Tensor, problem: RefinementProblem, leaning: Tensor) -> FloatArray:
+    """The steadiness of all carried objects, (B, N) float64; inf for other objects, and for those that lean (B * N,) bool."""
+    known = torch.where(leaning, torch.inf, steadiness(poses, problem, problem.carried))
+    found: FloatArray = known.view(problem.layout.mask.shape).double().cpu().numpy()
     return found
 
 

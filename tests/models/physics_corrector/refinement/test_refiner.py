@@ -15,6 +15,8 @@ from stable_data.assets.contact_grids import ContactGrids
 from stable_data.geometry.mesh import Mesh
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import Relation, RelationKind, Scene
+from stable_data.simulation.collision_bodies import bodies_of
+from stable_data.simulation.settling import settle
 from tests.models.physics_corrector.geometry.shapes import SHAPES, scene, store, thing
 from tests.models.physics_corrector.refinement.layouts import shapes_of
 
@@ -68,6 +70,23 @@ def test_what_rests_by_its_mesh_stays_whatever_its_grid_says(monkeypatch: pytest
     found = refined(stack)
     assert found.scene["cube_0"] is stack["cube_0"]
     assert found.scene["ball"].position[2] == pytest.approx(0.15, abs=5e-4)
+
+
+def test_a_pen_in_the_wall_of_its_cup_leans_inside() -> None:
+    tilt = (0.0, float(np.sin(np.radians(9))), 0.0, float(np.cos(np.radians(9))))  # 18 degrees about y
+    cup = thing("cup", (0.4, 0.4, 0.05, 0.0), support="table")
+    pen = thing("cube", (0.44, 0.4, 0.09, 0.0), scale=(0.08, 0.08, 1.6), tilt=tilt, support="cup")
+    through = replace(scene(cup, pen), relations=(Relation("cube", RelationKind.IN, "cup"),))
+    assert audit_scene(through, shapes_of(through)).card().clean is False
+    found = refined(through)
+    assert found.audit.card().clean
+    supports = {o.instance: o.supports for o in found.audit.objects}
+    assert "cup" in supports["cube"]
+    moved = found.scene["cube"]
+    assert moved.bottom < 0.05  # not on the rim
+    assert np.abs(np.subtract(moved.position[:2], (0.4, 0.4))).max() < 0.05
+    bodies = bodies_of(found.scene, shapes_of(found.scene), store())
+    assert settle(bodies, found.scene.table).stable
 
 
 @pytest.mark.parametrize("thickness", [0.02, 0.1])
