@@ -90,7 +90,7 @@ class CorrectorParts:
         if corrector.flow is not None:
             corrector.flow([scene], [shapes], [frozenset()])
         if corrector.refiner is not None:
-            corrector.refiner.has_shapes(scene, shapes)
+            _refiner(store).has_shapes(scene, shapes)
         if self.terms.settles:
             bodies_of(scene, shapes, store)
 

@@ -7,7 +7,7 @@ flow and the corrected scene, with the cards of these and of the input, and whic
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 from models.physics_corrector.certify import CertificationResult, Certifier, CertifyOptions, CorrectionStatus
 from models.physics_corrector.certify.correction import (
@@ -26,7 +26,7 @@ from models.physics_corrector.certify.flow_start import certify_moved, choose_st
 from models.physics_corrector.certify.layout_search import remaining_faults
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.support_inference import TABLE_TOP, expected_carriers, infer_carriers
-from models.physics_corrector.refinement.refiner import LayoutToRefine, Refiner
+from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape
@@ -37,6 +37,19 @@ from stable_data.scene import TABLE, Relation, Scene
 
 Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
 """Moves the objects of scenes: scenes, the shapes of their objects, the fixed instances of each -> the moved scenes."""
+
+
+class LayoutRefiner(Protocol):
+    """Refines layouts in batches, such as :class:`~models.physics_corrector.refinement.refiner.Refiner`, which says how."""
+
+    def rest(self, layouts: Sequence[LayoutToRefine]) -> list[Scene]:
+        """Gives objects exact heights."""
+        ...
+
+    def refine(self, layouts: Sequence[LayoutToRefine]) -> list[RefinedLayout | None]:
+        """Refines layouts."""
+        ...
+
 
 _DEFAULT_OPTIONS = CorrectionOptions()
 
@@ -72,7 +85,7 @@ class PhysicsCorrector:
     flow: Flow | None = None
     options: CertifyOptions = field(default_factory=CertifyOptions)
     judges_raw: bool = True
-    refiner: Refiner | None = None
+    refiner: LayoutRefiner | None = None
     polish: Polish = "certify"
     purpose: Purpose = "repair"
 

@@ -11,6 +11,7 @@ from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
 from pipelines.correct.report import write_correct_report
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
+from pipelines.execution.engine_pool import refuse_without_workers
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_step import Shard, StepShards
@@ -34,6 +35,7 @@ CARRIED_TABLES = ("assets", "meshes", "sdf", "features")
 def correct(scenes: str, out: str, settings: CorrectSettings, workers: WorkerPool, *, report: bool = True) -> dict[str, Any]:
     """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
     check_place(scenes, out)
+    refuse_without_workers("correctors", settings.correctors, workers)
     return run_job(CorrectJob(scenes, settings, workers), out, workers, report=report)
 
 

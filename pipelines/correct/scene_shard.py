@@ -6,9 +6,13 @@ therefore costs no other item.
 
 from abc import abstractmethod
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Generic, Literal, TypeAlias, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Generic, Literal, Self, TypeAlias, TypeVar
+
+import ray
 
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, DroppedObject
 from models.physics_corrector.certify.correction import Correction
@@ -16,8 +20,10 @@ from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
 from models.physics_corrector.refinement.refiner import Refiner
 from pipelines.correct.settings import CorrectSettings
+from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.ray_executor import ProcessFailure, run_isolated, time_limited
+from pipelines.execution.progress_bar import ProgressTally
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, connect, run_isolated, time_limited
 from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_isolated, rows_or_failure
 from pipelines.sources.scenes import SceneSource, SourceScene, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
@@ -55,14 +61,34 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         scenes: The source of the scenes: an absolute path or a URI that every worker can read.
         settings: The job's settings.
         fingerprint: Hash of the inputs, the key of what a process caches of them.
+        correctors: The shared flow and refinement, or None if each process has its own.
     """
 
     scenes: str
     settings: S
     fingerprint: str = ""
+    correctors: PooledCorrector | None = field(default=None, compare=False, kw_only=True)
+
+    @contextmanager
+    def sharing(self, workers: WorkerPool) -> Iterator[tuple[Self, ProgressTally | None]]:
+        """Holds the shared flow and refinement, if there are any."""
+        settings = self.settings
+        if not settings.correctors:
+            yield self, None
+            return
+        started = connect(workers)
+        try:
+            opens = partial(_opened_corrector, self)
+            with corrector_pool(opens, settings.correctors, settings.corrector_gpus, may_grow=not started) as shared:
+                yield replace(self, correctors=shared), None
+        finally:
+            if started:
+                ray.shutdown()
 
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
         """Computes the rows of a shard."""
+        if isolated and self.correctors is not None:  # separate processes cannot reach the actors, which have the GPUs
+            return replace(self, correctors=None, settings=replace(self.settings, device="cpu")).shard(shard, isolated=True)
         rows: Rows = defaultdict(list)
         usable = []
         for item in shard.items:
@@ -145,20 +171,32 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         self.opened()
 
 
-def corrector_of(settings: CorrectSettings, store: AssetStore, *, flows: bool = True) -> PhysicsCorrector:
+def _opened_corrector(work: SceneWork[Any, Any, Any]) -> tuple[PhysicsCorrector, AssetStore]:
+    """The corrector of an actor, and the meshes of its scenes."""
+    opened = work.opened()
+    return opened.corrector, opened.source.store
+
+
+def corrector_of(
+    settings: CorrectSettings, store: AssetStore, shared: PooledCorrector | None = None, *, flows: bool = True
+) -> PhysicsCorrector:
     """The corrector for the settings of a job.
 
     Args:
         settings: The settings.
         store: Meshes of the assets.
+        shared: The shared flow and refinement; None if this process has its own.
         flows: Whether the flow moves objects before certification, if there are weights.
     """
     when_full: WhenFull = "infeasible" if settings.when_full == "infeasible" else "drop"
     options = CertifyOptions(when_full=when_full, restore=settings.restore)
-    flow = load_flow(settings.weights, settings.steps, settings.error(), settings.device) if flows else None
+    if shared is not None:
+        flow, refiner = shared.flow, shared.refiner
+        return PhysicsCorrector(flow, options, settings.judge_raw, refiner, settings.polish, settings.purpose)
+    own_flow = load_flow(settings.weights, settings.steps, settings.error(), settings.device) if flows else None
     needs_grids = settings.refine or settings.polish != "certify"
-    refiner = Refiner(store, ContactGrids(contact_grid_cache()), device=settings.device) if needs_grids else None
-    return PhysicsCorrector(flow, options, settings.judge_raw, refiner, settings.polish, settings.purpose)
+    own_refiner = Refiner(store, ContactGrids(contact_grid_cache()), device=settings.device) if needs_grids else None
+    return PhysicsCorrector(own_flow, options, settings.judge_raw, own_refiner, settings.polish, settings.purpose)
 
 
 def dropped_notice(dropped: DroppedObject, scene_id: str) -> Notice:

@@ -40,7 +40,17 @@ class CorrectSettings(Settings):
     """Radians; expected error of yaws, which the flow is told. 0: unknown."""
 
     device: str = "cpu"
-    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved."""
+    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved. Worker processes have
+    no GPU: with them, name ``correctors`` too.
+    """
+
+    correctors: Count = 0
+    """Flows and refinements that the workers share, each a Ray actor; 0 gives every worker its own. The scenes of all workers that
+    wait become one batch.
+    """
+
+    corrector_gpus: NonNegative = 0.0
+    """GPUs of each shared flow and refinement: a part of one, or a whole number."""
 
     refine: bool = False
     """Whether layouts are refined in batches after the flow. Four of five need no certification then, but on a CPU that takes longer
@@ -111,8 +121,8 @@ class CorrectSettings(Settings):
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows; a run is resumed only if they are equal."""
-        aside = ("num_pictures", "seconds_per_item", "write_dataset", "device")
-        return {k: v for k, v in asdict(self).items() if k not in aside}
+        aside = ("num_pictures", "seconds_per_item", "write_dataset", "device", "correctors", "corrector_gpus")
+        return {k: v for k, v in asdict(self).items() if k not in aside} | shared_correctors(self.correctors)
 
     def scene_settings(self) -> SceneSettings:
         """The settings for reading a scene."""
@@ -140,3 +150,8 @@ class CorrectSettings(Settings):
         """The instances of a scene that must stay."""
         names = {name.strip() for name in self.fixed.split(",")}
         return frozenset(o.instance for o in scene.objects if {o.instance, o.category} & names)
+
+
+def shared_correctors(count: int) -> dict[str, Any]:
+    """What shared correctors add to the settings that shape rows: batches with scenes of other shards can change rounding."""
+    return {"shares_correctors": True} if count else {}

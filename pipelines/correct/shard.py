@@ -91,7 +91,7 @@ class CorrectWork(SceneWork[CorrectSettings, str, CertificationRequest]):
 @lru_cache(maxsize=1)
 def _opened(work: CorrectWork) -> SceneWorkerState:
     source = scene_source(work.scenes)
-    return SceneWorkerState(source, corrector_of(work.settings, source.store))
+    return SceneWorkerState(source, corrector_of(work.settings, source.store, work.correctors))
 
 
 def correction_row(done: Correction) -> schemas.Row:

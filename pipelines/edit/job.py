@@ -13,6 +13,7 @@ from pipelines.correct.job import SceneJob, check_place
 from pipelines.edit.report import write_edit_report
 from pipelines.edit.settings import EditSettings
 from pipelines.edit.shard import EditWork
+from pipelines.execution.engine_pool import refuse_without_workers
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, run_job
 from pipelines.execution.shard_size import split_groups
@@ -41,6 +42,7 @@ def edit(
 ) -> dict[str, Any]:
     """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
     check_place(scenes, out)
+    refuse_without_workers("correctors", settings.correctors, workers)
     return run_job(EditJob(scenes, edits, settings, workers, assets), out, workers, report=report)
 
 

@@ -230,7 +230,7 @@ class _Opened(SceneWorkerState):
 def _opened(work: EditWork) -> _Opened:
     settings, shelf = work.settings, AssetLibraries(work.assets, scenes=work.scenes)
     source = scene_source(work.scenes, shelf)
-    corrector = corrector_of(settings, source.store, flows=settings.correct)
+    corrector = corrector_of(settings, source.store, work.correctors, flows=settings.correct)
     return _Opened(source, corrector, settings=settings, shelf=shelf, finder=AssetFinder(source, shelf))
 
 

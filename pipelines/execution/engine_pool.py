@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from models.semantic_reasoner.engines.protocol import Completion, Request, close_engine
 from models.semantic_reasoner.engines.registry import EngineSettings, load_engine
+from pipelines.execution.ray_executor import WorkerPool
 from stable_data.errors import ConfigError
 
 _QUIET_SECONDS = 30.0  # of waiting, after which a line tells the reason
@@ -181,7 +182,7 @@ def engine_pool(settings: EngineSettings, count: int, gpus: float, *, may_grow: 
         ConfigError: The engine cannot be loaded, or the GPUs have no place for all engines and the cluster cannot grow.
     """
     if not may_grow:
-        _check_place(count, gpus)
+        check_place("engines", count, gpus)
     actor = ray.remote(num_gpus=gpus, num_cpus=0, max_restarts=-1, max_task_retries=-1)(_EngineActor)
     pool = PooledEngine(tuple(actor.remote(settings) for _ in range(count)), "", repeats=False)
     try:
@@ -213,18 +214,41 @@ def _started(actors: Sequence[Any], settings: EngineSettings, gpus: float) -> tu
     return found
 
 
-def _check_place(count: int, gpus: float) -> None:
-    """Refuses more engines than the present GPUs can hold.
+def refuse_without_workers(what: str, count: int, workers: WorkerPool) -> None:
+    """Refuses actors that nobody could share.
+
+    Args:
+        what: The setting with their number, such as engines.
+        count: Their number.
+        workers: The workers of the job.
 
     Raises:
-        ConfigError: There is no place for all engines (``engine_pool``).
+        ConfigError: There are actors, but this process does the work (``config_invalid``).
+    """
+    if count and workers.are_this_process:
+        raise ConfigError(
+            f"{what} is {count}, but a single process (--workers 0) cannot share them; use more workers, or leave {what} at 0",
+            "config_invalid",
+        )
+
+
+def check_place(what: str, count: int, gpus: float) -> None:
+    """Refuses more actors than the present GPUs can hold.
+
+    Args:
+        what: The setting with their number, such as engines.
+        count: Their number.
+        gpus: GPUs of each.
+
+    Raises:
+        ConfigError: There is no place for all (``engine_pool``).
     """
     there = int(ray.cluster_resources().get("GPU", 0))
     # A fraction never spans two GPUs. The 1e-9 is for fractions whose inverse is rounded below a whole number.
     places = count if gpus == 0 else int(there / gpus) if gpus >= 1 else there * int(1 / gpus + 1e-9)
     if count > places:
         raise ConfigError(
-            f"engines={count} with engine_gpus={gpus:g} need {count * gpus:g} GPUs, but this machine has {there}, enough for {places} "
-            "engines; lower one of the two, or name a cluster with --address",
+            f"{what}={count} with {what.removesuffix('s')}_gpus={gpus:g} need {count * gpus:g} GPUs, but this machine has {there}, "
+            f"enough for {places} {what}; lower one of the two, or name a cluster with --address",
             "engine_pool",
         )

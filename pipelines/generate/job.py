@@ -7,6 +7,7 @@ from typing import Any
 
 from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
 from models.semantic_reasoner.factory import proposal_config
+from pipelines.execution.engine_pool import refuse_without_workers
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_size import split_groups
@@ -18,7 +19,7 @@ from pipelines.sources.asset_copies import CopyAssets, asset_shards
 from pipelines.sources.assets import AssetLibraries, absolute_places
 from pipelines.sources.generation_tasks import TaskSource
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, Notice
+from stable_data.errors import Notice
 from stable_data.storage.run_folder import RunFolder
 
 
@@ -32,12 +33,8 @@ def generate(
     report: bool = True,
 ) -> dict[str, Any]:
     """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
-    if settings.engines and workers.are_this_process:
-        raise ConfigError(
-            f"engines is {settings.engines}, but a single process (--workers 0) cannot share them; use more workers, or leave "
-            "engines at 0",
-            "config_invalid",
-        )
+    for name in ("engines", "correctors"):
+        refuse_without_workers(name, getattr(settings, name), workers)
     return run_job(GenerateJob(tasks, settings, assets), out, workers, report=report)
 
 

@@ -11,6 +11,7 @@ from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
+from pipelines.correct.settings import shared_correctors
 from pipelines.execution.shard_size import shard_size
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.errors import ConfigError
@@ -60,7 +61,17 @@ class GenerateSettings(Settings):
     """Solver steps of the flow; 0 takes the number that is stored with the weights."""
 
     device: str = "cpu"
-    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved."""
+    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved. Worker processes have
+    no GPU: with them, name ``correctors`` too.
+    """
+
+    correctors: Count = 0
+    """Flows and refinements that the workers share, each a Ray actor; 0 gives every worker its own. The scenes of all workers that
+    wait become one batch.
+    """
+
+    corrector_gpus: NonNegative = 0.0
+    """GPUs of each shared flow and refinement: a part of one, or a whole number."""
 
     refine: bool = False
     """Whether layouts are refined in batches after the flow. Four of five need no certification then, but on a CPU that takes longer
@@ -153,6 +164,8 @@ class GenerateSettings(Settings):
             "core_hour_price",
             "engines",
             "engine_gpus",
+            "correctors",
+            "corrector_gpus",
             "seconds_per_item",
             "device",
         )
@@ -160,4 +173,4 @@ class GenerateSettings(Settings):
         licences = self.retrieval.licences
         own["retrieval"]["licences"] = None if licences is None else sorted(licences)  # JSON has no sets
         # A worker's own engine answers in another order, which forms other batches of the corrector and can change rounding.
-        return own | {"shares_engines": self.engines > 0}
+        return own | {"shares_engines": self.engines > 0} | shared_correctors(self.correctors)

@@ -30,6 +30,7 @@ from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import assistant_message
 from pipelines.correct.scene_shard import dropped_notice, notices_of
+from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.engine_pool import PooledEngine, engine_pool
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import LocalTally, ProgressReporter, ProgressTally, SharedTally
@@ -112,6 +113,7 @@ class GenerateWork(ShardStep[Task]):
         settings: The job's settings.
         fingerprint: Hash of the inputs, the key of what a process caches of them.
         pool: The shared engines, or None if each process has its own.
+        correctors: The shared flow and refinement, or None if each process has its own.
         tally: Receives the progress of the scenes, or None.
     """
 
@@ -122,6 +124,7 @@ class GenerateWork(ShardStep[Task]):
     settings: GenerateSettings
     fingerprint: str = ""
     pool: PooledEngine | None = field(default=None, compare=False)
+    correctors: PooledCorrector | None = field(default=None, compare=False)
     tally: ProgressTally | None = field(default=None, compare=False)
 
     @contextmanager
@@ -134,12 +137,16 @@ class GenerateWork(ShardStep[Task]):
         started = connect(workers)
         try:
             with ExitStack() as stack:
-                pool, settings = None, self.settings
+                work, settings = self, self.settings
                 if settings.engines:
                     engines = engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
-                    pool = stack.enter_context(engines)
+                    work = replace(work, pool=stack.enter_context(engines))
+                if settings.correctors:
+                    opens = partial(_opened_corrector, self)
+                    shared = corrector_pool(opens, settings.correctors, settings.corrector_gpus, may_grow=not started)
+                    work = replace(work, correctors=stack.enter_context(shared))
                 tally = SharedTally.started()
-                yield replace(self, pool=pool, tally=tally), tally
+                yield replace(work, tally=tally), tally
         finally:
             if started:
                 ray.shutdown()
@@ -238,7 +245,8 @@ class GenerateWork(ShardStep[Task]):
 
     def _physics(self) -> "GenerateWork":
         """The work for a separate process, which is no worker of Ray and cannot reach shared engines or the tally."""
-        return replace(self, pool=None, tally=None)
+        settings = replace(self.settings, device="cpu") if self.correctors else self.settings  # the GPU is the actors'
+        return replace(self, settings=settings, pool=None, correctors=None, tally=None)
 
     def _rows(self, made: GenerationResult) -> Rows:
         """All rows of one scene."""
@@ -330,8 +338,16 @@ def _open_certifier(work: GenerateWork) -> LocalCertifier:
     return _certifier(work.settings, AssetLibraries(work.assets))
 
 
-def _certifier(settings: GenerateSettings, shelf: AssetLibraries) -> LocalCertifier:
+def _opened_corrector(work: GenerateWork) -> tuple[PhysicsCorrector, AssetStore]:
+    """The corrector of an actor, and the meshes of its scenes."""
+    certifier = _open_certifier(work)
+    return certifier.corrector, certifier.store
+
+
+def _certifier(settings: GenerateSettings, shelf: AssetLibraries, shared: PooledCorrector | None = None) -> LocalCertifier:
     options, store = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False), AssetStore(shelf)
+    if shared is not None:
+        return LocalCertifier(PhysicsCorrector(shared.flow, options, False, shared.refiner, settings.polish), store)
     needs_grids = settings.refine or settings.polish != "certify"
     refiner = Refiner(store, ContactGrids(contact_grid_cache()), _DEPTH, settings.device) if needs_grids else None
     flow = load_flow(settings.weights, settings.steps, PROPOSAL_ERROR, settings.device)
@@ -343,7 +359,7 @@ def _opened(work: GenerateWork) -> GenerateWorkerState:
     settings = work.settings
     shelf = AssetLibraries(work.assets)
     reasoner, interpret = load_reasoner(settings.engine, settings.reasoner, work.pool)
-    retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf)
+    retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf, work.correctors)
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)
     return GenerateWorkerState(answers, shelf, interpret)
 

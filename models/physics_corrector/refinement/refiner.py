@@ -233,9 +233,7 @@ def _may_fit(layout: LayoutToRefine) -> bool:
     return covered <= float(np.prod(layout.scene.table.size_xy))
 
 
-def _rest_exactly(
-    problem: RefinementProblem, layouts: Sequence[LayoutToRefine]
-) -> tuple[RefinementProblem, Tensor, Tensor]:
+def _rest_exactly(problem: RefinementProblem, layouts: Sequence[LayoutToRefine]) -> tuple[RefinementProblem, Tensor, Tensor]:
     """Rests by the meshes what by the grids is not at rest on its carrier, where no search of heights can help.
 
     Grids have errors of tenths of a millimetre, which would move a pen that leans in its cup to a place where it does not. What does
