@@ -16,28 +16,15 @@ from stable_data.mesatask import PositionConvention
 from stable_data.scene import Scene
 
 
-@dataclass(frozen=True, slots=True)
-class CorrectSettings(Settings):
-    """Settings of the correct job, from ``--set key=value`` or the table ``[correct]`` of a TOML file."""
-
-    section: ClassVar[str] = "correct"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CorrectorJobSettings(Settings):
+    """Settings of all jobs that use the Physics Corrector."""
 
     weights: str = "auto"
     """Weights of the corrector: ``auto`` is the file in models/weights, ``none`` uses the certifier alone, else a file."""
 
     steps: Count = 0
     """Solver steps of the flow; 0 takes the number that is stored with the weights."""
-
-    purpose: Purpose = "repair"
-    """``repair``: layouts are meant as they are, objects move only as far as a clean layout needs, and directions between objects
-    are kept. ``rearrange``: objects go where the flow finds that they belong; supports, and directions that the task states, stay.
-    """
-
-    position_error: NonNegative = 0.0
-    """Metres; expected error of positions along x and along y, which the flow is told. 0: unknown."""
-
-    yaw_error: NonNegative = 0.0
-    """Radians; expected error of yaws, which the flow is told. 0: unknown."""
 
     device: str = "cpu"
     """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved. Worker processes have
@@ -61,6 +48,28 @@ class CorrectSettings(Settings):
     """What follows the flow: ``certify`` certifies what the refinement leaves, ``verify`` only audits the refined scenes, ``off``
     publishes the result of the flow itself. Scenes that are not clean then have the status ``unclean``.
     """
+
+    def shaping_shared(self) -> dict[str, Any]:
+        """What shared correctors add to the settings that shape rows: batches with scenes of other shards can change rounding."""
+        return {"shares_correctors": True} if self.correctors else {}
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectSettings(CorrectorJobSettings):
+    """Settings of the correct job, from ``--set key=value`` or the table ``[correct]`` of a TOML file."""
+
+    section: ClassVar[str] = "correct"
+
+    purpose: Purpose = "repair"
+    """``repair``: layouts are meant as they are, objects move only as far as a clean layout needs, and directions between objects
+    are kept. ``rearrange``: objects go where the flow finds that they belong; supports, and directions that the task states, stay.
+    """
+
+    position_error: NonNegative = 0.0
+    """Metres; expected error of positions along x and along y, which the flow is told. 0: unknown."""
+
+    yaw_error: NonNegative = 0.0
+    """Radians; expected error of yaws, which the flow is told. 0: unknown."""
 
     when_full: Literal["drop", "infeasible"] = "drop"
     """What happens where not all objects fit: ``drop`` removes the least important background object, ``infeasible`` reports
@@ -122,7 +131,7 @@ class CorrectSettings(Settings):
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows; a run is resumed only if they are equal."""
         aside = ("num_pictures", "seconds_per_item", "write_dataset", "device", "correctors", "corrector_gpus")
-        return {k: v for k, v in asdict(self).items() if k not in aside} | shared_correctors(self.correctors)
+        return {k: v for k, v in asdict(self).items() if k not in aside} | self.shaping_shared()
 
     def scene_settings(self) -> SceneSettings:
         """The settings for reading a scene."""
@@ -150,8 +159,3 @@ class CorrectSettings(Settings):
         """The instances of a scene that must stay."""
         names = {name.strip() for name in self.fixed.split(",")}
         return frozenset(o.instance for o in scene.objects if {o.instance, o.category} & names)
-
-
-def shared_correctors(count: int) -> dict[str, Any]:
-    """What shared correctors add to the settings that shape rows: batches with scenes of other shards can change rounding."""
-    return {"shares_correctors": True} if count else {}

@@ -6,12 +6,11 @@ from typing import Annotated, Any, ClassVar, cast
 from annotated_types import Interval
 
 from models.dual_system.algorithm1 import Corrects, LoopSettings
-from models.physics_corrector.corrector import Polish
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted
-from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
-from pipelines.correct.settings import shared_correctors
+from models.settings import Count, NonNegative, Positive, PositiveCount
+from pipelines.correct.settings import CorrectorJobSettings
 from pipelines.execution.shard_size import shard_size
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.errors import ConfigError
@@ -23,7 +22,7 @@ _FEWEST, _MOST = 16, 128  # scenes of a shard: fewer make small batches for the 
 
 
 @dataclass(frozen=True, slots=True)
-class GenerateSettings(Settings):
+class GenerateSettings(CorrectorJobSettings):
     """Settings of the generate job, from ``--set key=value`` or the table ``[generate]`` of a TOML file."""
 
     section: ClassVar[str] = "generate"
@@ -53,35 +52,6 @@ class GenerateSettings(Settings):
 
     full: Annotated[float, Interval(gt=0, le=1)] = 1.0
     """Share of the table; once this much is covered no further stage is asked for. 1 asks for all stages."""
-
-    weights: str = "auto"
-    """Weights of the corrector: ``auto`` is the file in models/weights, ``none`` uses the certifier alone, else a file."""
-
-    steps: Count = 0
-    """Solver steps of the flow; 0 takes the number that is stored with the weights."""
-
-    device: str = "cpu"
-    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved. Worker processes have
-    no GPU: with them, name ``correctors`` too.
-    """
-
-    correctors: Count = 0
-    """Flows and refinements that the workers share, each a Ray actor; 0 gives every worker its own. The scenes of all workers that
-    wait become one batch.
-    """
-
-    corrector_gpus: NonNegative = 0.0
-    """GPUs of each shared flow and refinement: a part of one, or a whole number."""
-
-    refine: bool = False
-    """Whether layouts are refined in batches after the flow. Four of five need no certification then, but on a CPU that takes longer
-    than certification alone.
-    """
-
-    polish: Polish = "certify"
-    """What follows the flow: ``certify`` certifies what the refinement leaves, ``verify`` only audits the refined scenes, ``off``
-    publishes the result of the flow itself.
-    """
 
     settle: bool = True
     """Whether the last correction simulates physics to find objects that do not stay at rest, and moves them."""
@@ -173,4 +143,4 @@ class GenerateSettings(Settings):
         licences = self.retrieval.licences
         own["retrieval"]["licences"] = None if licences is None else sorted(licences)  # JSON has no sets
         # A worker's own engine answers in another order, which forms other batches of the corrector and can change rounding.
-        return own | {"shares_engines": self.engines > 0} | shared_correctors(self.correctors)
+        return own | {"shares_engines": self.engines > 0} | self.shaping_shared()
