@@ -23,7 +23,8 @@ Steerable's projection runs in it too.
 - space, align, face: distance of the spacing (mm), alignment (mm) and facing (degrees) of the objects to those of the targets;
 - rest: objects that stay at rest in MuJoCo, of all; lie: the same of whole layouts (``--settle``), and again without layouts in
   which an obliquely tilted object is shifted out of its carrier, which no yaw can repair;
-- done: scenes that the method itself counts as solved; s: seconds a scene, median, without the preparation of assets.
+- done: scenes that the method itself counts as solved, which for the refinement are those that are clean, steady by statics, on the
+  carriers of the scene graph and in the same order; s: seconds a scene, median, without the preparation of assets.
 
 Below: the median seconds of each baseline, divided by those of the corrector's methods, by bucket.
 """

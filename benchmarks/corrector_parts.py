@@ -83,6 +83,9 @@ class CorrectorParts:
         done = corrector.certify(request, store)
         seconds = time.process_time() - begin
         is_clean = done.status in (CorrectionStatus.CERTIFIED, CorrectionStatus.DROPPED)
+        prepared = request.prepared
+        if not self.certifies and prepared is not None and prepared.refined is not None:
+            is_clean = is_clean and prepared.is_solved  # also steady, on its carriers, and in the same order
         return BaselineResult(done.certified or scene, is_clean, seconds, done.reason)
 
     def _prepare(self, corrector: PhysicsCorrector, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> None:
