@@ -4,7 +4,7 @@ Scenes that are not clean are refined again, with a larger clearance. A refined 
 each object is on or in its carrier and steady there, and no directional relation is broken. All others are for ``certify``.
 """
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -19,7 +19,7 @@ from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.resting_pose import is_at_rest, resting_pose
 from models.physics_corrector.certify.static_stability import stands_alone
 from models.physics_corrector.certify.static_stability import steadiness as exact_steadiness
-from models.physics_corrector.certify.support_inference import expected_carriers
+from models.physics_corrector.certify.support_inference import SupportEdge, expected_carriers
 from models.physics_corrector.refinement.contact_shapes import ContactShapeCache
 from models.physics_corrector.refinement.problem import RefinementProblem
 from models.physics_corrector.refinement.resting import lower_onto, stand_on_table, step_aside, unrested
@@ -149,38 +149,37 @@ class Refiner:
     def _refined_batch(self, layouts: Sequence[LayoutToRefine]) -> list[RefinedLayout]:
         done: dict[int, RefinedLayout] = {}
         now = list(layouts)
-        left = list(range(len(layouts)))
+        left, unsteady = list(range(len(layouts))), [frozenset[str]() for _ in layouts]
         for clearance, iterations in _ROUNDS:
             some, origins = [now[b] for b in left], [layouts[b].scene for b in left]
             shapes, fixed = [one.shapes for one in some], [one.fixed for one in some]
             problem = RefinementProblem.of([one.scene for one in some], shapes, fixed, origins, self._cache).to(self._device)
-            problem, resting, leaning = _rest_exactly(problem, some)
+            problem, resting, leaning = _rest_exactly(problem, some, [unsteady[b] for b in left])
             poses = refine_poses(problem, clearance, iterations, resting)
             keeps_order, steady = _keeps_order(poses, problem), _steadiness(poses, problem, leaning)
             found = poses.double().cpu().numpy()
             for row, b in enumerate(left):
                 now[b] = replace(now[b], scene=_moved(now[b], found[row]))
-                done[b] = self._judged(layouts[b], now[b].scene, bool(keeps_order[row]), steady[row])
-            left = [b for b in left if not done[b].audit.card().clean]
+                unsteady[b] = _unsteady(layouts[b], now[b].scene, steady[row])
+                done[b] = self._judged(layouts[b], now[b].scene, bool(keeps_order[row]), not unsteady[b])
+            left = [b for b in left if unsteady[b] or not done[b].audit.card().clean]
             if not left:
                 break
         return [done[b] for b in range(len(layouts))]
 
-    def _judged(self, start: LayoutToRefine, scene: Scene, keeps_order: bool, steady: FloatArray) -> RefinedLayout:
+    def _judged(self, start: LayoutToRefine, scene: Scene, keeps_order: bool, is_steady: bool) -> RefinedLayout:
         """The result of a layout.
 
         Args:
             start: The layout before.
             scene: The scene after.
             keeps_order: Whether no directional relation is broken.
-            steady: The steadiness of each carried object, (N,); inf for other objects.
+            is_steady: Whether all objects stay on their carriers.
         """
         audit = audit_scene(scene, start.shapes)
         deepest = max((p.penetration or 0.0 for p in audit.pairs), default=0.0)
         is_clean = audit.card().clean is True and deepest <= self._depth + ROUNDING
-        return RefinedLayout(
-            scene, audit, is_clean and keeps_order and _are_carried(scene, audit) and _are_steady(start, scene, steady)
-        )
+        return RefinedLayout(scene, audit, is_clean and keeps_order and is_steady and _are_carried(scene, audit))
 
 
 def refine_poses(problem: RefinementProblem, clearance: float, iterations: int, resting: Tensor | None = None) -> Tensor:
@@ -234,11 +233,18 @@ def _may_fit(layout: LayoutToRefine) -> bool:
     return covered <= float(np.prod(layout.scene.table.size_xy))
 
 
-def _rest_exactly(problem: RefinementProblem, layouts: Sequence[LayoutToRefine]) -> tuple[RefinementProblem, Tensor, Tensor]:
+def _rest_exactly(
+    problem: RefinementProblem, layouts: Sequence[LayoutToRefine], unsteady: Sequence[Set[str]]
+) -> tuple[RefinementProblem, Tensor, Tensor]:
     """Rests by the meshes what by the grids is not at rest on its carrier, where no search of heights can help.
 
     Grids have errors of tenths of a millimetre, which would move a pen that leans in its cup to a place where it does not. What does
-    not stand by itself, such as this pen, gets a pose at which it leans.
+    not stand by itself, such as this pen, gets a pose at which it leans; what rests but does not stay there, another pose.
+
+    Args:
+        problem: The layouts as tensors.
+        layouts: The layouts.
+        unsteady: The objects of each layout that do not stay where they rest.
 
     Returns:
         The problem with these poses; the objects that rest, (B * N,) bool; and those of them that are steady by statics with
@@ -252,26 +258,38 @@ def _rest_exactly(problem: RefinementProblem, layouts: Sequence[LayoutToRefine])
     poses = poses.clone()
     for b, layout in enumerate(layouts):
         first, count = b * num_slots, len(layout.shapes)
-        numbers = suspects[first : first + count].nonzero()[:, 0].tolist()
+        tipping = {k for k, o in enumerate(layout.scene.objects) if o.instance in unsteady[b] and carried[first + k]}
+        numbers = sorted({*suspects[first : first + count].nonzero()[:, 0].tolist(), *tipping})
         if not numbers:
             continue
-        meshes, edges = MeshQueries([shape.as_mesh() for shape in layout.shapes]), expected_carriers(layout.scene)
+        meshes, edges = MeshQueries([shape.as_mesh() for shape in layout.shapes]), _carriers(layout.scene)
         moving = {k for k in numbers if carried[first + k]}
         for k in numbers:
             beside = (root[first : first + count] == root[first + k]).nonzero()[:, 0].tolist()
             beside.remove(k)
-            if is_at_rest(meshes, stood[b], k, stood[b, k], beside):
-                resting[first + k] = True
-            elif k in edges and not stands_alone(meshes.shapes[k]):
+            rests = is_at_rest(meshes, stood[b], k, stood[b, k], beside)
+            resting[first + k] = rests
+            if k in edges and (k in tipping or (not rests and not stands_alone(meshes.shapes[k]))):
                 done = [j for j in beside if j not in moving]
                 found = resting_pose(meshes, stood[b], k, edges[k], done) if edges[k].parent in done else None
-                if found is not None:
+                if found is not None and (found.is_steady or not rests):
                     stood[b, k], poses[b, k] = found.pose, torch.from_numpy(found.pose).to(poses)
                     resting[first + k], steady[first + k] = True, found.is_steady
             if resting[first + k]:
                 moving.discard(k)
     device = problem.mobility.device
     return replace(problem, layout=replace(problem.layout, poses=poses)), resting.to(device), steady.to(device)
+
+
+def _carriers(scene: Scene) -> Mapping[int, SupportEdge]:
+    """The carriers by the scene's relations, else by the supports of the objects; those on the table are left out."""
+    number = {o.instance: k for k, o in enumerate(scene.objects)}
+    found = dict(expected_carriers(scene))
+    for k, o in enumerate(scene.objects):
+        if k not in found and o.support in number:
+            carrier = scene[o.support]
+            found[k] = SupportEdge(number[o.support], o.bottom < carrier.top - RIM_MARGIN)
+    return found
 
 
 def _keeps_order(poses: Tensor, problem: RefinementProblem) -> list[bool]:
@@ -310,14 +328,20 @@ def _are_carried(scene: Scene, audit: Audit) -> bool:
     return True
 
 
-def _are_steady(start: LayoutToRefine, scene: Scene, steady: FloatArray) -> bool:
-    """Whether all carried objects stay on their carriers.
+def _unsteady(start: LayoutToRefine, scene: Scene, steady: FloatArray) -> frozenset[str]:
+    """The carried objects that do not stay on their carriers.
 
-    Those do that are known to stay and have not moved on them; of the others, statics with friction decides where the margin alone
-    does not, as for a pen that leans in its cup.
+    Those stay that are known to and have not moved on them; of the others, statics with friction decides where the margin alone does
+    not, as for a pen that leans in its cup.
+
+    Args:
+        start: The layout before.
+        scene: The scene after.
+        steady: The steadiness of each carried object by its margin, (N,); inf for other objects.
     """
     before = {o.instance: o for o in start.scene.objects}
     meshes, poses = MeshQueries([shape.as_mesh() for shape in start.shapes]), scene.poses()
+    found = set()
     for k, o in enumerate(scene.objects):
         if steady[k] >= constants.STEADY or o.instance in start.fixed:
             continue
@@ -328,8 +352,8 @@ def _are_steady(start: LayoutToRefine, scene: Scene, steady: FloatArray) -> bool
                 continue
         others = [j for j in range(len(scene.objects)) if j != k]
         if exact_steadiness(meshes, k, poses[k], others, poses) < constants.STEADY:
-            return False
-    return True
+            found.add(o.instance)
+    return frozenset(found)
 
 
 def _moved(layout: LayoutToRefine, poses: FloatArray) -> Scene:
