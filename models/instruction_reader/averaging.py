@@ -7,9 +7,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import torch
-
 from models.instruction_reader.weights import ReaderModel, load_reader, save_reader
+from models.training.averaging import average_states
 from stable_data.errors import ConfigError
 
 
@@ -23,17 +22,8 @@ def average_readers(readers: Sequence[ReaderModel], shares: Sequence[float]) -> 
     Raises:
         ValueError: There are not as many shares as readers.
     """
-    states = [reader.network.state_dict() for reader in readers]
-    total = sum(shares)
-
-    def mean(name: str) -> torch.Tensor:
-        first: torch.Tensor = states[0][name]
-        if not first.is_floating_point() or all(torch.equal(first, state[name]) for state in states):
-            return first  # the mean of equal values may differ by rounding, and files have what differs from the encoder
-        parts = [share / total * state[name] for share, state in zip(shares, states, strict=True)]
-        return torch.stack(parts).sum(0)
-
-    readers[0].network.load_state_dict({name: mean(name) for name in states[0]})
+    states = average_states([reader.network.state_dict() for reader in readers], shares)
+    readers[0].network.load_state_dict(states)
     return readers[0]
 
 
