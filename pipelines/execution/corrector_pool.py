@@ -171,7 +171,7 @@ class PooledCorrector:
         try:
             found: list[Any] = ray.get(actor.compute.remote(step, [replace(layout, shapes=()) for layout in layouts]))
         except ray.exceptions.RayTaskError as error:
-            raise error.cause from error
+            raise (error.cause or error) from error
         return found
 
 

@@ -19,7 +19,7 @@ from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.resting_pose import is_at_rest, resting_pose
 from models.physics_corrector.certify.static_stability import stands_alone
 from models.physics_corrector.certify.static_stability import steadiness as exact_steadiness
-from models.physics_corrector.certify.support_inference import SupportEdge, expected_carriers
+from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, expected_carriers, known_carriers
 from models.physics_corrector.refinement.contact_shapes import ContactShapeCache
 from models.physics_corrector.refinement.problem import RefinementProblem
 from models.physics_corrector.refinement.resting import lower_onto, stand_on_table, step_aside, unrested
@@ -32,6 +32,7 @@ from stable_data.geometry.leaning import RIM_MARGIN
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.metrics.collision import ROUNDING, TOLERANCE
+from stable_data.rotations import YAW_ARM
 from stable_data.scene import TABLE, FloatArray, Scene
 
 T = TypeVar("T")
@@ -154,15 +155,17 @@ class Refiner:
             some, origins = [now[b] for b in left], [layouts[b].scene for b in left]
             shapes, fixed = [one.shapes for one in some], [one.fixed for one in some]
             problem = RefinementProblem.of([one.scene for one in some], shapes, fixed, origins, self._cache).to(self._device)
-            problem, resting, leaning = _rest_exactly(problem, some, [unsteady[b] for b in left])
+            problem, resting = _rest_exactly(problem, some, [unsteady[b] for b in left])
             poses = refine_poses(problem, clearance, iterations, resting)
-            keeps_order, steady = _keeps_order(poses, problem), _steadiness(poses, problem, leaning)
+            keeps_order, steady = _keeps_order(poses, problem), _steadiness(poses, problem)
             found = poses.double().cpu().numpy()
             for row, b in enumerate(left):
                 now[b] = replace(now[b], scene=_moved(now[b], found[row]))
                 unsteady[b] = _unsteady(layouts[b], now[b].scene, steady[row])
-                done[b] = self._judged(layouts[b], now[b].scene, bool(keeps_order[row]), not unsteady[b])
-            left = [b for b in left if unsteady[b] or not done[b].audit.card().clean]
+                judged = self._judged(layouts[b], now[b].scene, bool(keeps_order[row]), not unsteady[b])
+                if b not in done or judged.is_solved or done[b].audit.card().clean is not True:  # else the earlier one stays
+                    done[b] = judged
+            left = [b for b in left if not done[b].is_solved and (unsteady[b] or not done[b].audit.card().clean)]
             if not left:
                 break
         return [done[b] for b in range(len(layouts))]
@@ -235,11 +238,12 @@ def _may_fit(layout: LayoutToRefine) -> bool:
 
 def _rest_exactly(
     problem: RefinementProblem, layouts: Sequence[LayoutToRefine], unsteady: Sequence[Set[str]]
-) -> tuple[RefinementProblem, Tensor, Tensor]:
-    """Rests by the meshes what by the grids is not at rest on its carrier, where no search of heights can help.
+) -> tuple[RefinementProblem, Tensor]:
+    """Uses the meshes for carried objects for which grids are too coarse.
 
-    Grids have errors of tenths of a millimetre, which would move a pen that leans in its cup to a place where it does not. What does
-    not stand by itself, such as this pen, gets a pose at which it leans; what rests but does not stay there, another pose.
+    Grids have errors of tenths of a millimetre, which would move a pen that leans in its cup to a place where it does not lean. So
+    what is at rest by the meshes stays. What is not, and cannot stand by itself, gets a pose at which it leans; what is at rest but
+    does not stay there gets another pose. Both may be turned.
 
     Args:
         problem: The layouts as tensors.
@@ -247,49 +251,61 @@ def _rest_exactly(
         unsteady: The objects of each layout that do not stay where they rest.
 
     Returns:
-        The problem with these poses; the objects that rest, (B * N,) bool; and those of them that are steady by statics with
-        friction.
+        The problem with these poses, and the objects that rest, (B * N,) bool.
     """
     num_slots = problem.layout.mask.shape[1]
-    poses = stand_on_table(problem.layout.poses, problem)
+    poses = stand_on_table(problem.layout.poses, problem).clone()
     suspects, carried = unrested(poses, problem, problem.carried).cpu(), problem.carried.cpu()
-    root, stood = problem.forest.root.cpu(), poses.double().cpu().numpy()
-    resting, steady = torch.zeros_like(suspects), torch.zeros_like(suspects)
-    poses = poses.clone()
+    root, level, stood = problem.forest.root.cpu(), problem.forest.level.cpu(), poses.double().cpu().numpy()
+    resting = torch.zeros_like(suspects)
     for b, layout in enumerate(layouts):
-        first, count = b * num_slots, len(layout.shapes)
-        tipping = {k for k, o in enumerate(layout.scene.objects) if o.instance in unsteady[b] and carried[first + k]}
-        numbers = sorted({*suspects[first : first + count].nonzero()[:, 0].tolist(), *tipping})
-        if not numbers:
+        first, names = b * num_slots, [o.instance for o in layout.scene.objects]
+        tipping = {k for k, name in enumerate(names) if name in unsteady[b] and carried[first + k]}
+        found = {*suspects[first : first + len(names)].nonzero()[:, 0].tolist(), *tipping}
+        if not found:
             continue
-        meshes, edges = MeshQueries([shape.as_mesh() for shape in layout.shapes]), _carriers(layout.scene)
-        moving = {k for k in numbers if carried[first + k]}
-        for k in numbers:
-            beside = (root[first : first + count] == root[first + k]).nonzero()[:, 0].tolist()
-            beside.remove(k)
+        meshes = MeshQueries([shape.as_mesh() for shape in layout.shapes])
+        edges = known_carriers(layout.scene, layout.shapes, set(names), expected_carriers(layout.scene))
+        waiting = set(found)
+        for k in sorted(found, key=lambda k: (int(level[first + k]), k)):  # a carrier before what it carries
+            tree = _carried_by(edges, k)
+            body = (root[first : first + len(names)] == root[first + k]).nonzero()[:, 0].tolist()
+            beside = [j for j in body if j != k and j not in tree]
             rests = is_at_rest(meshes, stood[b], k, stood[b, k], beside)
+            searches = k in tipping or not (rests or stands_alone(meshes.shapes[k]))
+            carrier = edges[k].parent if k in edges else TABLE_TOP
+            if searches and carrier != TABLE_TOP and carrier not in waiting:
+                done = [j for j in beside if j not in waiting]
+                pose = resting_pose(meshes, stood[b], k, edges[k], done)
+                if pose is not None and (pose.is_steady or not rests):
+                    _carry(stood[b], k, pose.pose, tree)
+                    poses[b, [k, *tree]] = torch.from_numpy(stood[b, [k, *tree]]).to(poses)
+                    rests = True
             resting[first + k] = rests
-            if k in edges and (k in tipping or (not rests and not stands_alone(meshes.shapes[k]))):
-                done = [j for j in beside if j not in moving]
-                found = resting_pose(meshes, stood[b], k, edges[k], done) if edges[k].parent in done else None
-                if found is not None and (found.is_steady or not rests):
-                    stood[b, k], poses[b, k] = found.pose, torch.from_numpy(found.pose).to(poses)
-                    resting[first + k], steady[first + k] = True, found.is_steady
-            if resting[first + k]:
-                moving.discard(k)
-    device = problem.mobility.device
-    return replace(problem, layout=replace(problem.layout, poses=poses)), resting.to(device), steady.to(device)
+            if rests:
+                waiting.discard(k)
+    return replace(problem, layout=replace(problem.layout, poses=poses)), resting.to(problem.mobility.device)
 
 
-def _carriers(scene: Scene) -> Mapping[int, SupportEdge]:
-    """The carriers by the scene's relations, else by the supports of the objects; those on the table are left out."""
-    number = {o.instance: k for k, o in enumerate(scene.objects)}
-    found = dict(expected_carriers(scene))
-    for k, o in enumerate(scene.objects):
-        if k not in found and o.support in number:
-            carrier = scene[o.support]
-            found[k] = SupportEdge(number[o.support], o.bottom < carrier.top - RIM_MARGIN)
+def _carried_by(edges: Mapping[int, SupportEdge], k: int) -> list[int]:
+    """The objects that an object carries, directly or on others."""
+    found, waiting = list[int](), [k]
+    while waiting:
+        below = waiting.pop()
+        above = [j for j, edge in edges.items() if edge.parent == below]
+        found, waiting = found + above, waiting + above
     return found
+
+
+def _carry(poses: FloatArray, k: int, pose: FloatArray, tree: Sequence[int]) -> None:
+    """Moves an object to a pose (4,), and what it carries with it, in place; poses (N, 4)."""
+    before, turn = poses[k].copy(), pose[3] - poses[k, 3]
+    c, s = np.cos(turn), np.sin(turn)
+    for j in tree:
+        x, y = poses[j, :2] - before[:2]
+        poses[j, :2] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+        poses[j, 2:] += pose[2] - before[2], turn
+    poses[k] = pose
 
 
 def _keeps_order(poses: Tensor, problem: RefinementProblem) -> list[bool]:
@@ -304,10 +320,9 @@ def _keeps_order(poses: Tensor, problem: RefinementProblem) -> list[bool]:
     return found
 
 
-def _steadiness(poses: Tensor, problem: RefinementProblem, leaning: Tensor) -> FloatArray:
-    """The steadiness of all carried objects, (B, N) float64; inf for other objects, and for those that lean (B * N,) bool."""
-    known = torch.where(leaning, torch.inf, steadiness(poses, problem, problem.carried))
-    found: FloatArray = known.view(problem.layout.mask.shape).double().cpu().numpy()
+def _steadiness(poses: Tensor, problem: RefinementProblem) -> FloatArray:
+    """The steadiness of all carried objects by their margins, (B, N) float64; inf for other objects."""
+    found: FloatArray = steadiness(poses, problem, problem.carried).view(problem.layout.mask.shape).double().cpu().numpy()
     return found
 
 
@@ -348,7 +363,8 @@ def _unsteady(start: LayoutToRefine, scene: Scene, steady: FloatArray) -> frozen
         if o.instance in start.steady and o.support in before:
             shift = np.subtract(o.position, before[o.instance].position)
             carrier = np.subtract(scene[o.support].position, before[o.support].position)
-            if np.abs(shift - carrier).max() <= _STILL:
+            turn = (o.yaw - before[o.instance].yaw) - (scene[o.support].yaw - before[o.support].yaw)
+            if max(np.abs(shift - carrier).max(), abs(turn) * YAW_ARM) <= _STILL:
                 continue
         others = [j for j in range(len(scene.objects)) if j != k]
         if exact_steadiness(meshes, k, poses[k], others, poses) < constants.STEADY:
@@ -366,7 +382,7 @@ def _moved(layout: LayoutToRefine, poses: FloatArray) -> Scene:
     own = np.where(np.abs(own - before) < _UNMOVED, before, own)
     stays = (own == before).all(axis=1) | np.array([o.instance in layout.fixed for o in scene.objects], np.bool_)
     objects = tuple(
-        o if is_still else o.moved((x, y, z), o.yaw)  # the refinement turns nothing
-        for o, is_still, (x, y, z, _) in zip(scene.objects, stays, own.tolist(), strict=True)
+        o if is_still else o.moved((x, y, z), yaw)
+        for o, is_still, (x, y, z, yaw) in zip(scene.objects, stays, own.tolist(), strict=True)
     )
     return replace(scene, objects=objects)

@@ -1,7 +1,8 @@
 """Layouts that a reasoner proposed, with their corrections: the turns of a generate run as training samples.
 
-A turn has the poses before and after its correction. What stays of both in the accepted scene is a sample: its target is the
-corrected layout, which is clean, and its coarse layout is the proposal.
+A turn has the poses before and after its correction. A sample has the objects that the turn, its correction and the accepted scene have in
+common: its coarse layout is the proposal, and its target the corrected layout. Only turns that were accepted and whose correction is clean
+are used: names of a rejected attempt may mean other objects.
 """
 
 from collections import defaultdict
@@ -10,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 
 from stable_data.errors import ConfigError
 from stable_data.scene import FloatArray, Scene
@@ -20,7 +22,9 @@ from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 TABLES = ("scenes", "turns", "meshes")
 """The tables of a generate run that are read."""
 
-_COLUMNS = ["scene_id", "turn", "coarse", "corrected"]
+_COLUMNS = {name: pc.field(name) for name in ("scene_id", "turn", "coarse", "corrected", "code")} | {
+    "clean": pc.field("card_after", "clean")
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +83,9 @@ def read_proposals(uri: str, meshes: Mapping[str, str]) -> tuple[list[Proposal],
 
 
 def _proposal(scene: Scene, split: str, row: Mapping[str, Any]) -> Proposal | None:
-    """The proposal of one turn; None if it was not corrected, or nothing of it stays."""
+    """The proposal of one turn; None if it was rejected, its correction is not clean, or nothing of it stays."""
+    if row["code"] or row["clean"] is not True:
+        return None
     before, after = ({pose["instance"]: pose for pose in row[name] or ()} for name in ("coarse", "corrected"))
     objects = [o for o in scene.objects if o.instance in before and o.instance in after]
     if not objects:

@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.physics_corrector.certify import CorrectionStatus
+from models.physics_corrector.certify import CorrectionStatus, constants
 from models.physics_corrector.certify.correction import SolvedBy
+from models.physics_corrector.certify.mesh_queries import MeshQueries
+from models.physics_corrector.certify.static_stability import steadiness
 from models.physics_corrector.corrector import PhysicsCorrector, Polish
 from models.physics_corrector.refinement import refiner
 from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout, Refiner
@@ -87,6 +89,65 @@ def test_a_pen_in_the_wall_of_its_cup_leans_inside() -> None:
     assert np.abs(np.subtract(moved.position[:2], (0.4, 0.4))).max() < 0.05
     bodies = bodies_of(found.scene, shapes_of(found.scene), store())
     assert settle(bodies, found.scene.table).stable
+
+
+def pens(seed: int, is_cup_first: bool = True) -> Scene:
+    """A cup with two pens that go through its wall, and through each other."""
+    rng = np.random.default_rng(seed)
+    objects = [thing("cup", (0.4, 0.4, 0.05, 0.0), support="table")]
+    for k in range(2):
+        angle = np.radians(rng.uniform(6, 12))
+        tilt = (0.0, float(np.sin(angle)), 0.0, float(np.cos(angle)))
+        x, y = 0.4 + rng.uniform(-0.04, 0.04, 2)
+        pose = (float(x), float(y), 0.085, float(rng.uniform(-3, 3)))
+        objects.append(thing(f"cube_{k}", pose, scale=(0.08, 0.08, 1.5), tilt=tilt, support="cup"))
+    relations = tuple(Relation(f"cube_{k}", RelationKind.IN, "cup") for k in range(2))
+    return replace(scene(*(objects if is_cup_first else objects[::-1])), relations=relations)
+
+
+def how_steady(of: Scene) -> float:
+    """The steadiness of the pen that stays least, by statics with friction."""
+    meshes, poses = MeshQueries([shape.as_mesh() for shape in shapes_of(of)]), of.poses()
+    numbers = range(len(poses))
+    found = [
+        steadiness(meshes, k, poses[k], [j for j in numbers if j != k], poses)
+        for k in numbers
+        if of.objects[k].support != "table"
+    ]
+    return min(found)
+
+
+def test_solved_pens_stay_by_statics_and_some_are_turned() -> None:
+    layouts = [pens(seed) for seed in range(8)]
+    found = REFINER.refine([LayoutToRefine(of, shapes_of(of)) for of in layouts])
+    assert any(one is not None and one.is_solved for one in found)
+    turned = 0
+    for of, one in zip(layouts, found, strict=True):
+        assert one is not None
+        if one.is_solved:
+            assert one.audit.card().clean
+            assert how_steady(one.scene) >= constants.STEADY
+            turned += bool(np.abs(one.scene.poses()[:, 3] - of.poses()[:, 3]).max() > 1e-3)
+    assert turned
+
+
+def test_the_order_of_objects_does_not_decide_what_leans() -> None:
+    for seed in range(4):
+        first, second = (refined(pens(seed, is_cup_first=is_first)) for is_first in (True, False))
+        assert first.audit.card().clean == second.audit.card().clean
+
+
+def test_what_tips_takes_what_it_carries_along() -> None:
+    block = thing("cube_0", (0.4, 0.4, 0.05, 0.0), support="table")
+    tray = thing("plate", (0.48, 0.4, 0.105, 0.0), support="cube_0")
+    content = thing("cube_1", (0.5, 0.42, 0.135, 0.0), scale=(0.5, 0.5, 0.5), support="plate")
+    before, found = scene(block, tray, content), refined(scene(block, tray, content))
+    assert found.audit.card().clean
+    assert how_steady(found.scene) >= constants.STEADY
+    moved = np.abs(np.subtract(found.scene["plate"].position, before["plate"].position)).max()
+    assert moved < 0.06
+    apart = [np.subtract(of["cube_1"].position, of["plate"].position) for of in (before, found.scene)]
+    assert np.abs(apart[0] - apart[1])[:2].max() < 0.015
 
 
 @pytest.mark.parametrize("thickness", [0.02, 0.1])
