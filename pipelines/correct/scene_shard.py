@@ -67,7 +67,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
     scenes: str
     settings: S
     fingerprint: str = ""
-    correctors: PooledCorrector | None = field(default=None, compare=False, kw_only=True)
+    correctors: PooledCorrector | None = field(default=None, kw_only=True)
 
     @contextmanager
     def sharing(self, workers: WorkerPool) -> Iterator[tuple[Self, ProgressTally | None]]:

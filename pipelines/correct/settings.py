@@ -27,8 +27,8 @@ class CorrectorJobSettings(Settings):
     """Solver steps of the flow; 0 takes the number that is stored with the weights."""
 
     device: str = "cpu"
-    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved. Worker processes have
-    no GPU: with them, name ``correctors`` too.
+    """Device of flow and refinement, such as cpu or cuda. Batches that do not fit into its memory are halved. Workers reserve no GPU,
+    so each would load its own flow on the first one: name ``correctors`` too.
     """
 
     correctors: Count = 0
@@ -51,7 +51,29 @@ class CorrectorJobSettings(Settings):
 
     def shaping_shared(self) -> dict[str, Any]:
         """What shared correctors add to the settings that shape rows: batches with scenes of other shards can change rounding."""
-        return {"shares_correctors": True} if self.correctors else {}
+        return {"shares_correctors": self.correctors > 0}
+
+    def check_correctors(self, section: str) -> None:
+        """Refuses numbers of GPUs that are impossible, or that nothing would use.
+
+        Raises:
+            ConfigError: See above (``config_invalid``).
+        """
+        gpus = self.corrector_gpus
+        if gpus > 1 and not float(gpus).is_integer():
+            raise ConfigError(
+                f"setting {section}.corrector_gpus is {gpus}, expected a fraction of a GPU or a whole number", "config_invalid"
+            )
+        if gpus and not self.correctors:
+            raise ConfigError(
+                f"setting {section}.corrector_gpus is {gpus:g}, but correctors is 0; set correctors, or corrector_gpus to 0",
+                "config_invalid",
+            )
+        if gpus and self.device == "cpu":
+            raise ConfigError(
+                f"setting {section}.corrector_gpus is {gpus:g}, but device is cpu; set device to cuda, or corrector_gpus to 0",
+                "config_invalid",
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +137,7 @@ class CorrectSettings(CorrectorJobSettings):
 
     def check(self) -> None:
         """Refuses a simulation after no certification, which would not take place, and a rearrangement without a flow."""
+        self.check_correctors(self.section)
         if self.purpose == "rearrange" and self.weights == "none":
             raise ConfigError(
                 f"setting {self.section}.purpose is rearrange, but weights is none: nothing knows where things belong, expected weights; "

@@ -1,6 +1,6 @@
 """One shard of the correct job: scenes are read, moved by the flow as one batch, and certified.
 
-The rows of a shard depend on the shard alone.
+The rows of a shard depend on the shard alone, but for rounding with shared correctors.
 """
 
 from collections.abc import Sequence

@@ -1,14 +1,16 @@
 """Flow and refinement that several workers share: Ray actors, each with a part of a GPU, which the job starts and ends.
 
-The scenes of all workers that wait for an actor become one batch. Proofs and repairs stay in the workers, on their cores; a worker
-that waits for an actor releases its core to another shard.
+The scenes of all workers that wait for an actor become one batch. Certification and simulation stay in the workers, on their cores; a
+worker that waits for an actor releases its core to another shard.
 """
 
 import asyncio
+import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
 
@@ -17,7 +19,7 @@ import ray
 from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.corrector import Flow, PhysicsCorrector
 from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout
-from pipelines.execution.engine_pool import check_place
+from pipelines.execution.engine_pool import check_gpus, wait_for_actors
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
@@ -114,7 +116,7 @@ class _CorrectorActor:
 
 @dataclass(slots=True, eq=False)
 class PooledCorrector:
-    """The flow and the refinement of some actors; sent to the workers. It is itself the refinement.
+    """The flow and the refinement of some actors; sent to the workers. It is itself the refinement. Equal ones have the same actors.
 
     Attributes:
         actors: The actors.
@@ -125,7 +127,19 @@ class PooledCorrector:
     actors: tuple[Any, ...]
     flows: bool = False
     refines: bool = False
-    _turn: int = 0
+    _calls: Counter[_Step] = field(default_factory=Counter)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the actors are the same: what a process caches must not outlive them."""
+        return isinstance(other, PooledCorrector) and self._ids == other._ids
+
+    def __hash__(self) -> int:
+        """A hash of the actors."""
+        return hash(self._ids)
+
+    @property
+    def _ids(self) -> tuple[str, ...]:
+        return tuple(actor._actor_id.hex() for actor in self.actors)
 
     @property
     def flow(self) -> Flow | None:
@@ -166,12 +180,15 @@ class PooledCorrector:
     def _compute(self, step: _Step, layouts: Sequence[LayoutToRefine]) -> list[Any]:
         if not layouts:
             return []
-        self._turn += 1
-        actor = self.actors[self._turn % len(self.actors)]
+        # Each step goes round by itself, from another actor in each process: a shard alternates between the steps.
+        actor = self.actors[(os.getpid() + self._calls[step]) % len(self.actors)]
+        self._calls[step] += 1
         try:
             found: list[Any] = ray.get(actor.compute.remote(step, [replace(layout, shapes=()) for layout in layouts]))
         except ray.exceptions.RayTaskError as error:
             raise (error.cause or error) from error
+        except ray.exceptions.RayActorError as error:  # it was started again as often as Ray can
+            raise ConfigError("a shared corrector was lost; run again to continue", "corrector_pool") from error
         return found
 
 
@@ -192,20 +209,22 @@ def corrector_pool(open_corrector: OpenCorrector, count: int, gpus: float, *, ma
         ConfigError: They cannot be opened, or the GPUs have no place for all actors and the cluster cannot grow.
     """
     if not may_grow:
-        check_place("correctors", count, gpus)
+        check_gpus({"correctors": (count, gpus)})
     actor = ray.remote(num_gpus=gpus, num_cpus=0, max_restarts=-1, max_task_retries=-1)(_CorrectorActor)
     pool = PooledCorrector(tuple(actor.remote(open_corrector) for _ in range(count)))
     try:
-        pool.flows, pool.refines = _opened_parts(pool.actors)
+        pool.flows, pool.refines = _opened_parts(pool.actors, gpus)
         yield pool
     finally:
         pool.close()
 
 
-def _opened_parts(actors: Sequence[Any]) -> tuple[bool, bool]:
+def _opened_parts(actors: Sequence[Any], gpus: float) -> tuple[bool, bool]:
     """Waits until all actors are open; returns whether they have a flow and a refinement."""
+    parts = [actor.parts.remote() for actor in actors]
     try:
-        found: tuple[bool, bool] = ray.get([actor.parts.remote() for actor in actors])[0]
+        wait_for_actors("correctors", parts, gpus)
+        found: tuple[bool, bool] = ray.get(parts)[0]
     except ray.exceptions.RayError as error:
         cause = getattr(error, "cause", None)
         raise ConfigError(

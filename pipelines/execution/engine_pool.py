@@ -8,7 +8,7 @@ A worker that waits for an engine releases its core to another shard, so engines
 import asyncio
 import sys
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -182,7 +182,7 @@ def engine_pool(settings: EngineSettings, count: int, gpus: float, *, may_grow: 
         ConfigError: The engine cannot be loaded, or the GPUs have no place for all engines and the cluster cannot grow.
     """
     if not may_grow:
-        check_place("engines", count, gpus)
+        check_gpus({"engines": (count, gpus)})
     actor = ray.remote(num_gpus=gpus, num_cpus=0, max_restarts=-1, max_task_retries=-1)(_EngineActor)
     pool = PooledEngine(tuple(actor.remote(settings) for _ in range(count)), "", repeats=False)
     try:
@@ -196,14 +196,7 @@ def _started(actors: Sequence[Any], settings: EngineSettings, gpus: float) -> tu
     """Waits until all engines are loaded; returns their name and whether they repeat."""
     names = [each.name.remote() for each in actors]
     try:
-        _, waiting = ray.wait(names, num_returns=len(names), timeout=_QUIET_SECONDS)
-        if waiting:
-            there = ray.cluster_resources().get("GPU", 0)
-            tqdm.write(
-                f"{len(waiting)} of {len(names)} engines have not started; each needs {gpus:g} GPUs and the cluster has {there:g} in "
-                "all; waiting for nodes with free GPUs, or for the model to load",
-                file=sys.stderr,
-            )
+        wait_for_actors("engines", names, gpus)
         found: tuple[str, bool] = ray.get(names)[0]
     except ray.exceptions.RayError as error:
         cause = getattr(error, "cause", None)
@@ -232,23 +225,41 @@ def refuse_without_workers(what: str, count: int, workers: WorkerPool) -> None:
         )
 
 
-def check_place(what: str, count: int, gpus: float) -> None:
-    """Refuses more actors than the present GPUs can hold.
+def check_gpus(wanted: Mapping[str, tuple[int, float]]) -> None:
+    """Refuses more actors than the GPUs can hold.
 
     Args:
-        what: The setting with their number, such as engines.
-        count: Their number.
-        gpus: GPUs of each.
+        wanted: Number of actors and GPUs of each, by the setting with their number, such as engines.
 
     Raises:
         ConfigError: There is no place for all (``engine_pool``).
     """
     there = int(ray.cluster_resources().get("GPU", 0))
-    # A fraction never spans two GPUs. The 1e-9 is for fractions whose inverse is rounded below a whole number.
-    places = count if gpus == 0 else int(there / gpus) if gpus >= 1 else there * int(1 / gpus + 1e-9)
-    if count > places:
+    for what, (count, gpus) in wanted.items():
+        # A fraction never spans two GPUs. The 1e-9 is for fractions whose inverse is rounded below a whole number.
+        places = count if gpus == 0 else int(there / gpus) if gpus >= 1 else there * int(1 / gpus + 1e-9)
+        if count > places:
+            raise ConfigError(
+                f"{what}={count} with {what.removesuffix('s')}_gpus={gpus:g} need {count * gpus:g} GPUs, but this machine has {there}, "
+                f"enough for {places} {what}; lower one of the two, or name a cluster with --address",
+                "engine_pool",
+            )
+    total = sum(count * gpus for count, gpus in wanted.values())
+    if total > there + 1e-9:
         raise ConfigError(
-            f"{what}={count} with {what.removesuffix('s')}_gpus={gpus:g} need {count * gpus:g} GPUs, but this machine has {there}, "
-            f"enough for {places} {what}; lower one of the two, or name a cluster with --address",
+            f"{' and '.join(wanted)} need {total:g} GPUs together, but this machine has {there}; lower their numbers, or name a cluster "
+            "with --address",
             "engine_pool",
+        )
+
+
+def wait_for_actors(what: str, answers: Sequence[Any], gpus: float) -> None:
+    """Waits until actors answer; after a while, a line on stderr tells what it waits for."""
+    _, waiting = ray.wait(list(answers), num_returns=len(answers), timeout=_QUIET_SECONDS)
+    if waiting:
+        there = ray.cluster_resources().get("GPU", 0)
+        tqdm.write(
+            f"{len(waiting)} of {len(answers)} {what} have not started; each needs {gpus:g} GPUs and the cluster has {there:g} in "
+            "all; waiting for nodes with free GPUs, or for the model to load",
+            file=sys.stderr,
         )

@@ -89,6 +89,7 @@ class GenerateSettings(CorrectorJobSettings):
 
     def check(self) -> None:
         """Refuses an impossible number of GPUs, and invalid schedules and conditions; see the base class."""
+        self.check_correctors(self.section)
         if self.engine_gpus > 1 and not float(self.engine_gpus).is_integer():
             raise ConfigError(
                 f"setting {self.section}.engine_gpus is {self.engine_gpus}, expected a fraction of a GPU or a whole number",

@@ -1,7 +1,7 @@
 """One shard of the generate job: Algorithm 1 makes its scenes concurrently, then each scene is judged.
 
-The rows of a shard depend on the shard alone: batches follow from the order of its tasks, and the time limit of a correction
-is the same in every process.
+The rows of a shard depend on the shard alone, but for rounding with shared correctors: batches follow from the order of its tasks,
+and the time limit of a correction is the same in every process.
 """
 
 import json
@@ -31,7 +31,7 @@ from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import assistant_message
 from pipelines.correct.scene_shard import dropped_notice, notices_of
 from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
-from pipelines.execution.engine_pool import PooledEngine, engine_pool
+from pipelines.execution.engine_pool import PooledEngine, check_gpus, engine_pool
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import LocalTally, ProgressReporter, ProgressTally, SharedTally
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connect, time_limited
@@ -124,12 +124,12 @@ class GenerateWork(ShardStep[Task]):
     settings: GenerateSettings
     fingerprint: str = ""
     pool: PooledEngine | None = field(default=None, compare=False)
-    correctors: PooledCorrector | None = field(default=None, compare=False)
+    correctors: PooledCorrector | None = None
     tally: ProgressTally | None = field(default=None, compare=False)
 
     @contextmanager
     def sharing(self, workers: WorkerPool) -> Iterator[tuple["GenerateWork", ProgressTally | None]]:
-        """Holds the shared engines, if there are any, and the tally."""
+        """Holds the shared engines and correctors, if there are any, and the tally."""
         if workers.are_this_process:
             here = LocalTally()
             yield replace(self, tally=here), here
@@ -138,6 +138,12 @@ class GenerateWork(ShardStep[Task]):
         try:
             with ExitStack() as stack:
                 work, settings = self, self.settings
+                wanted = {
+                    "engines": (settings.engines, settings.engine_gpus),
+                    "correctors": (settings.correctors, settings.corrector_gpus),
+                }
+                if started and settings.engines and settings.correctors:
+                    check_gpus(wanted)
                 if settings.engines:
                     engines = engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
                     work = replace(work, pool=stack.enter_context(engines))

@@ -113,10 +113,18 @@ class CorrectorTrainingJob(TrainingJob):
 
     def _repair_targets(self) -> None:
         """Corrects the scenes of all runs, or the missing ones; those that are clean stay as they are."""
-        for uri in self._uris() if self.settings.targets == "repair" else ():
+        if self.settings.targets != "repair":
+            return
+        raw = self._source(self._uris())  # refuses what cannot be used before anything takes time
+        raw.fingerprint(), raw.store()
+        for uri in self._uris():
             # Without a flow: targets must not depend on earlier weights.
             settings = CorrectSettings(weights=NONE, judge_raw=False, num_pictures=0)
             correct(uri, str(self._repaired(uri)), settings, self.repairers, report=False)
+
+    def _num_not_repaired(self) -> int:
+        """Number of scenes that could not be made clean."""
+        return self._source(self._uris()).num_scenes() - self.source().num_scenes()
 
     def _data(self) -> TrainingSet:
         """Reads the scenes with what the network reads of them."""
@@ -129,7 +137,7 @@ class CorrectorTrainingJob(TrainingJob):
         network, _ = self.settings.resolved(1).corrector.build()
         return {
             "settings": asdict(self.settings),
-            "data_fingerprint": source.fingerprint(),
+            "data_fingerprint": source.fingerprint() if self.settings.targets == "clean" else "that of the repaired scenes",
             "num_scenes": source.num_scenes(),
             "num_parameters": sum(p.numel() for p in network.parameters()),
         }
@@ -145,7 +153,7 @@ class CorrectorTrainingJob(TrainingJob):
             "data_fingerprint": data.fingerprint,
             "encoder_fingerprint": data.encoder,
             "text_encoder_fingerprint": data.text_encoder,
-            "targets": dict(data.counts),
+            "targets": {**data.counts, "left_out_not_repaired": self._num_not_repaired()},
             "num_train": len(data.of_split(0)),
             "num_validation": len(data.of_split(1)),
             "num_proposals": len(data.proposals_of_split(0)),

@@ -1,7 +1,7 @@
 """Point features of a run: of an exact aspect and tilt, or of the nearest ones."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -85,6 +85,28 @@ class PointFeatures:
         angle = 2 * np.arccos(cosine)
         best = np.lexsort((angle.round(6), distance.round(6)))[0]
         return self.values[rows[best]], float(angle[best])
+
+
+def join_features(found: Sequence[PointFeatures]) -> PointFeatures:
+    """Joins the features of several runs, of one encoder; of two with one key the first counts.
+
+    Args:
+        found: At least one.
+    """
+    row_of: dict[FeatureKey, int] = {}
+    rows_of: dict[str, list[int]] = {}
+    log_extents: dict[FeatureKey, FloatArray] = {}
+    first = 0
+    for each in found:
+        row_of = {key: first + row for key, row in each.row_of.items()} | row_of
+        log_extents = {**each.log_extents, **log_extents}
+        for asset_id, rows in each.rows_of.items():
+            rows_of.setdefault(asset_id, []).extend(first + row for row in rows)
+        first += len(each.values)
+    values, aspects, tilts = (
+        np.concatenate([getattr(each, name) for each in found]) for name in ("values", "aspects", "tilts")
+    )
+    return PointFeatures(values, aspects, tilts, log_extents, row_of, rows_of, found[0].fingerprint)
 
 
 def read_features(run: RunFolder) -> PointFeatures:

@@ -23,7 +23,7 @@ from models.physics_corrector.geometry.shape_tensors import ShapeCollector, grid
 from models.physics_corrector.training.dataset import TENSORS, ShapeKey, TrainingSet, read_cache, write_cache
 from models.physics_corrector.training.proposals import TABLES as PROPOSAL_TABLES
 from models.physics_corrector.training.proposals import Proposal, read_proposals
-from stable_data.assets.point_features import FAR_TILT, PointFeatures, read_features
+from stable_data.assets.point_features import FAR_TILT, PointFeatures, join_features, read_features
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.assets.text_embeddings import TextEncoder
@@ -132,8 +132,8 @@ class TrainingScenes:
                 "all with one encoder",
                 "features_mixed",
             )
-        run_of = {asset_id: of_run for of_run in reversed(found) for asset_id in of_run.rows_of}
-        nearest = [run_of.get(k.asset_id, found[0]).nearest(k.asset_id, k.scale, k.tilt_quat_xyzw) for k in keys]
+        joined = join_features(found)
+        nearest = [joined.nearest(key.asset_id, key.scale, key.tilt_quat_xyzw) for key in keys]
         values = torch.from_numpy(np.array([value for value, _ in nearest]))
         counts = {**training_set.counts, "shapes_without_near_feature": sum(angle > FAR_TILT for _, angle in nearest)}
         return replace(training_set, features=values, counts=counts, encoder=encoders[0])

@@ -1,10 +1,13 @@
 """Flow and refinement that workers share: the same results as alone, in batches of several workers, errors where they belong."""
 
 import asyncio
+import json
+import pickle
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +18,12 @@ from models.physics_corrector.learned_flow import load_flow
 from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout, Refiner
 from pipelines.correct.job import correct
 from pipelines.correct.settings import CorrectSettings
+from pipelines.edit.settings import EditSettings
 from pipelines.execution.corrector_pool import _CorrectorActor, corrector_pool
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
+from pipelines.settings import resolve_settings
 from pipelines.sources.generation_tasks import sample_tasks
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
@@ -139,6 +144,44 @@ def test_correctors_without_workers_are_refused_before_anything_is_written(datas
     with pytest.raises(ConfigError, match="correctors is 2"):
         generate(sample_tasks(1, 0, ()), str(tmp_path / "out"), GenerateSettings(correctors=2), WorkerPool())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"correctors": 1, "corrector_gpus": 1.5, "device": "cuda"}, "expected a fraction of a GPU or a whole number"),
+        ({"corrector_gpus": 0.5, "device": "cuda"}, "but correctors is 0"),
+        ({"correctors": 1, "corrector_gpus": 0.5}, "but device is cpu"),
+    ],
+)
+def test_gpus_that_nothing_would_use_are_refused(settings: dict[str, Any], said: str) -> None:
+    for kind in (CorrectSettings, GenerateSettings, EditSettings):
+        with pytest.raises(ConfigError, match=said):
+            resolve_settings(kind, kind.section, None, [f"{key}={json.dumps(value)}" for key, value in settings.items()])
+
+
+@pytest.mark.ray
+def test_each_actor_gets_each_step_and_another_pool_is_another_one(local_ray: None) -> None:
+    def recorded() -> tuple[PhysicsCorrector, AssetStore]:
+        return PhysicsCorrector(refiner=Recorded()), store()
+
+    with corrector_pool(recorded, 2, 0.0, may_grow=False) as pool, corrector_pool(recorded, 1, 0.0, may_grow=False) as other:
+        for _ in range(2):
+            pool.rest([named("a")])
+            pool.refine([named("a")])
+        assert [counts.num_calls for counts in pool.counts()] == [2, 2]
+        copy = pickle.loads(pickle.dumps(pool))
+        assert pool == copy
+        assert hash(pool) == hash(copy)
+        assert pool != other
+
+
+@pytest.mark.ray
+def test_a_lost_actor_ends_the_run_with_one_line(local_ray: None) -> None:
+    with corrector_pool(lambda: (PhysicsCorrector(refiner=Recorded()), store()), 1, 0.0, may_grow=False) as pool:
+        ray.kill(pool.actors[0])
+        with pytest.raises(ConfigError, match="a shared corrector was lost; run again to continue"):
+            pool.rest([named("a")])
 
 
 def rows_of(out: Path, table: str) -> list[Row]:

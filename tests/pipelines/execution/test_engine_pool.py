@@ -71,6 +71,13 @@ def test_more_engines_than_the_gpus_have_room_for_are_refused(settings: EngineSe
 
 
 @pytest.mark.ray
+def test_engines_and_correctors_must_have_room_together(local_ray: None) -> None:
+    module.check_gpus({"engines": (1, 0.5), "correctors": (2, 0.25)})
+    with pytest.raises(ConfigError, match=r"engines and correctors need 1.25 GPUs together, but this machine has 1; "):
+        module.check_gpus({"engines": (1, 1.0), "correctors": (1, 0.25)})
+
+
+@pytest.mark.ray
 def test_a_cluster_is_waited_for_and_a_line_says_so(
     settings: EngineSettings, local_ray: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
@@ -24,6 +25,7 @@ from pipelines.preprocess.job import preprocess
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
 from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
+from stable_data.assets.point_features import PointFeatures, feature_key, join_features
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
 from stable_data.storage.run_folder import RunFolder
@@ -67,6 +69,20 @@ def test_a_proposal_is_a_turn_before_and_after_its_correction(generated: Path, c
             assert o.position == tuple(after[o.instance]["position"])
             assert coarse.tolist() == [*before[o.instance]["position"], before[o.instance]["yaw"]]
     assert any(np.abs(p.scene.poses() - p.coarse).max() > 1e-3 for p in proposals)  # things were parted
+
+
+def test_rejected_attempts_are_no_samples(generated: Path, clean_run: Path, tmp_path: Path) -> None:
+    """Names of a rejected attempt may mean other objects; unclean corrections are no targets."""
+    other = Path(shutil.copytree(generated, tmp_path / "other"))
+    (path,) = (other / "turns").glob("*.parquet")
+    rows = pq.read_table(path)
+    changed = rows.to_pylist()
+    changed[0]["code"] = "relation_lost"
+    changed[1]["card_after"]["clean"] = False
+    pq.write_table(pa.Table.from_pylist(changed, rows.schema), path)
+    proposals, counts = read_proposals(str(other), hashes(clean_run))
+    assert len(proposals) == counts["proposals_used"] == 4
+    assert counts["left_out_without_correction"] == 2
 
 
 def test_proposals_on_other_meshes_are_left_out_and_counted(generated: Path, clean_run: Path) -> None:
@@ -131,6 +147,19 @@ def test_a_training_on_two_runs_has_the_scenes_of_both(clean_run: Path, real_run
     assert both.fingerprint != one.fingerprint
 
 
+def test_features_of_several_runs_are_asked_together() -> None:
+    def features(aspect: float, value: float) -> PointFeatures:
+        key = feature_key("cup", (1.0, 1.0, aspect), (0.0, 0.0, 0.0, 1.0))
+        row = np.full((1, 4), value, np.float32)
+        tilts = np.array([[0.0, 0.0, 0.0, 1.0]])
+        return PointFeatures(row, np.array([[1.0, 1.0, aspect]]), tilts, {key: np.zeros(3)}, {key: 0}, {"cup": [0]}, "one")
+
+    joined = join_features([features(1.0, 1.0), features(0.5, 2.0)])
+    for aspect, value in ((1.0, 1.0), (0.5, 2.0)):
+        assert joined.nearest("cup", (1.0, 1.0, aspect), (0.0, 0.0, 0.0, 1.0))[0].tolist() == [value] * 4
+        assert joined.of("cup", (1.0, 1.0, aspect), (0.0, 0.0, 0.0, 1.0)).tolist() == [value] * 4
+
+
 def test_runs_with_another_mesh_of_an_asset_are_refused(clean_run: Path, tmp_path: Path) -> None:
     other = Path(shutil.copytree(clean_run, tmp_path / "other"))
     path = sorted((other / "meshes").glob("*.parquet"))[0]
@@ -152,5 +181,7 @@ def test_targets_that_are_not_clean_are_repaired(real_run: Path, clean_run: Path
     job.run()
     targets = json.loads((tmp_path / "out" / "manifest.json").read_text("utf-8"))["targets"]
     assert targets["left_out_not_clean"] == 0
+    every = sum(RunFolder(str(run)).num_rows("scenes") for run in (clean_run, real_run))
+    assert targets["kept"] + sum(v for name, v in targets.items() if name.startswith("left_out")) == every
     assert targets["kept"] > raw.counts["kept"]
     assert "2 of 2 steps" in job.run()  # the repaired scenes are there already
