@@ -23,7 +23,7 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, cannot_write
 from stable_data.mesatask import MesaTaskDataset, write_annotations, write_scene
 from stable_data.mesatask.library import LIBRARY_FOLDER
-from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.run_folder import RunFolder, absolute_uri
 from stable_data.storage.table_rows import scene_from_row
 
 S = TypeVar("S", bound=CorrectSettings)
@@ -54,7 +54,7 @@ class SceneJob(ShardJob, Generic[S]):
     settings: S
 
     def __init__(self, scenes: str, settings: S, workers: WorkerPool) -> None:
-        self.where = _absolute(scenes)
+        self.where = absolute_uri(scenes)
         self.source: SceneSource = scene_source(self.where)
         if isinstance(self.source, TableSource):  # a run states its convention; nothing is measured
             self.settings = settings.settled(self.source)
@@ -144,13 +144,9 @@ def check_place(scenes: str, out: str) -> None:
     Raises:
         ConfigError: The output is inside the input (``output_invalid``).
     """
-    folder, where = RunFolder(out), Path(_absolute(scenes))
+    folder, where = RunFolder(out), Path(absolute_uri(scenes))
     if "://" not in scenes and folder.is_local and where in (Path(folder.root), *Path(folder.root).parents):
         raise ConfigError(f"{out}: is inside the folder of the input scenes, expected another folder", "output_invalid")
-
-
-def _absolute(scenes: str) -> str:
-    return scenes if "://" in scenes else str(Path(scenes).expanduser().resolve())
 
 
 def _carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:

@@ -19,7 +19,7 @@ import ray
 from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.corrector import Flow, PhysicsCorrector
 from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout
-from pipelines.execution.engine_pool import check_gpus, wait_for_actors
+from pipelines.execution.engine_pool import check_gpus, first_answer
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
@@ -213,21 +213,8 @@ def corrector_pool(open_corrector: OpenCorrector, count: int, gpus: float, *, ma
     actor = ray.remote(num_gpus=gpus, num_cpus=0, max_restarts=-1, max_task_retries=-1)(_CorrectorActor)
     pool = PooledCorrector(tuple(actor.remote(open_corrector) for _ in range(count)))
     try:
-        pool.flows, pool.refines = _opened_parts(pool.actors, gpus)
+        parts = [each.parts.remote() for each in pool.actors]
+        pool.flows, pool.refines = first_answer("correctors", parts, gpus, "the corrector cannot be opened by an actor")
         yield pool
     finally:
         pool.close()
-
-
-def _opened_parts(actors: Sequence[Any], gpus: float) -> tuple[bool, bool]:
-    """Waits until all actors are open; returns whether they have a flow and a refinement."""
-    parts = [actor.parts.remote() for actor in actors]
-    try:
-        wait_for_actors("correctors", parts, gpus)
-        found: tuple[bool, bool] = ray.get(parts)[0]
-    except ray.exceptions.RayError as error:
-        cause = getattr(error, "cause", None)
-        raise ConfigError(
-            f"the corrector cannot be opened by an actor ({cause or str(error).strip().splitlines()[-1]})", "corrector_pool"
-        ) from error
-    return found

@@ -186,25 +186,11 @@ def engine_pool(settings: EngineSettings, count: int, gpus: float, *, may_grow: 
     actor = ray.remote(num_gpus=gpus, num_cpus=0, max_restarts=-1, max_task_retries=-1)(_EngineActor)
     pool = PooledEngine(tuple(actor.remote(settings) for _ in range(count)), "", repeats=False)
     try:
-        pool.name, pool.repeats = _started(pool.actors, settings, gpus)
+        names = [each.name.remote() for each in pool.actors]
+        pool.name, pool.repeats = first_answer("engines", names, gpus, f"engine {settings.engine} cannot be loaded by an actor")
         yield pool
     finally:
         pool.close()
-
-
-def _started(actors: Sequence[Any], settings: EngineSettings, gpus: float) -> tuple[str, bool]:
-    """Waits until all engines are loaded; returns their name and whether they repeat."""
-    names = [each.name.remote() for each in actors]
-    try:
-        wait_for_actors("engines", names, gpus)
-        found: tuple[str, bool] = ray.get(names)[0]
-    except ray.exceptions.RayError as error:
-        cause = getattr(error, "cause", None)
-        raise ConfigError(
-            f"engine {settings.engine} cannot be loaded by an actor ({cause or str(error).strip().splitlines()[-1]})",
-            "engine_pool",
-        ) from error
-    return found
 
 
 def refuse_without_workers(what: str, count: int, workers: WorkerPool) -> None:
@@ -253,13 +239,28 @@ def check_gpus(wanted: Mapping[str, tuple[int, float]]) -> None:
         )
 
 
-def wait_for_actors(what: str, answers: Sequence[Any], gpus: float) -> None:
-    """Waits until actors answer; after a while, a line on stderr tells what it waits for."""
-    _, waiting = ray.wait(list(answers), num_returns=len(answers), timeout=_QUIET_SECONDS)
-    if waiting:
-        there = ray.cluster_resources().get("GPU", 0)
-        tqdm.write(
-            f"{len(waiting)} of {len(answers)} {what} have not started; each needs {gpus:g} GPUs and the cluster has {there:g} in "
-            "all; waiting for nodes with free GPUs, or for the model to load",
-            file=sys.stderr,
-        )
+def first_answer(what: str, answers: Sequence[Any], gpus: float, failure: str) -> Any:
+    """Waits until all actors answer and returns the first answer; after a while, a line on stderr tells what it waits for.
+
+    Args:
+        what: The setting with the number of actors, such as engines.
+        answers: A pending answer of each actor.
+        gpus: GPUs of each.
+        failure: What an error means.
+
+    Raises:
+        ConfigError: An actor cannot be started (``engine_pool``).
+    """
+    try:
+        _, waiting = ray.wait(list(answers), num_returns=len(answers), timeout=_QUIET_SECONDS)
+        if waiting:
+            there = ray.cluster_resources().get("GPU", 0)
+            tqdm.write(
+                f"{len(waiting)} of {len(answers)} {what} have not started; each needs {gpus:g} GPUs and the cluster has {there:g} in "
+                "all; waiting for nodes with free GPUs, or for the model to load",
+                file=sys.stderr,
+            )
+        return ray.get(list(answers))[0]
+    except ray.exceptions.RayError as error:
+        cause = getattr(error, "cause", None)
+        raise ConfigError(f"{failure} ({cause or str(error).strip().splitlines()[-1]})", "engine_pool") from error

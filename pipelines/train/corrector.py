@@ -35,10 +35,10 @@ from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.features import AUTO
 from pipelines.train.point_encoder import encoder_of_features, save_beside
-from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, absolute_uri, json_bytes, result_line
+from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
 from stable_data.code_version import code_version
 from stable_data.content_id import content_id
-from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.run_folder import RunFolder, absolute_uri
 
 _FAST_ROWS = ("small", "jitter", "pile")
 
@@ -134,10 +134,12 @@ class CorrectorTrainingJob(TrainingJob):
     def describe(self) -> dict[str, Any]:
         """Describes what a run would do, for ``--dry-run``; no table is read whole."""
         source = self._source(self._uris())
+        # What is read of repaired scenes is not known before the repair.
+        known = {"data_fingerprint": source.fingerprint()} if self.settings.targets == "clean" else {}
         network, _ = self.settings.resolved(1).corrector.build()
         return {
             "settings": asdict(self.settings),
-            "data_fingerprint": source.fingerprint() if self.settings.targets == "clean" else "that of the repaired scenes",
+            **known,
             "num_scenes": source.num_scenes(),
             "num_parameters": sum(p.numel() for p in network.parameters()),
         }

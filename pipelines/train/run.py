@@ -20,7 +20,7 @@ from pipelines.execution.resume import read_manifest
 from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
 from stable_data.errors import ConfigError
-from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.run_folder import RunFolder, absolute_uri
 
 STATE = "checkpoint/state.pt"
 """The checkpoint in a training's folder, of a training whose processes all hold the whole network."""
@@ -120,11 +120,6 @@ class TrainingJob(ABC):
     def data_uri(self) -> str:
         """The run, as an absolute path or a URI."""
         return absolute_uri(self.data)
-
-
-def absolute_uri(run: str) -> str:
-    """A run as an absolute path or a URI."""
-    return run if "://" in run else str(Path(run).expanduser().resolve())
 
 
 def result_line(folder: RunFolder, steps: str, used: str, counts: Mapping[str, int], *notes: str) -> str:

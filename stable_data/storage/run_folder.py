@@ -47,6 +47,11 @@ _AHEAD = 8  # files of an object store that are fetched while another one is pro
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
 
 
+def absolute_uri(place: str) -> str:
+    """Returns a folder as an absolute path; a URI stays as it is."""
+    return place if "://" in place else str(Path(place).expanduser().resolve())
+
+
 class RunFolder:
     """The folder of one run.
 

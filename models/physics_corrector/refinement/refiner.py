@@ -355,8 +355,7 @@ def _unsteady(start: LayoutToRefine, scene: Scene, steady: FloatArray) -> frozen
         steady: The steadiness of each carried object by its margin, (N,); inf for other objects.
     """
     before = {o.instance: o for o in start.scene.objects}
-    meshes, poses = MeshQueries([shape.as_mesh() for shape in start.shapes]), scene.poses()
-    found = set()
+    doubtful = []
     for k, o in enumerate(scene.objects):
         if steady[k] >= constants.STEADY or o.instance in start.fixed:
             continue
@@ -366,10 +365,16 @@ def _unsteady(start: LayoutToRefine, scene: Scene, steady: FloatArray) -> frozen
             turn = (o.yaw - before[o.instance].yaw) - (scene[o.support].yaw - before[o.support].yaw)
             if max(np.abs(shift - carrier).max(), abs(turn) * YAW_ARM) <= _STILL:
                 continue
-        others = [j for j in range(len(scene.objects)) if j != k]
-        if exact_steadiness(meshes, k, poses[k], others, poses) < constants.STEADY:
-            found.add(o.instance)
-    return frozenset(found)
+        doubtful.append(k)
+    if not doubtful:
+        return frozenset()
+    meshes, poses = MeshQueries([shape.as_mesh() for shape in start.shapes]), scene.poses()
+
+    def stays(k: int) -> bool:
+        others = [j for j in range(len(poses)) if j != k]
+        return exact_steadiness(meshes, k, poses[k], others, poses) >= constants.STEADY
+
+    return frozenset(scene.objects[k].instance for k in doubtful if not stays(k))
 
 
 def _moved(layout: LayoutToRefine, poses: FloatArray) -> Scene:

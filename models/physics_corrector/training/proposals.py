@@ -28,7 +28,7 @@ _COLUMNS = {name: pc.field(name) for name in ("scene_id", "turn", "coarse", "cor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Proposal:
+class ProposalSample:
     """A proposed layout with its correction.
 
     Attributes:
@@ -42,7 +42,7 @@ class Proposal:
     split: str
 
 
-def read_proposals(uri: str, meshes: Mapping[str, str]) -> tuple[list[Proposal], dict[str, int]]:
+def read_proposals(uri: str, meshes: Mapping[str, str]) -> tuple[list[ProposalSample], dict[str, int]]:
     """Reads the proposals of the accepted scenes of a generate run.
 
     Args:
@@ -64,7 +64,7 @@ def read_proposals(uri: str, meshes: Mapping[str, str]) -> tuple[list[Proposal],
     turns = defaultdict[str, list[Mapping[str, Any]]](list)
     for row in run.table("turns", _COLUMNS).to_pylist():
         turns[row["scene_id"]].append(row)
-    found: list[Proposal] = []
+    found: list[ProposalSample] = []
     counts = {"proposals": 0, "proposals_used": 0, "left_out_without_correction": 0, "left_out_of_other_assets": 0}
     table = TableFiles(uri, "scenes", [*SCENE_LEAVES, "split"])
     for group in range(len(table.groups)):
@@ -82,7 +82,7 @@ def read_proposals(uri: str, meshes: Mapping[str, str]) -> tuple[list[Proposal],
     return found, counts
 
 
-def _proposal(scene: Scene, split: str, row: Mapping[str, Any]) -> Proposal | None:
+def _proposal(scene: Scene, split: str, row: Mapping[str, Any]) -> ProposalSample | None:
     """The proposal of one turn; None if it was rejected, its correction is not clean, or nothing of it stays."""
     if row["code"] or row["clean"] is not True:
         return None
@@ -92,4 +92,4 @@ def _proposal(scene: Scene, split: str, row: Mapping[str, Any]) -> Proposal | No
         return None
     there = tuple(o.moved(tuple(after[o.instance]["position"]), after[o.instance]["yaw"]) for o in objects)
     coarse = [[*before[o.instance]["position"], before[o.instance]["yaw"]] for o in objects]
-    return Proposal(replace(scene, objects=there), np.array(coarse, np.float64), split)
+    return ProposalSample(replace(scene, objects=there), np.array(coarse, np.float64), split)

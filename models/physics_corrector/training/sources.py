@@ -22,7 +22,7 @@ from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.shape_tensors import ShapeCollector, grids_from_rows
 from models.physics_corrector.training.dataset import TENSORS, ShapeKey, TrainingSet, read_cache, write_cache
 from models.physics_corrector.training.proposals import TABLES as PROPOSAL_TABLES
-from models.physics_corrector.training.proposals import Proposal, read_proposals
+from models.physics_corrector.training.proposals import ProposalSample, read_proposals
 from stable_data.assets.point_features import FAR_TILT, PointFeatures, join_features, read_features
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
@@ -166,7 +166,7 @@ class TrainingScenes:
             of_run = clean_targets(uri)
             scenes, splits = scenes + of_run[0], splits + of_run[1]
             counts.update(of_run[2])
-        num_targets, proposals = len(scenes), list[Proposal]()
+        num_targets, proposals = len(scenes), list[ProposalSample]()
         meshes = {asset_id: sha256 for uri in self.uris for asset_id, sha256 in _meshes(uri)}
         for uri in self.proposals:
             own, of_reason = read_proposals(uri, meshes)
@@ -257,7 +257,7 @@ def _concatenate(parts: Sequence[LayoutBatch]) -> LayoutBatch:
     return LayoutBatch(**{name: torch.cat([getattr(part, name) for part in parts]) for name in TENSORS})
 
 
-def _coarse(proposals: Sequence[Proposal], num_slots: int) -> Tensor:
+def _coarse(proposals: Sequence[ProposalSample], num_slots: int) -> Tensor:
     """The proposed poses, (P, N, 4) float32."""
     coarse = torch.zeros((len(proposals), num_slots, 4))
     for n, proposal in enumerate(proposals):

@@ -41,7 +41,7 @@ CROWDED = scene(
 )
 
 
-class Recorded:
+class BatchRecorder:
     """A slow refinement that notes its batches, and fails with one scene."""
 
     def __init__(self) -> None:
@@ -64,7 +64,7 @@ def named(name: str) -> LayoutToRefine:
 
 
 def test_calls_that_wait_become_one_batch_and_each_gets_its_own_answers() -> None:
-    refiner = Recorded()
+    refiner = BatchRecorder()
     actor = _CorrectorActor(lambda: (PhysicsCorrector(refiner=refiner), store()))
 
     async def ask() -> list[list[Scene]]:
@@ -79,7 +79,7 @@ def test_calls_that_wait_become_one_batch_and_each_gets_its_own_answers() -> Non
 
 
 def test_an_error_goes_to_the_call_that_causes_it() -> None:
-    actor = _CorrectorActor(lambda: (PhysicsCorrector(refiner=Recorded()), store()))
+    actor = _CorrectorActor(lambda: (PhysicsCorrector(refiner=BatchRecorder()), store()))
 
     async def ask() -> list[object]:
         first = asyncio.create_task(actor.compute("rest", [named("a")]))
@@ -130,7 +130,7 @@ def test_an_actor_that_cannot_open_is_one_line(local_ray: None) -> None:
 
 @pytest.mark.ray
 def test_the_error_of_a_worker_is_its_own(local_ray: None) -> None:
-    with corrector_pool(lambda: (PhysicsCorrector(refiner=Recorded()), store()), 1, 0.0, may_grow=False) as pool:
+    with corrector_pool(lambda: (PhysicsCorrector(refiner=BatchRecorder()), store()), 1, 0.0, may_grow=False) as pool:
         assert pool.flow is None
         with pytest.raises(ConfigError, match="bad scene"):
             pool.rest([named("bad")])
@@ -163,7 +163,7 @@ def test_gpus_that_nothing_would_use_are_refused(settings: dict[str, Any], said:
 @pytest.mark.ray
 def test_each_actor_gets_each_step_and_another_pool_is_another_one(local_ray: None) -> None:
     def recorded() -> tuple[PhysicsCorrector, AssetStore]:
-        return PhysicsCorrector(refiner=Recorded()), store()
+        return PhysicsCorrector(refiner=BatchRecorder()), store()
 
     with corrector_pool(recorded, 2, 0.0, may_grow=False) as pool, corrector_pool(recorded, 1, 0.0, may_grow=False) as other:
         for _ in range(2):
@@ -178,7 +178,7 @@ def test_each_actor_gets_each_step_and_another_pool_is_another_one(local_ray: No
 
 @pytest.mark.ray
 def test_a_lost_actor_ends_the_run_with_one_line(local_ray: None) -> None:
-    with corrector_pool(lambda: (PhysicsCorrector(refiner=Recorded()), store()), 1, 0.0, may_grow=False) as pool:
+    with corrector_pool(lambda: (PhysicsCorrector(refiner=BatchRecorder()), store()), 1, 0.0, may_grow=False) as pool:
         ray.kill(pool.actors[0])
         with pytest.raises(ConfigError, match="a shared corrector was lost; run again to continue"):
             pool.rest([named("a")])
