@@ -87,8 +87,8 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
 
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
         """Computes the rows of a shard."""
-        if isolated and self.correctors is not None:  # separate processes cannot reach the actors, which have the GPUs
-            return replace(self, correctors=None, settings=replace(self.settings, device="cpu")).shard(shard, isolated=True)
+        if isolated and self.correctors is not None:
+            return replace(self, correctors=None, settings=self.settings.alone()).shard(shard, isolated=True)
         rows: Rows = defaultdict(list)
         usable = []
         for item in shard.items:

@@ -53,6 +53,10 @@ class CorrectorJobSettings(Settings):
         """What shared correctors add to the settings that shape rows: batches with scenes of other shards can change rounding."""
         return {"shares_correctors": self.correctors > 0}
 
+    def alone(self) -> Self:
+        """The settings of a separate process, which cannot reach the shared correctors: these have the GPUs."""
+        return replace(self, device="cpu", correctors=0, corrector_gpus=0.0) if self.correctors else self
+
     def check_correctors(self, section: str) -> None:
         """Refuses numbers of GPUs that are impossible, or that nothing would use.
 

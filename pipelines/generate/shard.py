@@ -251,8 +251,7 @@ class GenerateWork(ShardStep[Task]):
 
     def _physics(self) -> "GenerateWork":
         """The work for a separate process, which is no worker of Ray and cannot reach shared engines or the tally."""
-        settings = replace(self.settings, device="cpu") if self.correctors else self.settings  # the GPU is the actors'
-        return replace(self, settings=settings, pool=None, correctors=None, tally=None)
+        return replace(self, settings=self.settings.alone(), pool=None, correctors=None, tally=None)
 
     def _rows(self, made: GenerationResult) -> Rows:
         """All rows of one scene."""

@@ -34,7 +34,8 @@ def scatter(batch: LayoutBatch, generator: torch.Generator) -> Tensor:
     num_scenes, num_slots = batch.mask.shape
     device = batch.poses.device
     root = batch.roots()
-    stuck = torch.zeros_like(batch.mask).scatter_reduce(1, root.clamp_min(0), batch.is_fixed & (root >= 0), "amax")
+    # A sum of integers: CUDA reduces no bools.
+    stuck = torch.zeros_like(root).scatter_add(1, root.clamp_min(0), (batch.is_fixed & (root >= 0)).long()) > 0
     slots = torch.arange(num_slots, device=device)
     moves = batch.mask & (root == slots) & ~stuck
     where = torch.rand((num_scenes, num_slots, _TRIES, 2), generator=generator, device=device)

@@ -17,7 +17,7 @@ from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
 from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout, Refiner
 from pipelines.correct.job import correct
-from pipelines.correct.settings import CorrectSettings
+from pipelines.correct.settings import CorrectorJobSettings, CorrectSettings
 from pipelines.edit.settings import EditSettings
 from pipelines.execution.corrector_pool import _CorrectorActor, corrector_pool
 from pipelines.execution.ray_executor import WorkerPool
@@ -158,6 +158,22 @@ def test_gpus_that_nothing_would_use_are_refused(settings: dict[str, Any], said:
     for kind in (CorrectSettings, GenerateSettings, EditSettings):
         with pytest.raises(ConfigError, match=said):
             resolve_settings(kind, kind.section, None, [f"{key}={json.dumps(value)}" for key, value in settings.items()])
+
+
+@pytest.mark.ray
+def test_scenes_are_generated_with_parts_of_a_gpu(local_ray: None, tmp_path: Path) -> None:
+    """The device is the CPU by its other name, so that the actors with parts of Ray's GPU run without one."""
+    settings = GenerateSettings(device="cpu:0", correctors=2, corrector_gpus=0.5, refine=True, num_pictures=0)
+    manifest = generate(sample_tasks(2, 3, ()), str(tmp_path), settings, WorkerPool(2))
+    assert manifest["counts"]["scenes"] + manifest["counts"]["rejected"] == 2
+    assert manifest["counts"]["failures"] == 0
+
+
+@pytest.mark.parametrize("kind", [CorrectSettings, GenerateSettings, EditSettings])
+def test_a_separate_process_uses_no_gpu_and_no_actor(kind: type[CorrectorJobSettings]) -> None:
+    shared = kind(device="cuda", correctors=2, corrector_gpus=0.5)
+    assert shared.alone() == kind()
+    assert kind(device="cuda").alone() == kind(device="cuda")
 
 
 @pytest.mark.ray
