@@ -76,7 +76,7 @@ class GenerateSettings(CorrectorJobSettings):
     """GPUs of each shared language model: a part of one, or a whole number."""
 
     scenes_per_shard: Count = 0
-    """Scenes that are made side by side and stored together; 0 takes a quarter of the tasks, at least 16 and at most 128."""
+    """Scenes that are made side by side and stored together; 0 takes an eighth of the tasks, at least 16 and at most 128."""
 
     num_pictures: Count = 12
     """Scenes that the report shows."""
@@ -124,7 +124,7 @@ class GenerateSettings(CorrectorJobSettings):
 
     def of_tasks(self, count: int) -> "GenerateSettings":
         """The settings with the shard size for a number of tasks."""
-        return replace(self, scenes_per_shard=self.scenes_per_shard or shard_size(count, parts=4, fewest=_FEWEST, most=_MOST))
+        return replace(self, scenes_per_shard=self.scenes_per_shard or shard_size(count, parts=8, fewest=_FEWEST, most=_MOST))
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows, without those of the reasoner; a run is resumed only if they are equal."""

@@ -454,8 +454,8 @@ def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message
         GenerateSettings(**change)
 
 
-@pytest.mark.parametrize(("count", "size"), [(0, 16), (10, 16), (100, 25), (384, 96), (385, 97), (512, 128), (1_000_000, 128)])
-def test_a_small_job_has_four_shards_and_a_large_one_shards_that_fill_batches(count: int, size: int) -> None:
+@pytest.mark.parametrize(("count", "size"), [(0, 16), (10, 16), (200, 25), (768, 96), (769, 97), (1_024, 128), (1_000_000, 128)])
+def test_a_small_job_has_eight_shards_and_a_large_one_shards_that_fill_batches(count: int, size: int) -> None:
     assert GenerateSettings().of_tasks(count).scenes_per_shard == size
     assert GenerateSettings(scenes_per_shard=64).of_tasks(count).scenes_per_shard == 64
 
