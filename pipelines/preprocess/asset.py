@@ -113,8 +113,6 @@ def preprocess_asset(
 def _asset_row(
     use: AssetUse, annotation: AssetAnnotation, asset: AssetMesh, settings: AssetSettings, embedding: TextFeature | None
 ) -> schemas.Row:
-    scale = use.typical_scale or (1.0, 1.0, 1.0)
-    weighed = mass_properties(Mesh(asset.mesh.vertices * scale, asset.mesh.faces), mass=1.0, is_sheet=not asset.report.is_solid)
     seed = int(hashlib.sha256(use.asset_id.encode()).hexdigest()[:8], 16)
     points, normals = surface_points(asset.mesh, settings.num_points, np.random.default_rng(seed))
     return {
@@ -125,21 +123,38 @@ def _asset_row(
         "licence": annotation.licence,
         "source": annotation.source,
         "extents": asset.mesh.extents.tolist(),
-        "typical_scale": use.typical_scale,
-        "resting_tilts": [{"tilt_quat_xyzw": tilt, "count": count} for tilt, count in use.tilts],
         "is_container": annotation.is_container,
         "on_table": annotation.on_table,
         "mark_deletion": annotation.mark_deletion,
         "is_composite": annotation.is_composite,
         "report": asdict(asset.report),
         "mass": annotation.mass,
-        "volume": asset.report.volume * scale[0] * scale[1] * scale[2] if use.typical_scale else None,
-        "center_of_mass": weighed.center_of_mass.tolist() if use.typical_scale else None,
-        "inertia_per_mass": weighed.inertia.ravel().tolist() if use.typical_scale else None,
+        **use_columns(use, asset),
         "points": points.ravel(),
         "normals": normals.ravel(),
         "text_embedding": embedding,
         "mesh_sha256": use.mesh_sha256,
+    }
+
+
+def use_columns(use: AssetUse, asset: AssetMesh) -> schemas.Row:
+    """The columns of the table ``assets`` that say how the scenes use an asset, and what it is at its usual scale."""
+    found: schemas.Row = {
+        "typical_scale": use.typical_scale,
+        "resting_tilts": [{"tilt_quat_xyzw": tilt, "count": count} for tilt, count in use.tilts],
+        "volume": None,
+        "center_of_mass": None,
+        "inertia_per_mass": None,
+    }
+    if use.typical_scale is None:
+        return found
+    scaled = Mesh(asset.mesh.vertices * use.typical_scale, asset.mesh.faces)
+    weighed = mass_properties(scaled, mass=1.0, is_sheet=not asset.report.is_solid)
+    x, y, z = use.typical_scale
+    return found | {
+        "volume": asset.report.volume * x * y * z,
+        "center_of_mass": weighed.center_of_mass.tolist(),
+        "inertia_per_mass": weighed.inertia.ravel().tolist(),
     }
 
 

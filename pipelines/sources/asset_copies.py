@@ -1,4 +1,8 @@
-"""Copies the assets of scenes into their run, which can then be loaded and exported without the libraries."""
+"""Copies the assets of scenes into their run, which can then be loaded and exported without the libraries.
+
+The rows of a library that is a run are copied as they are, except for the columns that say how the scenes use an asset. Those of
+other libraries are computed.
+"""
 
 from collections import defaultdict
 from collections.abc import Container, Sequence
@@ -11,7 +15,7 @@ import pyarrow.compute as pc
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import NOT_OF_AN_ITEM, ItemStep, Rows, Shard
-from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
+from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset, use_columns
 from pipelines.preprocess.plan import AssetUseCount, file_digest
 from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.store import AssetStore
@@ -63,6 +67,10 @@ class CopyAssets(ItemStep[AssetUse]):
         shelf, store = _opened(self)
         if store.fault_of(item.asset_id) is not None:
             return {}
+        stored = shelf.rows(item.asset_id)
+        if stored is not None and (stored[1]["parts"] or not self.decomposes):
+            asset, mesh = stored
+            return {"assets": [asset | use_columns(item, store.asset(item.asset_id))], "meshes": [mesh]}
         path = shelf.asset_path(item.asset_id)
         if path is not None:
             item = replace(item, mesh_sha256=file_digest(path))

@@ -16,7 +16,7 @@ from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.retrieval_settings import RetrievalSettings
-from stable_data.assets.run_assets import RunAssets, run_annotations
+from stable_data.assets.run_assets import RowsOfAssets, RunAssets, run_annotations
 from stable_data.assets.store import colliders_of
 from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
@@ -28,7 +28,7 @@ from stable_data.mesatask.library import AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS
+from stable_data.storage.schemas import SCHEMAS, Row
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,7 @@ class _Place:
         annotation: The annotation of an asset.
         contents: Content hashes of the meshes, by asset; an asset without a mesh has none.
         parts: The stored convex parts of an asset; empty if it stores none.
+        rows: The rows of an asset in the tables ``assets`` and ``meshes``; None if the library is no run.
     """
 
     library: AssetLibrary | None
@@ -50,6 +51,7 @@ class _Place:
     annotation: Callable[[str], AssetAnnotation]
     contents: Callable[[], Mapping[str, object]]
     parts: Callable[[str], tuple[Mesh, ...]] = lambda _: ()
+    rows: Callable[[str], tuple[Row, Row] | None] = lambda _: None
 
 
 class AssetLibraries:
@@ -123,6 +125,10 @@ class AssetLibraries:
         """The convex parts of an asset that a run or the embedded world stores; empty for other libraries."""
         return self._place_of(asset_id).parts(asset_id)
 
+    def rows(self, asset_id: str) -> tuple[Row, Row] | None:
+        """The rows of an asset in the tables ``assets`` and ``meshes`` of its run; None if its library is no run or lacks them."""
+        return self._place_of(asset_id).rows(asset_id)
+
     def annotation(self, asset_id: str) -> AssetAnnotation:
         """The annotation of an asset, with its box if that is known; defaults for an asset without one."""
         try:
@@ -162,7 +168,8 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         annotations = run_annotations(run)
         listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
         contents = partial(_contents_of_run, run)
-        return _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts)
+        rows = partial(_rows_of_run, kept, RowsOfAssets(run, "assets"))
+        return _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts, rows)
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, partial(library_of_folder, root, name, scenes=shown), may_be_empty=may_be_empty)
@@ -181,6 +188,11 @@ def _listed(read: Callable[[], AssetLibrary], *, may_be_empty: bool) -> AssetLib
 def _parts_of_file(meshes: Callable[[str], Path | None], asset_id: str) -> tuple[Mesh, ...]:
     path = meshes(asset_id)
     return () if path is None else colliders_of(path, asset_id)
+
+
+def _rows_of_run(kept: RunAssets, assets: RowsOfAssets, asset_id: str) -> tuple[Row, Row] | None:
+    asset, mesh = assets.row(asset_id), kept.row(asset_id)
+    return None if asset is None or mesh is None else (asset, mesh)
 
 
 def _of_folder(root: Path, read: Callable[[], AssetLibrary], *, may_be_empty: bool) -> _Place:

@@ -2,12 +2,13 @@
 
 import hashlib
 import weakref
-from collections.abc import Set
+from collections.abc import Collection, Set
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.store import AssetStore
@@ -15,8 +16,45 @@ from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, MeshError, cannot_write
 from stable_data.geometry.mesh import Mesh
 from stable_data.json_text import quote_value
-from stable_data.storage.row_groups import TableFiles
+from stable_data.storage.row_groups import TableFiles, rows_from_table
 from stable_data.storage.run_folder import RunFolder, Uri
+from stable_data.storage.schemas import SCHEMAS, Row
+
+
+class RowsOfAssets:
+    """The rows of a table of a run by asset; at most one row group is in memory.
+
+    Args:
+        run: The run folder.
+        table: A table with the column ``asset_id``, one row for each asset.
+        without: Columns that are not read.
+
+    Raises:
+        ConfigError: The run has no such table, or it cannot be read.
+    """
+
+    def __init__(self, run: RunFolder, table: str, without: Collection[str] = ()) -> None:
+        names = TableFiles(run.uri, table, ["asset_id"])
+        self._group_of = {
+            asset_id: group for group in range(len(names.groups)) for asset_id in names.read([group])["asset_id"].to_pylist()
+        }
+        self._columns = [name for name in SCHEMAS[table].names if name not in without]
+        self._files = TableFiles(run.uri, table, self._columns)
+        self._read: tuple[int, pa.Table] | None = None
+
+    def row(self, asset_id: str) -> Row | None:
+        """Returns the row of an asset; None if it has none.
+
+        Raises:
+            ConfigError: The table can no longer be read.
+        """
+        if asset_id not in self._group_of:
+            return None
+        group = self._group_of[asset_id]
+        if self._read is None or self._read[0] != group:
+            self._read = group, self._files.read([group])
+        rows = self._read[1]
+        return rows_from_table(rows.filter(pc.equal(rows["asset_id"], asset_id)).slice(0, 1))[0]
 
 
 class RunAssets:
@@ -39,11 +77,10 @@ class RunAssets:
         self._files = files
         self._names = TableFiles(run.uri, "meshes", ["asset_id", "sha256"])
         self._meshes = TableFiles(run.uri, "meshes", ["asset_id", "glb", "sha256"])
-        self._parts = TableFiles(run.uri, "meshes", ["asset_id", "parts"])
+        self._rows = RowsOfAssets(run, "meshes", without=("glb",))
         self._group_of: dict[str, int] = {}
         self._content_of: dict[str, str] = {}
         self._hashed: set[str] = set()
-        self._read: tuple[int, pa.Table] | None = None
         for group in range(len(self._names.groups)):
             rows = self._names.read([group])
             for asset_id, sha256 in zip(rows["asset_id"].to_pylist(), rows["sha256"].to_pylist(), strict=True):
@@ -91,17 +128,21 @@ class RunAssets:
         Raises:
             ConfigError: The table can no longer be read.
         """
-        if asset_id not in self._group_of:
-            return ()
-        group = self._group_of[asset_id]
-        if self._read is None or self._read[0] != group:
-            self._read = group, self._parts.read([group])
-        table = self._read[1]
-        row = table["asset_id"].to_pylist().index(asset_id)
+        row = self._rows.row(asset_id)
         return tuple(
             Mesh(np.reshape(part["vertices"], (-1, 3)), np.reshape(part["faces"], (-1, 3)))
-            for part in table["parts"][row].as_py() or ()
+            for part in (row["parts"] if row is not None else None) or ()
         )
+
+    def row(self, asset_id: str) -> Row | None:
+        """Returns the row of an asset in the table ``meshes``; None if it has none.
+
+        Raises:
+            ConfigError: The table can no longer be read.
+            MeshError: As :meth:`asset_path`.
+        """
+        row, path = self._rows.row(asset_id), self.asset_path(asset_id)
+        return None if row is None or path is None else row | {"glb": path.read_bytes()}
 
     def _path(self, sha256: str) -> Path:
         return self._files / f"{sha256}.glb"

@@ -25,6 +25,7 @@ from tests.pipelines.runs import content
 from tests.pipelines.scripts import one_thing_a_stage
 
 ALONE = WorkerPool()
+USE_COLUMNS = {"typical_scale", "resting_tilts", "volume", "center_of_mass", "inertia_per_mass"}
 DESK = Tabletop("office_table", (1.2, 0.6))
 TASKS = TaskSource("tasks", [LayoutTask(f"task_{n}", f"Lift it {n} times.", DESK) for n in range(2)])
 
@@ -133,6 +134,28 @@ def test_a_run_does_not_go_on_with_other_meshes(library: Path, dataset: Path, tm
         generate(TASKS, str(out), settings, ALONE, [str(library)], report=False)
     assert caught.value.code == "config_changed"
     assert content(out) == before
+
+
+def test_rows_of_a_run_are_copied_as_they_are(tiny_run: Path, tmp_path: Path) -> None:
+    library = Path(shutil.copytree(tiny_run, tmp_path / "library"))
+    run = RunFolder(str(library))
+    (shard,) = run.shard_ids("assets")
+    kept = {"mass": 0.123, "caption": "Nobody computes this.", "text_embedding": [0.6, 0.8]}
+    run.write_shard("assets", shard, [row | kept for row in run.table("assets").to_pylist()])
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(library)]).libraries[0].assets[:3])))
+    plain = GenerateSettings(weights="none", num_pictures=0, accept="", settle=False)
+    settings = replace(plain, engine=EngineSettings(f"scripted:{script}"))
+    generate(TASKS, str(tmp_path / "out"), settings, ALONE, [str(library)], report=False)
+    made = RunFolder(str(tmp_path / "out"))
+    for table, changed_columns in (("assets", USE_COLUMNS), ("meshes", set())):
+        rows = {row["asset_id"]: row for row in run.table(table).to_pylist()}
+        copies = made.table(table).to_pylist()
+        assert len(copies) == 3
+        for copy in copies:
+            row = rows[copy["asset_id"]]
+            assert {name for name in row if row[name] != copy[name]} <= changed_columns
+    assert all(copy["typical_scale"] is not None and copy["volume"] > 0 for copy in made.table("assets").to_pylist())
 
 
 def test_the_first_library_serves_and_a_run_is_one(tiny: Path, tiny_run: Path, dataset: Path) -> None:
