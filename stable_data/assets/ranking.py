@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from stable_data.assets.box_fitting import box_proportions, size_score
 from stable_data.assets.catalog import Asset, AssetLibrary
+from stable_data.assets.licences import is_licence_allowed
 from stable_data.assets.noun_fit import NounFit, noun_fit
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows
@@ -292,7 +293,7 @@ def _mixed(bits: Tickets) -> Tickets:
 
 
 def _may_be_used(asset: Asset, settings: RetrievalSettings) -> bool:
-    return asset.is_offered and (settings.licences is None or asset.licence in settings.licences)
+    return asset.is_offered and is_licence_allowed(asset.licence, settings.licences)
 
 
 def _pairs(mask: BoolArray) -> tuple[IntArray, IntArray]:

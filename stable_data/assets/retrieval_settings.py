@@ -37,7 +37,9 @@ class RetrievalSettings:
     """
 
     licences: frozenset[str] | None = None
-    """Allowed licences, or None for all. A list excludes assets whose licence is unknown."""
+    """Allowed licences, in any usual spelling; one without a version allows all versions. A list excludes assets whose licence is
+    unknown. None allows all but licences that forbid commercial use or changes.
+    """
 
     stretch: bool = False
     """Whether assets are scaled along each axis to the requested size, as in the paper; otherwise the scale is uniform."""

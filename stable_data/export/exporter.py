@@ -1,13 +1,14 @@
 """Exports scenes of a run to another format, into a folder of their own; an interrupted export continues when it is run again."""
 
 import json
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from stable_data.assets.annotation import AssetAnnotation
+from stable_data.assets.licences import licence_terms, normalise_licence
 from stable_data.assets.run_assets import run_annotations
 from stable_data.atomic_files import write_file_atomically
 from stable_data.code_version import code_version
@@ -20,7 +21,7 @@ from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder
 
-MANIFEST_FILE = "export.json"
+MANIFEST_FILE, ATTRIBUTION_FILE = "export.json", "ATTRIBUTION.md"
 Progress: TypeAlias = Callable[[int, int, int], None]
 """Called after every scene with the numbers of finished scenes, of all scenes, and of scenes that could not be exported."""
 
@@ -50,8 +51,8 @@ class ExportResult:
 def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, progress: Progress | None = None) -> ExportResult:
     """Writes scenes of a run in another format; run again, it writes the missing scenes.
 
-    The folder also gets README.md, Asset_annotation.json with category, licence and source of every asset in use, and
-    export.json with the run and the settings of the export.
+    The folder also gets README.md, ATTRIBUTION.md, Asset_annotation.json with category, licence and source of every asset in use,
+    and export.json with the run and the settings of the export.
 
     Args:
         run: The run.
@@ -106,9 +107,9 @@ def _export(
         if progress is not None:
             progress(written + existing + len(failures), len(scenes), len(failures))
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
-    write_file_atomically(
-        out / "README.md", _readme(chosen, written + existing, [annotations[asset_id] for asset_id in used]).encode()
-    )
+    assets = [annotations[asset_id] for asset_id in sorted(used)]
+    write_file_atomically(out / "README.md", _readme(chosen, written + existing, assets).encode())
+    write_file_atomically(out / ATTRIBUTION_FILE, _attribution(assets).encode())
     return ExportResult(written, existing, boxes, tuple(failures))
 
 
@@ -131,7 +132,7 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
             "kilograms, radians. An object's position is the centre of its box. An object without a mesh is a box.",
             "",
             f"{MANIFEST_FILE} names the run and the settings of the export. {ANNOTATION_FILE} gives category, source and licence of "
-            "each asset. Assets by licence and source:",
+            f"each asset, and {ATTRIBUTION_FILE} what their licences ask for. Assets by licence and source:",
             "",
             "| licence | source | assets |",
             "|---|---|---|",
@@ -139,6 +140,33 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
             "",
         ]
     )
+
+
+def _attribution(assets: Sequence[AssetAnnotation]) -> str:
+    """The assets by licence, with what each licence asks for."""
+    of_licence: dict[str, list[AssetAnnotation]] = defaultdict(list)
+    for a in assets:
+        of_licence[normalise_licence(a.licence) or " ".join((a.licence or "not known").split())].append(a)
+    lines = ["# Attribution", "", "The assets of these scenes. Their meshes were repaired, scaled and posed.", ""]
+    for licence, own in sorted(of_licence.items()):
+        lines += [f"## {licence}", "", _asked(licence), ""]
+        said = (f"{a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}" for a in own)
+        lines += [f"- {' '.join(text.split())}" for text in said]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _asked(licence: str) -> str:
+    terms = licence_terms(licence)
+    if terms is None:
+        return "What this licence asks for is not known: ask the source before you pass these assets on."
+    asked = {
+        "name the author and the licence": terms.is_credited,
+        "give changed assets the same licence": terms.is_share_alike,
+        "do not use them commercially": terms.is_non_commercial,
+        "do not pass changed assets on": terms.is_unchanged,
+    }
+    return f"Asked: {'; '.join(text for text, is_asked in asked.items() if is_asked) or 'nothing'}."
 
 
 def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelection) -> None:

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED, app
 from stable_data.export import exporter
-from stable_data.export.exporter import export_run
+from stable_data.export.exporter import _attribution, export_run
 from stable_data.export.formats import FORMATS
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection, SettledPoses
@@ -49,6 +50,21 @@ def test_every_scene_is_written_whatever_its_name(name: str, run: RunFolder, tmp
     card = (tmp_path / "out" / "README.md").read_text("utf-8")
     assert FORMATS[name].ABOUT in card
     assert "| CC0 | synth | 4 |" in card
+    attribution = (tmp_path / "out" / "ATTRIBUTION.md").read_text("utf-8")
+    assert "## CC0-1.0\n\nAsked: nothing.\n" in attribution
+    assert attribution.count("; synth\n") == 4
+
+
+def test_an_attribution_says_what_each_licence_asks_for() -> None:
+    given = {"a": "CC BY 4.0", "b": "cc-by-4.0", "c": "CC BY-NC-SA 3.0", "d": "ask\nme", "e": ""}
+    text = _attribution([AssetAnnotation(name, category="mug", raw={"licence": said}) for name, said in given.items()])
+    assert (
+        "## CC-BY-4.0\n\nAsked: name the author and the licence.\n\n- a: mug; source not known\n- b: mug; source not known\n"
+        in text
+    )
+    assert "Asked: name the author and the licence; give changed assets the same licence; do not use them commercially." in text
+    assert "## ask me\n\nWhat this licence asks for is not known" in text
+    assert "## not known\n" in text
 
 
 def test_a_scene_that_the_format_cannot_name_is_a_line_and_status_1(run: RunFolder, tmp_path: Path) -> None:
