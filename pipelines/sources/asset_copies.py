@@ -1,7 +1,7 @@
 """Copies the assets of scenes into their run, which can then be loaded and exported without the libraries.
 
-The rows of a library that is a run are copied as they are, except for the columns that say how the scenes use an asset. Those of
-other libraries are computed.
+The rows of a library that is a run are copied, except for the columns that say how the scenes use an asset, and for the text
+embedding, because those of several libraries would mix. What a row lacks, and all rows of other libraries, are computed.
 """
 
 from collections import defaultdict
@@ -20,10 +20,12 @@ from pipelines.preprocess.plan import AssetUseCount, file_digest
 from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
+from stable_data.errors import Notice
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
 
 _PER_SHARD = 16
+_NEEDED = ("report", "points", "normals")  # columns that a row needs to be copied
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +69,21 @@ class CopyAssets(ItemStep[AssetUse]):
         shelf, store = _opened(self)
         if store.fault_of(item.asset_id) is not None:
             return {}
-        stored = shelf.rows(item.asset_id)
-        if stored is not None and (stored[1]["parts"] or not self.decomposes):
-            asset, mesh = stored
-            return {"assets": [asset | use_columns(item, store.asset(item.asset_id))], "meshes": [mesh]}
         path = shelf.asset_path(item.asset_id)
         if path is not None:
             item = replace(item, mesh_sha256=file_digest(path))
         settings = AssetSettings(decomposes=self.decomposes)
-        made = preprocess_asset(item, shelf.annotation(item.asset_id), store, settings, progress)
-        return {"assets": [made.asset], "meshes": [made.mesh], "warnings": [notice_row(n) for n in made.notices]}
+        asset, mesh = shelf.rows(item.asset_id) or ({}, {})
+        has_asset = all(asset.get(name) is not None for name in _NEEDED)
+        has_mesh = bool(mesh.get("parts")) or (bool(mesh) and not self.decomposes)
+        notices: tuple[Notice, ...] = ()
+        if not (has_asset and has_mesh):
+            made = preprocess_asset(item, shelf.annotation(item.asset_id), store, settings, progress)
+            mesh, notices = mesh if has_mesh else made.mesh, made.notices
+            asset = asset if has_asset else made.asset
+        if has_asset:
+            asset = asset | {"text_embedding": None} | use_columns(item, store.asset(item.asset_id))
+        return {"assets": [asset], "meshes": [mesh], "warnings": [notice_row(n) for n in notices]}
 
 
 @lru_cache(maxsize=1)

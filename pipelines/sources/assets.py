@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 
 from tqdm import tqdm
@@ -168,7 +168,7 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         annotations = run_annotations(run)
         listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
         contents = partial(_contents_of_run, run)
-        rows = partial(_rows_of_run, kept, RowsOfAssets(run, "assets"))
+        rows = partial(_rows_of_run, kept, cache(partial(RowsOfAssets, run, "assets")))
         return _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts, rows)
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
@@ -190,8 +190,8 @@ def _parts_of_file(meshes: Callable[[str], Path | None], asset_id: str) -> tuple
     return () if path is None else colliders_of(path, asset_id)
 
 
-def _rows_of_run(kept: RunAssets, assets: RowsOfAssets, asset_id: str) -> tuple[Row, Row] | None:
-    asset, mesh = assets.row(asset_id), kept.row(asset_id)
+def _rows_of_run(kept: RunAssets, assets: Callable[[], RowsOfAssets], asset_id: str) -> tuple[Row, Row] | None:
+    asset, mesh = assets().row(asset_id), kept.row(asset_id)
     return None if asset is None or mesh is None else (asset, mesh)
 
 

@@ -271,11 +271,12 @@ def is_right_angled(quat: QuatXyzw) -> bool:
 
 
 def _surface_points(run: RunFolder, asset_ids: Sequence[str]) -> dict[str, FloatArray]:
-    """Reads the surface points of some assets, (P, 3) each, mesh units."""
+    """Reads the surface points of some assets, (P, 3) each, mesh units; an asset whose row has none is left out."""
     if not asset_ids:
         return {}
     table = run.table("assets", ["asset_id", "points"], pc.field("asset_id").isin(list(asset_ids)))
-    return {row["asset_id"]: np.asarray(row["points"], np.float64).reshape(-1, 3) for row in rows_from_table(table)}
+    known = (row for row in rows_from_table(table) if row["points"] is not None)
+    return {row["asset_id"]: np.asarray(row["points"], np.float64).reshape(-1, 3) for row in known}
 
 
 def _quat(values: Sequence[float]) -> QuatXyzw:

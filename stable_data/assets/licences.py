@@ -1,33 +1,45 @@
-"""Licences of assets: what their many spellings mean, what they ask for, and which may be used."""
+"""Licences of assets: what their many spellings mean, and what they ask for."""
 
 import re
+import unicodedata
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 
-_VERSION = r"(?:[ ,/-]*(?:v|version|international)?[ ,/-]*(?P<version>\d\.\d))?"
-_MODIFIERS = r"(?P<more>(?:[ -]+(?:nc|nd|sa|non ?-?commercial|no ?-?deriv\w*|share ?-?alike))*)"
-_PATTERNS = tuple(
-    (re.compile(pattern, re.IGNORECASE), name)
+_MOST_CHARACTERS = 1000  # a longer text is no name of a licence
+
+_CREATIVE_COMMONS = re.compile(
+    r"creativecommons\.org/licenses/by(?:-\w\w)*/?(?P<address>\d\.\d)?"
+    r"|(?:\bcc\b|\bcreative commons\b)[ :-]{0,3}(?:by|attribution)\b|\bcc-?by(?=[\d -]|nc|nd|sa|$)|^(?:by|attribution)\b(?=$|[ \d-])"
+)
+_VERSION = re.compile(r"(?<![\d.])[1-4]\.\d(?![\d.])")
+_OTHERS = tuple(
+    (re.compile(pattern), name)
     for pattern, name in (
-        (r"creativecommons\.org/publicdomain/zero(?:/\d\.\d)?|\bcc[ -]?0\b(?:[ -]1\.0)?(?: universal)?", "CC0-1.0"),
-        (r"creative commons zero(?:[ ,]*(?:v|version)?[ ]?1\.0)?(?: universal)?", "CC0-1.0"),
-        (rf"creativecommons\.org/licenses/by(?P<more>(?:-(?:nc|nd|sa))*){_VERSION}", "CC-BY"),
-        (rf"\bcc[ -]+(?:by|attribution)\b{_MODIFIERS}{_VERSION}", "CC-BY"),
-        (rf"creative commons[ :-]+(?:attribution|by)\b{_MODIFIERS}{_VERSION}", "CC-BY"),
+        (r"creativecommons\.org/publicdomain/zero|\bcc[ -]?0\b|\bcc zero\b|\bcreative commons zero\b", "CC0-1.0"),
         (r"\bmit[ -]+(?:0|no attribution)\b", "MIT-0"),
-        (r"\bmit\b(?: licen[cs]e)?", "MIT"),
-        (r"\bapache\b(?:[ -]+licen[cs]e)?[ ,-]*(?:v|version)?[ -]*2(?:\.0)?\b", "Apache-2.0"),
-        (r"\bbsd[ -]+2[ -]+clause\b", "BSD-2-Clause"),
-        (r"\bbsd[ -]+3[ -]+clause\b", "BSD-3-Clause"),
+        (
+            r"^(?:the )?mit(?: licen[cs]e)?(?=$| ?[(,.;:]| (?:and|or) )|\bmit licen[cs]e\b|\blicen[cs]es?[:/ ]+(?:the )?mit\b",
+            "MIT",
+        ),
+        (
+            r"\bapache\b(?: software)?(?:[ -]+licen[cs]e)?[ ,-]*(?:version|v)?[ -]*2(?:\.0)?\b|apache\.org/licenses/license-2",
+            "Apache-2.0",
+        ),
+        (r"\bbsd[ -]2\b|\b2-clause bsd\b", "BSD-2-Clause"),
+        (r"\bbsd[ -]3\b|\b3-clause bsd\b", "BSD-3-Clause"),
         (r"\bzlib\b", "Zlib"),
-        (r"\bodc[ -]by\b(?:[ -]1\.0)?|open data commons attribution", "ODC-By-1.0"),
+        (r"\bodc[ -]by\b|\bopen data commons attribution\b", "ODC-By-1.0"),
         (r"\bunlicense\b", "Unlicense"),
     )
 )
-_NON_COMMERCIAL = re.compile(r"non[ -]?commercial|\bnc\b", re.IGNORECASE)
-_NO_DERIVATIVES = re.compile(r"no[ -]?deriv|\bnd\b", re.IGNORECASE)
-_SHARE_ALIKE = re.compile(r"share[ -]?alike|\bsa\b", re.IGNORECASE)
+_NON_COMMERCIAL = re.compile(r"non[ -]*commercial|(?<![a-z])nc(?![a-z])|by-?nc|\bnicht[ -]?kommerziell")
+_NO_DERIVATIVES = re.compile(r"no[ -]*deriv|(?<![a-z])nd(?![a-z])|(?:by|nc)-?nd")
+_SHARE_ALIKE = re.compile(r"share[ -]*alike|(?<![a-z])sa(?![a-z])|(?:by|nc)-?sa")
+_UNKNOWN = re.compile(
+    r"\b(?:only|research|academic|educational|personal|editorial|proprietary|reserved|not|except|royalty|gpl\w*|lgpl\w*|agpl\w*|mpl|"
+    r"odbl|eula)\b"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,27 +70,36 @@ def normalise_licence(text: str | None) -> str | None:
         text: A name, an identifier or an address, in any of the usual spellings.
 
     Returns:
-        The identifier, without a version where a Creative Commons licence states none, such as ``CC-BY-NC``; None if the text names
-        no known licence, or several.
+        The identifier, without a version where a Creative Commons licence states none, such as ``CC-BY-NC``. A restriction anywhere
+        in the text counts. None if the text names no known licence, several, or one with conditions that are not its own.
     """
-    left = " ".join((text or "").replace("_", " ").split())
-    found: set[str] = set()
-    for pattern, name in _PATTERNS:
-        for match in pattern.finditer(left):
-            found.add(name if "more" not in match.groupdict() else _creative_commons(match["more"], match["version"]))
-        left = pattern.sub(" ; ", left)  # so that MIT-0 is not found as MIT too
-    return found.pop() if len(found) == 1 else None
+    if text is None or len(text) > _MOST_CHARACTERS:
+        return None
+    plain = unicodedata.normalize("NFKC", text).lower().replace("_", " ")
+    left = " ".join(re.sub("[\u2010-\u2015]", "-", plain).split())
+    if _UNKNOWN.search(re.sub(r"\S*\.(?:org|com)\S*", "", left)):
+        return None
+    name, rest = _creative_commons(left)
+    found = {name} if name else set()
+    for pattern, other in _OTHERS:
+        if pattern.search(rest):
+            found.add(other)
+            rest = pattern.sub(" ; ", rest)  # so that MIT-0 is not found as MIT too
+    if len(found) != 1 or (not name and (_NON_COMMERCIAL.search(left) or _NO_DERIVATIVES.search(left))):
+        return None
+    return found.pop()
 
 
-def _creative_commons(more: str, version: str | None) -> str:
-    parts = [
-        "CC-BY",
-        "NC" if _NON_COMMERCIAL.search(more) else "",
-        "ND" if _NO_DERIVATIVES.search(more) else "",
-        "SA" if _SHARE_ALIKE.search(more) else "",
-        version or "",
-    ]
-    return "-".join(filter(None, parts))
+def _creative_commons(text: str) -> tuple[str, str]:
+    """The licence CC BY and what modifies it, empty without one, and the text without it."""
+    if not _CREATIVE_COMMONS.search(text):
+        return "", text
+    versions = set(_VERSION.findall(text))
+    if len(versions) > 1:
+        return "", ""
+    modifiers = (("NC", _NON_COMMERCIAL), ("ND", _NO_DERIVATIVES), ("SA", _SHARE_ALIKE))
+    parts = ["CC-BY", *(letters for letters, pattern in modifiers if pattern.search(text)), *versions]
+    return "-".join(parts), _CREATIVE_COMMONS.sub(" ; ", text)
 
 
 def licence_terms(text: str | None) -> LicenceTerms | None:
@@ -95,12 +116,11 @@ def is_licence_allowed(licence: str | None, allowed: Collection[str] | None) -> 
 
     Args:
         licence: The licence that the asset states, None if it states none.
-        allowed: The allowed licences in any spelling; one without a version allows all its versions. None allows all but those
-            that are known to forbid commercial use or changes: scenes scale assets and move them.
+        allowed: The allowed licences; known ones in any spelling, and one without a version allows all its versions. None allows
+            all assets, a list none without a licence.
     """
     if allowed is None:
-        terms = licence_terms(licence)
-        return terms is None or not (terms.is_non_commercial or terms.is_unchanged)
+        return True
     if licence is None:
         return False
     name = normalise_licence(licence)

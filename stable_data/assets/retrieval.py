@@ -141,11 +141,7 @@ class Retriever:
         found = ((library.name, AssetScores(library, self.settings)) for library in libraries)
         self._libraries = [(name, scores) for name, scores in found if scores.assets]
         if not self._libraries:
-            licences = (
-                "that allow commercial use and changes"
-                if self.settings.licences is None
-                else ", ".join(sorted(self.settings.licences)) or "none"
-            )
+            licences = "any" if self.settings.licences is None else ", ".join(sorted(self.settings.licences)) or "none"
             message = f"libraries {', '.join(names)} offer no asset under the licences {licences}"
             raise ConfigError(f"{message}, expected at least one; allow more licences or add a library", "library_unusable")
         self._known: dict[str, Rows] = {}

@@ -37,8 +37,8 @@ class RetrievalSettings:
     """
 
     licences: frozenset[str] | None = None
-    """Allowed licences, in any usual spelling; one without a version allows all versions. A list excludes assets whose licence is
-    unknown. None allows all but licences that forbid commercial use or changes.
+    """Allowed licences, or None for all. Known ones may be spelled in any usual way; one without a version allows all versions. A list
+    excludes assets whose licence is unknown.
     """
 
     stretch: bool = False

@@ -2,7 +2,7 @@
 
 import hashlib
 import weakref
-from collections.abc import Collection, Set
+from collections.abc import Collection, Mapping, Set
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -28,18 +28,17 @@ class RowsOfAssets:
         run: The run folder.
         table: A table with the column ``asset_id``, one row for each asset.
         without: Columns that are not read.
+        group_of: The row group of each asset; None reads it.
 
     Raises:
         ConfigError: The run has no such table, or it cannot be read.
     """
 
-    def __init__(self, run: RunFolder, table: str, without: Collection[str] = ()) -> None:
-        names = TableFiles(run.uri, table, ["asset_id"])
-        self._group_of = {
-            asset_id: group for group in range(len(names.groups)) for asset_id in names.read([group])["asset_id"].to_pylist()
-        }
-        self._columns = [name for name in SCHEMAS[table].names if name not in without]
-        self._files = TableFiles(run.uri, table, self._columns)
+    def __init__(
+        self, run: RunFolder, table: str, without: Collection[str] = (), group_of: Mapping[str, int] | None = None
+    ) -> None:
+        self._group_of = _groups(run, table) if group_of is None else group_of
+        self._files = TableFiles(run.uri, table, [name for name in SCHEMAS[table].names if name not in without])
         self._read: tuple[int, pa.Table] | None = None
 
     def row(self, asset_id: str) -> Row | None:
@@ -55,6 +54,12 @@ class RowsOfAssets:
             self._read = group, self._files.read([group])
         rows = self._read[1]
         return rows_from_table(rows.filter(pc.equal(rows["asset_id"], asset_id)).slice(0, 1))[0]
+
+
+def _groups(run: RunFolder, table: str) -> dict[str, int]:
+    """The row group of each asset in a table."""
+    names = TableFiles(run.uri, table, ["asset_id"])
+    return {asset_id: group for group in range(len(names.groups)) for asset_id in names.read([group])["asset_id"].to_pylist()}
 
 
 class RunAssets:
@@ -77,7 +82,6 @@ class RunAssets:
         self._files = files
         self._names = TableFiles(run.uri, "meshes", ["asset_id", "sha256"])
         self._meshes = TableFiles(run.uri, "meshes", ["asset_id", "glb", "sha256"])
-        self._rows = RowsOfAssets(run, "meshes", without=("glb",))
         self._group_of: dict[str, int] = {}
         self._content_of: dict[str, str] = {}
         self._hashed: set[str] = set()
@@ -89,6 +93,7 @@ class RunAssets:
                         f"meshes: sha256 is {sha256!r}, expected 64 hex digits; preprocess the dataset again", "table_invalid"
                     )
                 self._group_of[asset_id], self._content_of[asset_id] = group, sha256
+        self._rows = RowsOfAssets(run, "meshes", ("glb",), self._group_of)
         try:
             files.mkdir(parents=True, exist_ok=True)
         except OSError as error:

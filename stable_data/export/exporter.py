@@ -143,15 +143,22 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
 
 
 def _attribution(assets: Sequence[AssetAnnotation]) -> str:
-    """The assets by licence, with what each licence asks for."""
+    """The assets by licence, with what each licence asks for, and the words of the licence where they are others."""
     of_licence: dict[str, list[AssetAnnotation]] = defaultdict(list)
     for a in assets:
         of_licence[normalise_licence(a.licence) or " ".join((a.licence or "not known").split())].append(a)
-    lines = ["# Attribution", "", "The assets of these scenes. Their meshes were repaired, scaled and posed.", ""]
+    lines = [
+        "# Attribution",
+        "",
+        "The assets of these scenes. Their meshes were repaired, scaled and posed. Authors and the texts of licences are with the sources.",
+        "",
+    ]
     for licence, own in sorted(of_licence.items()):
         lines += [f"## {licence}", "", _asked(licence), ""]
-        said = (f"{a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}" for a in own)
-        lines += [f"- {' '.join(text.split())}" for text in said]
+        for a in own:
+            said = f"; stated as {a.licence}" if a.licence and " ".join(a.licence.split()) != licence else ""
+            text = f"- {a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}{said}"
+            lines.append(" ".join(text.split()))
         lines.append("")
     return "\n".join(lines)
 

@@ -454,7 +454,9 @@ def test_settings_that_make_no_sense_are_refused(change: dict[str, Any], message
         GenerateSettings(**change)
 
 
-@pytest.mark.parametrize(("count", "size"), [(0, 16), (10, 16), (200, 25), (768, 96), (769, 97), (1_024, 128), (1_000_000, 128)])
+@pytest.mark.parametrize(
+    ("count", "size"), [(0, 16), (10, 16), (200, 25), (768, 96), (769, 97), (1_024, 128), (1_000_000, 128)]
+)
 def test_a_small_job_has_eight_shards_and_a_large_one_shards_that_fill_batches(count: int, size: int) -> None:
     assert GenerateSettings().of_tasks(count).scenes_per_shard == size
     assert GenerateSettings(scenes_per_shard=64).of_tasks(count).scenes_per_shard == 64

@@ -136,25 +136,40 @@ def test_a_run_does_not_go_on_with_other_meshes(library: Path, dataset: Path, tm
     assert content(out) == before
 
 
-def test_rows_of_a_run_are_copied_as_they_are(tiny_run: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("lacks", ["", "points", "parts"])
+def test_rows_of_a_run_are_copied_and_what_they_lack_is_computed(tiny_run: Path, tmp_path: Path, lacks: str) -> None:
     library = Path(shutil.copytree(tiny_run, tmp_path / "library"))
     run = RunFolder(str(library))
     (shard,) = run.shard_ids("assets")
     kept = {"mass": 0.123, "caption": "Nobody computes this.", "text_embedding": [0.6, 0.8]}
-    run.write_shard("assets", shard, [row | kept for row in run.table("assets").to_pylist()])
+    whole = run.table("assets").to_pylist()
+    run.write_shard("assets", shard, [row | kept | ({"points": None} if lacks == "points" else {}) for row in whole])
+    if lacks == "parts":
+        (parts,) = run.shard_ids("meshes")
+        run.write_shard(
+            "meshes", parts, [row | {"parts": None, "parts_method": None} for row in run.table("meshes").to_pylist()]
+        )
     script = tmp_path / "script.json"
     script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(library)]).libraries[0].assets[:3])))
     plain = GenerateSettings(weights="none", num_pictures=0, accept="", settle=False)
     settings = replace(plain, engine=EngineSettings(f"scripted:{script}"))
     generate(TASKS, str(tmp_path / "out"), settings, ALONE, [str(library)], report=False)
     made = RunFolder(str(tmp_path / "out"))
-    for table, changed_columns in (("assets", USE_COLUMNS), ("meshes", set())):
-        rows = {row["asset_id"]: row for row in run.table(table).to_pylist()}
-        copies = made.table(table).to_pylist()
-        assert len(copies) == 3
-        for copy in copies:
-            row = rows[copy["asset_id"]]
-            assert {name for name in row if row[name] != copy[name]} <= changed_columns
+    of_library = {row["asset_id"]: row for row in run.table("assets").to_pylist()}
+    copies = made.table("assets").to_pylist()
+    assert len(copies) == 3
+    for copy in copies:
+        assert copy["points"]
+        row = of_library[copy["asset_id"]]
+        changed_columns = {name for name in row if row[name] != copy[name]}
+        if lacks == "points":
+            assert "points" in changed_columns
+        else:
+            assert changed_columns <= {*USE_COLUMNS, "text_embedding"}
+    of_library = {row["asset_id"]: row for row in run.table("meshes").to_pylist()}
+    for copy in made.table("meshes").to_pylist():
+        assert copy["parts"]
+        assert (copy == of_library[copy["asset_id"]]) is (lacks != "parts")
     assert all(copy["typical_scale"] is not None and copy["volume"] > 0 for copy in made.table("assets").to_pylist())
 
 

@@ -109,9 +109,10 @@ def test_annotations_and_licences_keep_assets_out_and_take_no_place() -> None:
     assert found(ask(retriever(*bad, free, top_k_text=1), "a red mug")) == "4"
     assert found(ask(retriever(*bad, free, unknown), "a red mug")) == "5"
     assert found(ask(retriever(*bad, free, unknown, licences=frozenset({"CC0", "MIT"})), "a red mug")) == "4"
+    assert found(ask(retriever(*bad, free, unknown, licences=frozenset({"cc0 1.0"})), "a red mug")) == "4"
     with pytest.raises(ConfigError, match="libraries first offer no asset under the licences MIT, expected at least one"):
         retriever(*bad, free, unknown, licences=frozenset({"MIT"}))
-    with pytest.raises(ConfigError, match="offer no asset under the licences that allow commercial use and changes"):
+    with pytest.raises(ConfigError, match="offer no asset under the licences any"):
         retriever(*bad)
 
 

@@ -52,15 +52,14 @@ def test_every_scene_is_written_whatever_its_name(name: str, run: RunFolder, tmp
     assert "| CC0 | synth | 4 |" in card
     attribution = (tmp_path / "out" / "ATTRIBUTION.md").read_text("utf-8")
     assert "## CC0-1.0\n\nAsked: nothing.\n" in attribution
-    assert attribution.count("; synth\n") == 4
+    assert attribution.count("; synth; stated as CC0\n") == 4
 
 
 def test_an_attribution_says_what_each_licence_asks_for() -> None:
     given = {"a": "CC BY 4.0", "b": "cc-by-4.0", "c": "CC BY-NC-SA 3.0", "d": "ask\nme", "e": ""}
     text = _attribution([AssetAnnotation(name, category="mug", raw={"licence": said}) for name, said in given.items()])
     assert (
-        "## CC-BY-4.0\n\nAsked: name the author and the licence.\n\n- a: mug; source not known\n- b: mug; source not known\n"
-        in text
+        "## CC-BY-4.0\n\nAsked: name the author and the licence.\n\n- a: mug; source not known; stated as CC BY 4.0\n" in text
     )
     assert "Asked: name the author and the licence; give changed assets the same licence; do not use them commercially." in text
     assert "## ask me\n\nWhat this licence asks for is not known" in text
