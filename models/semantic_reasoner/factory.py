@@ -21,6 +21,7 @@ from models.semantic_reasoner.text.zero_shot_prompt import ZERO_SHOT_SYSTEM
 from models.settings import PositiveCount, Settings
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import absolute_uri
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,7 @@ def load_reasoner(
 
 
 def _absolute(path: str) -> str:
-    return path if not path or "://" in path else str(Path(path).expanduser().resolve())
+    return absolute_uri(path) if path else path
 
 
 def _text(file: str) -> str:

@@ -69,15 +69,14 @@ class CopyAssets(ItemStep[AssetUse]):
         shelf, store = _opened(self)
         if store.fault_of(item.asset_id) is not None:
             return {}
-        path = shelf.asset_path(item.asset_id)
-        if path is not None:
-            item = replace(item, mesh_sha256=file_digest(path))
-        settings = AssetSettings(decomposes=self.decomposes)
         asset, mesh = shelf.rows(item.asset_id) or ({}, {})
         has_asset = all(asset.get(name) is not None for name in _NEEDED)
         has_mesh = bool(mesh.get("parts")) or (bool(mesh) and not self.decomposes)
         notices: tuple[Notice, ...] = ()
         if not (has_asset and has_mesh):
+            path, settings = shelf.asset_path(item.asset_id), AssetSettings(decomposes=self.decomposes)
+            if path is not None:
+                item = replace(item, mesh_sha256=file_digest(path))
             made = preprocess_asset(item, shelf.annotation(item.asset_id), store, settings, progress)
             mesh, notices = mesh if has_mesh else made.mesh, made.notices
             asset = asset if has_asset else made.asset

@@ -27,7 +27,7 @@ from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.mesatask.library import AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.scene import Scene
-from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.run_folder import RunFolder, absolute_uri
 from stable_data.storage.schemas import SCHEMAS, Row
 
 
@@ -144,7 +144,7 @@ class AssetLibraries:
 
 def absolute_places(places: Sequence[str]) -> tuple[str, ...]:
     """Places of libraries with absolute paths, which workers in other folders can open too."""
-    return tuple(p if "://" in p or p == EMBEDDED else str(Path(p).expanduser().resolve()) for p in places)
+    return tuple(p if p == EMBEDDED else absolute_uri(p) for p in places)
 
 
 def _cache() -> Path:

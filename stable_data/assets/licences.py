@@ -9,7 +9,7 @@ from functools import lru_cache
 _MOST_CHARACTERS = 1000  # a longer text is no name of a licence
 
 _CREATIVE_COMMONS = re.compile(
-    r"creativecommons\.org/licenses/by(?:-\w\w)*/?(?P<address>\d\.\d)?"
+    r"creativecommons\.org/licenses/by(?:-\w\w)*"
     r"|(?:\bcc\b|\bcreative commons\b)[ :-]{0,3}(?:by|attribution)\b|\bcc-?by(?=[\d -]|nc|nd|sa|$)|^(?:by|attribution)\b(?=$|[ \d-])"
 )
 _VERSION = re.compile(r"(?<![\d.])[1-4]\.\d(?![\d.])")
@@ -121,8 +121,10 @@ def is_licence_allowed(licence: str | None, allowed: Collection[str] | None) -> 
     """
     if allowed is None:
         return True
-    if licence is None:
-        return False
+    if licence in allowed:
+        return True
     name = normalise_licence(licence)
-    versions = {name, re.sub(r"-\d\.\d$", "", name) if name is not None and name.startswith("CC-BY") else name}
-    return licence in allowed or any(one is not None and one in versions for one in map(normalise_licence, allowed))
+    if name is None:
+        return False
+    of_any_version = re.sub(r"-\d\.\d$", "", name)  # a name only for Creative Commons
+    return not {name, of_any_version}.isdisjoint(map(normalise_licence, allowed))
