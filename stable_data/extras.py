@@ -3,6 +3,7 @@
 EXTRA_OF_MODULE = {
     **dict.fromkeys(("fast_simplification", "fcl", "igl", "manifold3d", "networkx", "scipy"), "geometry,sim"),
     **dict.fromkeys(("shapely", "threadpoolctl", "trimesh", "vhacdx", "mujoco", "PIL", "OpenGL"), "geometry,sim"),
+    **dict.fromkeys(("collada", "pxr"), "geometry,sim,import"),
     "gymnasium": "geometry,sim,env",
     "torch": "torch",
     **dict.fromkeys(("peft", "safetensors", "tensorboard", "transformers"), "geometry,models"),

@@ -115,7 +115,7 @@ def _asset_row(
 ) -> schemas.Row:
     seed = int(hashlib.sha256(use.asset_id.encode()).hexdigest()[:8], 16)
     points, normals = surface_points(asset.mesh, settings.num_points, np.random.default_rng(seed))
-    return {
+    return dict.fromkeys(schemas.SCHEMAS["assets"].names) | {
         "asset_id": use.asset_id,
         "category": annotation.category,
         "description": annotation.description,

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.mesh import Mesh, center_vertices, double_areas, drop_unused_vertices
+from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray
 
 _WELD = 1e-6  # vertices nearer than this share of the largest extent are merged
@@ -104,32 +105,13 @@ def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = Me
     return _read(data, _GlbReader(asset_id, limits), _GlbReader.colliders)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MaterialGroup:
-    """Triangles of a file with one material.
-
-    Attributes:
-        triangles: (F, 3, 3) float64, in the file's unit, z up, node transforms applied, not welded.
-        factor: The material's base colour, red, green, blue from 0 to 1, linear; None without a material.
-        corner_colours: Colours of the corners, (F, 3, 3), from 0 to 1, linear; None if the file has none.
-        image: The content of the material's texture file; None if there is none inside the GLB.
-        corner_uv: Texture coordinates of the corners, (F, 3, 2), shares of width and height from the upper left.
-    """
-
-    triangles: FloatArray
-    factor: tuple[float, float, float] | None
-    corner_colours: FloatArray | None
-    image: bytes | None
-    corner_uv: FloatArray | None
-
-
-def load_material_groups(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[MaterialGroup]:
-    """Reads the surface of a file with its colours and textures. The arguments are those of :func:`load_glb`.
+def load_surfaces(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[Surface]:
+    """Reads the surfaces of a file with their colours and textures. The arguments are those of :func:`load_glb`.
 
     Raises:
         MeshError: The file violates the format; the codes are those of :func:`load_glb`.
     """
-    return _read(data, _GlbReader(asset_id, limits), _GlbReader.material_groups)
+    return _read(data, _GlbReader(asset_id, limits), _GlbReader.surfaces)
 
 
 def _read(data: bytes | Path, reader: "_GlbReader", extract: Callable[["_GlbReader"], _Result]) -> _Result:
@@ -189,10 +171,10 @@ class _GlbReader:
             num_vertices += len(corners)
         return np.concatenate(vertices), np.concatenate(faces)
 
-    def material_groups(self) -> list[MaterialGroup]:
-        """The surface of the scene by material; see :func:`load_material_groups`."""
+    def surfaces(self) -> list[Surface]:
+        """The surfaces of the scene; see :func:`load_surfaces`."""
         self._refuse_unsupported()
-        groups = []
+        surfaces = []
         for primitive, corners, triangles in self._placed_primitives():
             factor, texture = self._base_colour(primitive)
             attributes, colours, uv = primitive["attributes"], None, None
@@ -203,8 +185,8 @@ class _GlbReader:
             name = f"TEXCOORD_{(texture or {}).get('texCoord', 0)}"
             if image is not None and name in attributes:
                 uv = self._accessor(attributes[name], 2, triangles).astype(np.float64)
-            groups.append(MaterialGroup(corners[triangles], factor, colours, image, uv))
-        return groups
+            surfaces.append(Surface(corners[triangles], factor, colours, image, uv))
+        return surfaces
 
     def _base_colour(self, primitive: dict[str, Any]) -> tuple[tuple[float, float, float] | None, dict[str, Any] | None]:
         """Factor and texture of a primitive's material; without a material there is no factor."""

@@ -13,8 +13,9 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import MaterialGroup, load_material_groups
+from stable_data.geometry.gltf_reader import load_surfaces
 from stable_data.geometry.mesh import Mesh, double_areas
+from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray
 
 Paint: TypeAlias = tuple[tuple[str, IntArray], ...]
@@ -48,13 +49,15 @@ def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
         MeshError: The colours cannot be read; ``code`` is ``texture_invalid`` or one of
             :func:`stable_data.geometry.gltf_reader.load_glb`.
     """
-    groups = load_material_groups(data, asset_id)
-    if all(group.factor is None and group.corner_colours is None for group in groups):
+    surfaces = load_surfaces(data, asset_id)
+    if all(surface.colour is None and surface.corner_colours is None for surface in surfaces):
         return ()
-    images = {id(group.image): group.image for group in groups if group.image is not None and group.corner_uv is not None}
+    images = {
+        id(surface.image): surface.image for surface in surfaces if surface.image is not None and surface.corner_uv is not None
+    }
     textures = _decode_textures(images, asset_id) if images else {}
-    colours = np.concatenate([_face_colours(group, textures.get(id(group.image))) for group in groups])
-    triangles = np.concatenate([group.triangles for group in groups])
+    colours = np.concatenate([_face_colours(surface, textures.get(id(surface.image))) for surface in surfaces])
+    triangles = np.concatenate([surface.triangles for surface in surfaces])
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     middles = triangles.mean(axis=1) - (low + high) / 2
     # The tree compares squared distances, so they must be finite too.
@@ -73,13 +76,13 @@ def to_linear(on_screen: FloatArray) -> FloatArray:
 _LINEAR = to_linear(np.arange(256) / 255)
 
 
-def _face_colours(group: MaterialGroup, texture: npt.NDArray[np.uint8] | None) -> npt.NDArray[np.uint8]:
+def _face_colours(surface: Surface, texture: npt.NDArray[np.uint8] | None) -> npt.NDArray[np.uint8]:
     """Display colour of each face, (F, 3)."""
-    linear = np.tile(np.array(group.factor or (1.0, 1.0, 1.0)), (len(group.triangles), 1))
-    if group.corner_colours is not None:
-        linear *= group.corner_colours.mean(axis=1)
-    if texture is not None and group.corner_uv is not None:
-        linear *= _mean_texture_colours(texture, group.corner_uv)
+    linear = np.tile(np.array(surface.colour or (1.0, 1.0, 1.0)), (len(surface.triangles), 1))
+    if surface.corner_colours is not None:
+        linear *= surface.corner_colours.mean(axis=1)
+    if texture is not None and surface.corner_uv is not None:
+        linear *= _mean_texture_colours(texture, surface.corner_uv)
     clipped = np.clip(np.nan_to_num(linear), 0.0, 1.0)
     on_screen = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)  # undoes `to_linear`
     return np.asarray(np.rint(255 * on_screen), np.uint8)

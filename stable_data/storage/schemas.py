@@ -20,7 +20,7 @@ Row: TypeAlias = dict[str, Any]
 
 _text, _number, _count, _truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
 _numbers, _texts = pa.list_(_number), pa.list_(_text)
-_floats, _integers = pa.list_(pa.float32()), pa.list_(pa.int32())
+_floats, _halves, _integers = pa.list_(pa.float32()), pa.list_(pa.float16()), pa.list_(pa.int32())
 
 RELATION = pa.struct([("subject", _text), ("kind", _text), ("target", _text)])
 
@@ -270,6 +270,61 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("normals", _floats, "outward surface normals (P, 3) at the points, row-major"),
             _column("text_embedding", _floats, "text embedding of the dataset, of unit length; null if it has none"),
             _column("mesh_sha256", _text, "SHA-256 of the mesh file"),
+            _column("author", _text, "who made the asset; null if unknown"),
+            _column("source_url", _text, "where the asset comes from; null if unknown"),
+            _column("source_set", _text, "set that the asset belongs to, such as YCB; null if unknown"),
+            _column("source_path", _text, "main file of the asset in its source folder"),
+            _column("licence_text", _text, "licence as the source states it"),
+            _column(
+                "licence_where", _text, "where the source states the licence: a file, the manifest, or an option of the import"
+            ),
+            _column(
+                "scale_source",
+                _text,
+                "what the scale rests on: given, stated_size, category, set (the other assets of its set), or option",
+            ),
+            _column("scale_inferred", _truth, "true if the scale is estimated; null if no import made the asset"),
+            _column(
+                "scale_confidence",
+                _number,
+                "estimated probability that the scale is right within a factor of 1.5; 1 if it is given",
+            ),
+            _column("size_low", _number, "smallest longest side that the asset may have in a scene", "m"),
+            _column("size_high", _number, "largest longest side that the asset may have in a scene", "m"),
+            _column(
+                "category_source", _text, "what the category rests on: given, name, or encoder (the nearest known category)"
+            ),
+            _column("description_source", _text, "what the description rests on: given or name"),
+            _column(
+                "mass_source",
+                _text,
+                "what the mass rests on: given, material, category, or default; null if no import made the asset",
+            ),
+            _column(
+                "inertia",
+                _numbers,
+                "inertia tensor that the source gives, 3 x 3 about center_of_mass, row-major, axes of the mesh, at the typical scale; null "
+                "if it gives none",
+                "kg m^2",
+            ),
+            _column(
+                "friction",
+                _numbers,
+                "sliding, torsional and rolling friction as MuJoCo defines them; null if unknown",
+                "1, m, m",
+            ),
+            _column("material", _text, "main material; null if unknown"),
+            _column("front", _numbers, "unit vector of the mesh that faces the user; null if unknown"),
+            _column(
+                "rest_source", _text, "what the resting tilts rest on: given, up_axis, or physics; null if scenes show them"
+            ),
+            _column("is_graspable", _truth, "true if the smallest side of the box is at most 8 cm; null if unknown"),
+            _column("is_static", _truth, "true if the source fixes the asset to the world, as furniture; null if unknown"),
+            _column(
+                "geometry_hash", _text, "hash of the shape, equal for copies of one mesh whatever their order, scale and place"
+            ),
+            _column("sentence_embedding", _halves, "embedding of the asset's sentence for retrieval, of unit length"),
+            _column("sentence_encoder", _text, "fingerprint of the encoder of sentence_embedding"),
         ]
     ),
     "sdf": pa.schema(
@@ -345,6 +400,40 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "hull_distance", _number, "maximum distance by which the convex hull extends beyond the mesh", "mesh units"
             ),
             _column("sha256", _text, "SHA-256 of glb"),
+            _column(
+                "look",
+                pa.binary(),
+                "surface with materials and texture coordinates as binary glTF, y up, in the frame of glb; its images are the addresses "
+                "texture:SHA-256 of the table textures; null: the face colours of glb are its look",
+                "mesh units",
+            ),
+            _column(
+                "look_distance",
+                _number,
+                "maximum distance by which look was moved when it was reduced; 0 if it was not",
+                "mesh units",
+            ),
+            _column(
+                "parts_source",
+                _text,
+                "where parts come from: given by the source, or computed; null if no import made the asset",
+            ),
+            _column("source_faces", _count, "triangles of the source; null if no import made the asset"),
+            _column(
+                "source_reduction",
+                _number,
+                "maximum distance between the mesh and the source; 0 if it was not reduced",
+                "mesh units",
+            ),
+        ]
+    ),
+    "textures": pa.schema(
+        [
+            _column("sha256", _text, "SHA-256 of image"),
+            _column("image", pa.binary(), "image file, decoded and encoded again, at most 1,024 pixels a side"),
+            _column("mime", _text, "format of image: image/png or image/jpeg"),
+            _column("width", _count, "width", "pixels"),
+            _column("height", _count, "height", "pixels"),
         ]
     ),
     "warnings": pa.schema(
@@ -391,6 +480,7 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "sdf": tuple(SCHEMAS["sdf"].names[:7]),
     "features": ("asset_id", "aspect", "tilt_quat_xyzw", "feature", "encoder_fingerprint"),
     "meshes": ("asset_id", "glb", "sha256"),
+    "textures": ("sha256", "image"),
 }
 """Name of a table -> the columns that every file needs. Any other column may be missing: it is read as null."""
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import COLLIDERS, PART_FACES, MeshLimits, load_colliders, load_glb, load_material_groups
+from stable_data.geometry.gltf_reader import COLLIDERS, PART_FACES, MeshLimits, load_colliders, load_glb, load_surfaces
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import load_paint
 from tests.stable_data.geometry.glb_files import document_of, edited, glb_bytes, rebuilt
@@ -33,7 +33,7 @@ NO_SIZE: tuple[Any, ...] = (-1, -(2**63), 0.0, 3.5, True, False, None, "8", [8],
 def refused(content: bytes) -> str:
     """The code of the error that each reader of surfaces gives."""
     codes = set()
-    for load in (load_glb, load_material_groups):
+    for load in (load_glb, load_surfaces):
         with pytest.raises(MeshError) as caught:
             load(content, "thing")
         codes.add(caught.value.code)
@@ -101,7 +101,7 @@ def test_an_index_that_is_none_of_its_list_is_refused(index: object) -> None:
     assert refused(box_with("nodes", 0, mesh=index)) == "glb_invalid"
     assert refused(box_with("meshes", 0, primitives=[{"attributes": {"POSITION": index}}])) == "glb_invalid"
     with pytest.raises(MeshError):
-        load_material_groups(box_with("meshes", 0, primitives=[{"attributes": {"POSITION": 1, "COLOR_0": index}}]), "thing")
+        load_surfaces(box_with("meshes", 0, primitives=[{"attributes": {"POSITION": 1, "COLOR_0": index}}]), "thing")
 
 
 @contextmanager
@@ -162,7 +162,7 @@ def large() -> bytes:
 def test_a_bomb_is_refused_soon_and_the_limit_named(name: str) -> None:
     limit, made = BOMBS[name]
     content = made()
-    for load in (load_glb, load_material_groups):
+    for load in (load_glb, load_surfaces):
         with soon(), pytest.raises(MeshError, match=rf"expected at most {getattr(MeshLimits(), limit)} \({limit}\)") as caught:
             load(content, "thing")
         assert caught.value.code == "glb_too_large"
@@ -190,7 +190,7 @@ def test_many_textures_are_no_more_than_the_file() -> None:
         document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 1}, "material": k} for k in range(count)]
 
     with soon(), pytest.raises(MeshError, match="textures that overlap"):
-        load_material_groups(edited(glb_bytes(BOX), edit), "thing")
+        load_surfaces(edited(glb_bytes(BOX), edit), "thing")
 
 
 def test_a_colour_of_a_large_accessor_costs_what_the_primitive_has() -> None:
@@ -208,7 +208,7 @@ def test_a_colour_of_a_large_accessor_costs_what_the_primitive_has() -> None:
     document, binary = document_of(glb_bytes(BOX))
     edit(document)
     with soon(2.0):
-        load_material_groups(rebuilt(document, binary + bytes(3 * 10**6)), "thing")
+        load_surfaces(rebuilt(document, binary + bytes(3 * 10**6)), "thing")
 
 
 def colliders_with(part_faces: Any, **primitive: Any) -> bytes:
@@ -347,7 +347,7 @@ def colliders(content: bytes) -> list[Mesh]:
 
 def colours(content: bytes) -> list[Mesh]:
     """No mesh, but all that is read for colours."""
-    load_material_groups(content, "thing")
+    load_surfaces(content, "thing")
     load_paint(content, "thing", BOX)
     return []
 
@@ -373,8 +373,8 @@ def test_of_a_damaged_file_only_meshes_and_mesh_errors_come(random: Random) -> N
 def test_the_file_that_is_damaged_is_whole() -> None:
     assert len(load_glb(RICH, "thing")[0].faces) == 12 + 6
     assert [len(part.faces) for part in load_colliders(RICH, "thing")] == [4, 8]
-    textured, plain = load_material_groups(RICH, "thing")
+    textured, plain = load_surfaces(RICH, "thing")
     assert textured.image is not None
     assert textured.corner_uv is not None
     assert textured.corner_colours is not None
-    assert plain.factor is None
+    assert plain.colour is None

@@ -47,7 +47,10 @@ def runs() -> Path:
     return target
 
 
-@pytest.mark.parametrize(("name", "tables"), [("preprocess", ["scenes"]), ("generate", ["scenes", "turns", "rejected"])])
+@pytest.mark.parametrize(
+    ("name", "tables"),
+    [("preprocess", ["scenes", "assets", "meshes"]), ("generate", ["scenes", "turns", "assets", "meshes", "rejected"])],
+)
 def test_a_stored_run_is_read_for_good(name: str, tables: list[str]) -> None:
     folder = RunFolder(STORED / name)
     with warnings.catch_warnings(record=True) as caught:
