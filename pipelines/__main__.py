@@ -1,21 +1,33 @@
 """The jobs: ``python -m pipelines VERB``."""
 
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from pipelines.job_options import SETTINGS_HINT, worker_count
 from pipelines.retired import CommandGroup
+from pipelines.training_commands import app as training
 from stable_data.cli import (
     SOME_FAILED,
     Address,
+    AllowedLicence,
+    DryRun,
     Edits,
+    JobFile,
+    JobSettings,
+    JobWorkers,
+    Kind,
+    LibraryOut,
+    Licence,
+    Manifest,
     NumScenes,
     Pictures,
+    Preset,
     Seed,
+    SourceFolder,
     SynthOut,
     Tables,
     WholeLibrary,
@@ -32,12 +44,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Jobs on tabletop scenes.",
 )
+app.add_typer(training)
 
 Scenes = Annotated[
     str, typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it.")
 ]
 RunOut = Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")]
-Settings = Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the file; may be repeated.")]
 NumWorkers = Annotated[
     int,
     typer.Option(
@@ -60,14 +72,6 @@ EditAssets = Annotated[
         "the scenes. Default: embedded. none: only the scenes' own library.",
     ),
 ]
-_KEYS = "python -m pipelines settings {} lists every key of --set and of the file with its default, unit and meaning."
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
-Minutes = Annotated[
-    float, typer.Option(help="Stop after this many minutes and keep the checkpoint; run again to continue. 0 is no limit.")
-]
-Trainers = Annotated[
-    int, typer.Option(help="Training processes of Ray Train, one GPU each if the cluster has GPUs. 0 trains in this process.")
-]
 
 
 @app.callback()
@@ -75,7 +79,58 @@ def main() -> None:
     """Jobs on tabletop scenes, in this process, on a local Ray or on a cluster."""
 
 
-@app.command(epilog=_KEYS.format("preprocess"))
+@app.command("import", epilog=SETTINGS_HINT.format("import"))
+@with_clear_errors
+def import_assets(
+    kind: Kind,
+    folder: SourceFolder,
+    out: LibraryOut,
+    preset: Preset = "",
+    manifest: Manifest = "",
+    licence: Licence = "",
+    allow_licence: AllowedLicence = None,
+    config: JobFile = None,
+    set_: JobSettings = None,
+    workers: JobWorkers = -1,
+    address: Address = None,
+    dry_run: DryRun = False,
+) -> None:
+    """Make a library of the assets in a folder, with scale, mass, resting poses, colliders, textures and licence.
+
+    Run again to continue after a stop. Status 0: done. 1: some assets were refused; the table failures gives the reasons. 2: could
+    not start.
+    """
+    from pipelines.asset_import.job import ImportJob
+    from pipelines.asset_import.job import import_assets as run
+    from pipelines.asset_import.settings import ImportSettings
+    from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.execution.shard_job import describe
+    from pipelines.settings import resolve_settings
+
+    count = worker_count(workers, address)
+    given = {"preset": preset, "manifest": manifest, "licence": licence, "licences": allow_licence}
+    asked = [f"{key}={json.dumps(value)}" for key, value in given.items() if value]
+    settings = resolve_settings(ImportSettings, "import", config, [*(set_ or []), *asked])
+    if dry_run:
+        typer.echo(json.dumps(describe(ImportJob(kind, folder, settings)), indent=2))
+        return
+    manifest_ = run(kind, folder, out, settings, WorkerPool(count, address))
+    counts = manifest_["counts"]
+    failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
+    typer.echo(
+        f"{out}: {counts['assets']} of {manifest_['num_assets']} assets, {counts['textures']} textures, {counts['warnings']} warnings, "
+        f"{counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html"
+    )
+    if counts["failures_by_code"].keys() & {"licence_refused", "licence_unknown"}:
+        typer.echo(
+            "assets were refused for their licence; --allow-licence takes another, --licence states one that is missing",
+            err=True,
+        )
+    if counts["failures"]:
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command(epilog=SETTINGS_HINT.format("preprocess"))
 @with_clear_errors
 def preprocess(
     data: Annotated[
@@ -83,7 +138,7 @@ def preprocess(
     ],
     out: RunOut,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table preprocess is read.")] = None,
-    set_: Settings = None,
+    set_: JobSettings = None,
     workers: Annotated[
         int,
         typer.Option(
@@ -106,7 +161,7 @@ def preprocess(
     from pipelines.settings import resolve_settings
     from stable_data.geometry.sdf.second_opinion import INSTALL, has_pysdf
 
-    count = _count(workers, address)
+    count = worker_count(workers, address)
     settings = resolve_settings(PreprocessSettings, "preprocess", config, set_ or [])
     if dry_run:
         typer.echo(json.dumps(describe(PreprocessJob(data, settings, WorkerPool())), indent=2))
@@ -126,13 +181,13 @@ def preprocess(
         raise typer.Exit(SOME_FAILED)
 
 
-@app.command(epilog=_KEYS.format("correct"))
+@app.command(epilog=SETTINGS_HINT.format("correct"))
 @with_clear_errors
 def correct(
     scenes: Scenes,
     out: RunOut,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table correct is read.")] = None,
-    set_: Settings = None,
+    set_: JobSettings = None,
     workers: NumWorkers = -1,
     address: Address = None,
     dry_run: DryRun = False,
@@ -150,7 +205,7 @@ def correct(
     from pipelines.execution.shard_job import describe
     from pipelines.settings import resolve_settings
 
-    count = _count(workers, address)
+    count = worker_count(workers, address)
     settings = resolve_settings(CorrectSettings, "correct", config, set_ or [])
     if dry_run:
         typer.echo(json.dumps(describe(CorrectJob(scenes, settings, WorkerPool())), indent=2))
@@ -166,7 +221,7 @@ def correct(
         raise typer.Exit(SOME_FAILED)
 
 
-@app.command(epilog=_KEYS.format("edit"))
+@app.command(epilog=SETTINGS_HINT.format("edit"))
 @with_clear_errors
 def edit(
     scenes: Scenes,
@@ -187,7 +242,7 @@ def edit(
         ),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table edit is read.")] = None,
-    set_: Settings = None,
+    set_: JobSettings = None,
     workers: NumWorkers = -1,
     address: Address = None,
     dry_run: DryRun = False,
@@ -206,7 +261,7 @@ def edit(
     from pipelines.settings import resolve_settings
     from stable_data.embedded_world.library import NAME as EMBEDDED
 
-    count = _count(workers, address)
+    count = worker_count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] if engine is not None else []
     settings = resolve_settings(EditSettings, "edit", config, [*(set_ or []), *asked])
     places = _further_libraries(assets or [EMBEDDED])
@@ -224,7 +279,7 @@ def edit(
         raise typer.Exit(SOME_FAILED)
 
 
-@app.command(epilog=_KEYS.format("generate"))
+@app.command(epilog=SETTINGS_HINT.format("generate"))
 @with_clear_errors
 def generate(
     out: RunOut,
@@ -262,7 +317,7 @@ def generate(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of tasks and random choices; overrides the file.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table generate is read.")] = None,
-    set_: Settings = None,
+    set_: JobSettings = None,
     workers: NumWorkers = -1,
     address: Address = None,
     dry_run: DryRun = False,
@@ -290,7 +345,7 @@ def generate(
         raise ConfigError("--size and --restricted belong to --instruction; leave them out, or name it", "usage")
     if instruction is not None and (size is None or len(table or ()) != 1):
         raise ConfigError("--instruction TEXT has no table, expected one --table TYPE and --size W D", "usage")
-    workers = _count(workers, address)
+    workers = worker_count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + [f"seed={seed}"] * (seed is not None)
     settings = resolve_settings(GenerateSettings, "generate", config, [*(set_ or []), *asked])
     if tasks is not None:
@@ -345,153 +400,8 @@ def synth(
             bar.update(done - bar.n)
             bar.set_postfix(failed=failed)
 
-        failures = run(out, scenes, world, WorkerPool(_count(workers, address), address), show)
+        failures = run(out, scenes, world, WorkerPool(worker_count(workers, address), address), show)
     tell_world(out, scenes, failures)
-
-
-@app.command("fit-encoder")
-@with_clear_errors
-def fit_encoder(
-    data: Annotated[str, typer.Option(help="Folder of a preprocess run, whose shapes are encoded; features=none is enough.")],
-    weights: Annotated[
-        str, typer.Option(help="Published weights of Point Transformer V3: scannet:FILE, modelnet:FILE or sonata:FILE.")
-    ],
-    out: Annotated[Path, typer.Option(help="File of the encoder; use it with preprocess --set features=FILE.")],
-    device: Annotated[str, typer.Option(help="Device of the encoder, cpu or cuda.")] = "cpu",
-) -> None:
-    """Read published weights of Point Transformer V3 and fit their projection to 64 point features on the shapes of a run.
-
-    Status 0: done. 2: could not be done.
-    """
-    import tempfile
-
-    from pipelines.train.point_encoder import fit_encoder as fit
-
-    with tempfile.TemporaryDirectory() as cache:
-        typer.echo(fit(data, weights, out, Path(cache), device))
-
-
-@app.command("train-corrector", epilog=_KEYS.format("train-corrector"))
-@with_clear_errors
-def train_corrector(
-    data: Annotated[
-        list[str],
-        typer.Option(
-            help="Folder of a preprocess run; every node of a cluster must see it under this path. May be repeated: one training on "
-            "several runs."
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; every node must see it too.")],
-    proposals: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Folder of a generate run on assets of --data: its proposals and their corrections are samples too. May be repeated."
-        ),
-    ] = None,
-    preset: Annotated[
-        str,
-        typer.Option(
-            help="paper, paper_tuned, paper_set, embedded or embedded_set: network and training; the file and --set override it."
-        ),
-    ] = "embedded_set",
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_corrector is read.")] = None,
-    set_: Settings = None,
-    minutes: Minutes = 0.0,
-    encoder: Annotated[
-        str,
-        typer.Option(help="Encoder of the run's features, saved beside the weights; auto: the one of the run, or the default."),
-    ] = "auto",
-    workers: Trainers = 0,
-    address: Address = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and a summary of the data, and stop.")] = False,
-) -> None:
-    """Train the Physics Corrector on the clean scenes of runs, and on proposals of the reasoner. Run again to continue after a stop.
-
-    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
-    """
-    from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
-    from pipelines.execution.ray_executor import WorkerPool
-    from pipelines.settings import resolve_settings
-    from pipelines.train.corrector import CorrectorTrainingJob
-
-    settings = resolve_settings(CorrectorTrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
-    job = CorrectorTrainingJob(
-        data[0],
-        out,
-        settings,
-        minutes=minutes,
-        encoder=encoder,
-        also=tuple(data[1:]),
-        proposals=tuple(proposals or ()),
-        repairers=WorkerPool(_count(-1, address), address),
-    )
-    if dry_run:
-        typer.echo(json.dumps(job.describe(), indent=2))
-        return
-    typer.echo(job.run(_count(workers, address) if address or workers else 0, address))
-
-
-@app.command("train-reasoner", epilog=_KEYS.format("train-reasoner"))
-@with_clear_errors
-def train_reasoner(
-    data: Annotated[str, typer.Option(help="Folder of a preprocess run, or its URI; every node of a cluster must see it.")],
-    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and logs; every node must see it too.")],
-    preset: Annotated[
-        str,
-        typer.Option(
-            help="embedded: a small Qwen3 from scratch. paper: the paper's fine-tuning of the model in the folder --set base=DIR."
-        ),
-    ] = "embedded",
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_reasoner is read.")] = None,
-    set_: Settings = None,
-    minutes: Minutes = 0.0,
-    workers: Trainers = 0,
-    address: Address = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print examples, tokens, steps, time and the memory of each process, and stop.")
-    ] = False,
-) -> None:
-    """Train the Semantic Reasoner on the samples and edits of a run. Run again to continue after a stop, with any --workers.
-
-    OUT/weights is a plain Hugging Face folder. Workers that die are started again from the checkpoint, up to three times.
-    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
-    """
-    from models.semantic_reasoner.training.settings import ReasonerTrainingSettings, training_preset
-    from pipelines.settings import resolve_settings
-    from pipelines.train.reasoner import ReasonerTrainingJob
-
-    settings = resolve_settings(ReasonerTrainingSettings, "train_reasoner", config, set_ or [], training_preset(preset))
-    if preset == "paper" and not settings.base:
-        raise ConfigError("preset paper fine-tunes a model: name its folder with --set base=DIR", "config_invalid")
-    job = ReasonerTrainingJob(data, out, settings, minutes=minutes)
-    count = _count(workers, address) if address or workers else 0
-    if dry_run:
-        from pipelines.train.estimate import training_plan
-
-        typer.echo(json.dumps(training_plan(job, count), indent=2))
-        return
-    typer.echo(job.run(count, address))
-
-
-@app.command("train-reader", epilog=_KEYS.format("train-reader"))
-@with_clear_errors
-def train_reader(
-    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and logs.")],
-    frames: Annotated[str, typer.Option(help="Folder of frames; empty takes those of models/instruction_reader/frames.")] = "",
-    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_reader is read.")] = None,
-    set_: Settings = None,
-    minutes: Minutes = 0.0,
-) -> None:
-    """Train the instruction reader on sentences made from frames. Run again to continue after a stop.
-
-    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
-    """
-    from models.instruction_reader.training import ReaderTrainingSettings
-    from pipelines.settings import resolve_settings
-    from pipelines.train.reader import ReaderTrainingJob
-
-    settings = resolve_settings(ReaderTrainingSettings, "train_reader", config, set_ or [])
-    typer.echo(ReaderTrainingJob(frames, out, settings, minutes).run())
 
 
 @app.command("settings")
@@ -513,13 +423,6 @@ def _further_libraries(assets: list[str]) -> list[str]:
     if "none" in assets and len(assets) > 1:
         raise ConfigError("--assets none means no further library, but another one is named; leave out one of them", "usage")
     return [place for place in assets if place != "none"]
-
-
-def _count(workers: int, address: str | None) -> int:
-    """The number of workers, with -1 resolved."""
-    if address and workers == 0:
-        raise ConfigError(f"--workers 0 is this process, but --address is {address}; leave out one of them", "config_invalid")
-    return workers if workers >= 0 else 0 if address else os.cpu_count() or 1
 
 
 if __name__ == "__main__":

@@ -54,6 +54,7 @@ class SettingsLocation:
 
 
 JOBS: Mapping[str, SettingsLocation] = {
+    "import": SettingsLocation("pipelines.asset_import.settings:ImportSettings"),
     "preprocess": SettingsLocation("pipelines.preprocess.settings:PreprocessSettings"),
     "correct": SettingsLocation("pipelines.correct.settings:CorrectSettings"),
     "edit": SettingsLocation("pipelines.edit.settings:EditSettings"),

@@ -146,18 +146,84 @@ def tell_world(out: Path, num_scenes: int, failures: Sequence[SceneError]) -> No
 
 
 def _on_ray(out: Path, scenes: int, world: "EmbeddedWorld", workers: int, address: str | None) -> int:
-    """Runs ``python -m pipelines synth``, because this package does not depend on Ray; returns its exit status."""
+    """Runs ``python -m pipelines synth``; returns its exit status."""
+    options = ["--scenes", str(scenes), "--seed", str(world.seed)]
+    options += [part for table in world.tables for part in ("--table", table)]
+    options += ["--edits"] * world.edits + ["--whole-library"] * world.whole_library
+    options += ["--pictures" if world.pictures else "--no-pictures"]
+    options += ["--workers", str(workers)] * bool(workers) + (["--address", address] if address else [])
+    return _run_job("synth", [str(out), *options], "--workers and --address need")
+
+
+def _run_job(verb: str, options: Sequence[str], needing: str) -> int:
+    """Runs ``python -m pipelines VERB``, because this package does not depend on Ray; returns its exit status."""
     checkout = Path(__file__).resolve().parents[1]
     if not (checkout / "pipelines").is_dir():
-        message = "--workers and --address need pipelines/, which is not installed; run the command in a checkout"
-        raise ConfigError(message, "no_pipelines")
-    command = [sys.executable, "-m", "pipelines", "synth", str(out), "--scenes", str(scenes), "--seed", str(world.seed)]
-    command += [part for table in world.tables for part in ("--table", table)]
-    command += ["--edits"] * world.edits + ["--whole-library"] * world.whole_library
-    command += ["--pictures" if world.pictures else "--no-pictures"]
-    command += ["--workers", str(workers)] * bool(workers) + (["--address", address] if address else [])
+        raise ConfigError(f"{needing} pipelines/, which is not installed; run the command in a checkout", "no_pipelines")
     path = os.pathsep.join([str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])])  # the checkout need not be installed
+    command = [sys.executable, "-m", "pipelines", verb, *options]
     return subprocess.run(command, check=False, env=os.environ | {"PYTHONPATH": path}).returncode
+
+
+Kind = Annotated[
+    str,
+    typer.Argument(
+        help="mesh (GLB, glTF, OBJ, DAE, STL, PLY), sdformat (Gazebo model folders), urdf, mjcf (MuJoCo models of objects) or usd."
+    ),
+]
+SourceFolder = Annotated[
+    str, typer.Argument(metavar="DIR", help="The folder as its authors ship it; nothing outside of it is read.")
+]
+LibraryOut = Annotated[
+    str, typer.Option(metavar="LIBRARY", help="Run folder for the library, outside of DIR; --assets takes it.")
+]
+Preset = Annotated[str, typer.Option(help="For mesh, the layout of a known set: objaverse, graspnet_infinite, ycb or kaykit.")]
+Manifest = Annotated[
+    str, typer.Option(help="For mesh, a CSV or JSONL file in DIR with a row for each asset; docs/import.md lists its columns.")
+]
+Licence = Annotated[str, typer.Option(help="The licence of assets that state none, such as CC-BY-4.0; else they are refused.")]
+AllowedLicence = Annotated[
+    list[str] | None,
+    typer.Option("--allow-licence", help="Also take assets of this licence, such as CC-BY-NC-4.0; may be repeated."),
+]
+JobFile = Annotated[Path | None, typer.Option(help="TOML file; its table import is read.")]
+JobSettings = Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the file; may be repeated.")]
+JobWorkers = Annotated[
+    int,
+    typer.Option(
+        help="Worker processes on a local Ray, or shards at once with --address; -1: one for each core. 0: one process."
+    ),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
+
+
+@app.command("import", epilog="python -m pipelines settings import lists every key of --set and of the file.")
+@with_clear_errors
+def import_assets(
+    kind: Kind,
+    folder: SourceFolder,
+    out: LibraryOut,
+    preset: Preset = "",
+    manifest: Manifest = "",
+    licence: Licence = "",
+    allow_licence: AllowedLicence = None,
+    config: JobFile = None,
+    set_: JobSettings = None,
+    workers: JobWorkers = -1,
+    address: Address = None,
+    dry_run: DryRun = False,
+) -> None:
+    """Make a library of the assets in a folder, with scale, mass, resting poses, colliders, textures and licence.
+
+    Run again to continue after a stop. Status 0: done. 1: some assets were refused; the table failures gives the reasons. 2: could
+    not start.
+    """
+    given = {"--preset": preset, "--manifest": manifest, "--licence": licence, "--config": config, "--address": address}
+    options = [part for name, value in given.items() if value for part in (name, str(value))]
+    options += [part for value in allow_licence or () for part in ("--allow-licence", value)]
+    options += [part for value in set_ or () for part in ("--set", value)]
+    options += ["--workers", str(workers)] + ["--dry-run"] * dry_run
+    raise typer.Exit(_run_job("import", [kind, folder, "--out", out, *options], "import needs"))
 
 
 @app.command("draft-edits")

@@ -1,0 +1,174 @@
+"""The import job: a source folder of assets becomes a run with the tables ``assets``, ``meshes`` and ``textures``."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+from stable_data.importers.readers import open_reader
+from stable_data.importers.sizes import set_scale
+from tqdm import tqdm
+
+import stable_data
+from pipelines.asset_import.report import write_import_report
+from pipelines.asset_import.settings import ImportSettings
+from pipelines.asset_import.shard import MEASURED, ImportStep, MeasureStep, SourceStep
+from pipelines.execution.ray_executor import WorkerPool
+from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
+from pipelines.execution.shard_size import split_groups
+from pipelines.execution.shard_step import Shard, StepShards
+from pipelines.preprocess.plan import file_digest
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, Notice
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.conversion import SetScale
+from stable_data.importers.source import SourceRef
+from stable_data.storage import schemas
+from stable_data.storage.run_folder import RunFolder
+
+S = TypeVar("S", bound=SourceStep)
+
+_MOST_MEASURED = 200  # assets from which the unit of a set is estimated
+
+
+def import_assets(
+    kind: str, source: str, out: str, settings: ImportSettings, workers: WorkerPool, *, report: bool = True
+) -> dict[str, Any]:
+    """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
+    root, target = Path(source).expanduser().resolve(), RunFolder(out)
+    if target.is_local and Path(target.root).resolve().is_relative_to(root):
+        message = f"--out {out}: is inside of the source folder {source}, expected another folder; choose one outside"
+        raise ConfigError(message, "output_inside_source")
+    return run_job(ImportJob(kind, source, settings), out, workers, report=report)
+
+
+@dataclass(frozen=True, slots=True)
+class _Listing:
+    """The assets of a folder.
+
+    Attributes:
+        found: The assets, in the order of the reader, each with an identifier of its own.
+        lost: Notices about assets that cannot be used.
+        odd: Warnings about assets, and about the folder.
+    """
+
+    found: tuple[SourceRef, ...]
+    lost: tuple[Notice, ...]
+    odd: tuple[Notice, ...]
+
+
+class ImportJob(ShardJob):
+    """Converts the assets of a source folder.
+
+    Args:
+        kind: Kind of the folder, one of :data:`stable_data.importers.readers.READERS`.
+        source: The folder; every node of a cluster must see it under this path.
+        settings: The job's settings.
+
+    Raises:
+        ConfigError: The kind is not known, there is no such folder, or it contains no asset of the kind.
+    """
+
+    name = "import"
+    settings: ImportSettings
+
+    def __init__(self, kind: str, source: str, settings: ImportSettings) -> None:
+        self.kind, self.settings = kind, settings
+        self.root = Path(source).expanduser().resolve()
+        self.reader = open_reader(kind)
+        self.boundary = Boundary(self.root)
+        self.dataset = self.root.name
+
+    @cached_property
+    def _listing(self) -> _Listing:
+        """What the reader finds. An identifier that is taken gets a number, so that no asset is lost."""
+        found, notices = list[SourceRef](), list[Notice]()
+        count = Counter[str]()
+        for each in self.reader.find(self.boundary, self.settings.reading):
+            if isinstance(each, Notice):
+                notices.append(each)
+                continue
+            count[each.asset_id] += 1
+            if count[each.asset_id] > 1:
+                new = f"{each.asset_id}-{count[each.asset_id]}"
+                message = (
+                    f"asset {new}: {each.path} has the identifier {each.asset_id}, as an earlier asset; it is called {new} here"
+                )
+                notices.append(Notice(new, "find", "asset_renamed", message))
+                count[new] += 1
+                each = replace(each, asset_id=new)
+            found.append(each)
+        ids = {ref.asset_id for ref in found}
+        lost = tuple(n for n in notices if n.item_id and n.item_id not in ids)
+        if not found:
+            reasons = f" ({', '.join(f'{k} {n}' for k, n in Counter(n.code for n in lost).items())})" if lost else ""
+            message = f"{self.root}: no assets of kind {self.kind}{reasons}, expected some; is it another kind?"
+            raise ConfigError(message, "source_empty")
+        return _Listing(tuple(found), lost, tuple(n for n in notices if n not in lost))
+
+    @cached_property
+    def _digests(self) -> dict[str, str]:
+        """The hash of every file of the assets."""
+        files = sorted({file for ref in self._listing.found for file in ref.files})
+        with ThreadPoolExecutor() as pool:  # hashing and reading release the interpreter lock
+            hashes = pool.map(file_digest, [self.root / file for file in files])
+            return dict(zip(files, tqdm(hashes, "plan", len(files), unit="file", leave=False), strict=True))
+
+    def _content(self, refs: Sequence[SourceRef]) -> list[Any]:
+        """What shapes the rows of assets: what is known about them, and the hashes of their files."""
+        return [(asdict(ref), [self._digests[file] for file in ref.files]) for ref in refs]
+
+    def inputs(self) -> dict[str, Any]:
+        """The kind, and a hash of all files."""
+        return {"kind": self.kind, "files": content_id(self._content(self._listing.found))}
+
+    def about(self) -> dict[str, Any]:
+        """The number of assets."""
+        return {"num_assets": len(self._listing.found) + len({n.item_id for n in self._listing.lost})}
+
+    def _step(self, step: Callable[..., S], scale: SetScale | None = None) -> S:
+        settings = self.settings
+        return step(self.kind, str(self.root), settings.reading, settings.conversion(scale), settings.seconds_per_item)
+
+    def _shards(self, refs: Sequence[SourceRef], *more: Any) -> list[Shard[SourceRef]]:
+        shaping = self.settings.shaping() | {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
+        groups = split_groups(refs, self.settings.assets_per_shard)
+        return [Shard(content_id("import", shaping, self.kind, self._content(g), *more), tuple(g)) for g in groups]
+
+    def plan(self) -> Sequence[StepShards[Any]]:
+        """The step that measures a sample of the assets, if the unit of some may not be known."""
+        refs = [ref for ref in self._listing.found if not self.reader.is_metric] if not self.settings.unit_m else []
+        chosen = refs[:: -(-len(refs) // _MOST_MEASURED)] if refs else []
+        return [StepShards(self._step(MeasureStep), self._shards(chosen, MEASURED))]
+
+    def later_plans(self, folder: RunFolder) -> Iterator[Sequence[StepShards[Any]]]:
+        """The step of all assets, with the unit that the sample shows."""
+        rows = sorted(folder.table(MEASURED).to_pylist(), key=lambda row: str(row["asset_id"]))
+        found = set_scale([(row["category"], row["extents"]) for row in rows if row["extents"]])
+        shards = self._shards(self._listing.found, None if found is None else asdict(found))
+        yield [StepShards(self._step(ImportStep, found), shards)]
+
+    def expected(self) -> Sequence[ExpectedItems]:
+        """All assets."""
+        ids = [ref.asset_id for ref in self._listing.found] + [n.item_id for n in self._listing.lost]
+        return [ExpectedItems("assets", "asset_id", ids, "failed_assets")]
+
+    def lost(self) -> Sequence[Notice]:
+        """Assets that the reader could not use."""
+        return self._listing.lost
+
+    def odd(self) -> Sequence[Notice]:
+        """Warnings of the reader."""
+        return self._listing.odd
+
+    def finish(self, folder: RunFolder) -> dict[str, Any]:
+        """Counts assets whose meshes are copies of another's."""
+        hashes = Counter(h for h in folder.table("assets", ["geometry_hash"])["geometry_hash"].to_pylist() if h)
+        return {"copies": sum(n - 1 for n in hashes.values())}
+
+    def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
+        """Writes the report page."""
+        write_import_report(folder, manifest, self.settings.num_pictures)

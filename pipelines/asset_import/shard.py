@@ -1,0 +1,106 @@
+"""The steps of the import job: sizes of a sample of the assets, then the rows of every asset."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import ClassVar
+
+import pyarrow as pa
+from stable_data.importers.readers import open_reader
+
+from models.text_encoder import load_default
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.shard_step import ItemStep, Rows
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.conversion import ConversionContext, ConversionSettings, convert
+from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
+from stable_data.storage.table_rows import notice_row
+
+MEASURED = "measured"
+"""Table of the sizes of assets whose unit is not known, from which the unit of their set is estimated."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceStep(ItemStep[SourceRef]):
+    """A step over the assets of a source folder.
+
+    Attributes:
+        kind: Kind of the folder, one of :data:`stable_data.importers.readers.READERS`.
+        root: The folder, readable for every worker; absolute, because each worker has its own current folder.
+        reading: What the reader is told.
+        conversion: What an asset becomes.
+        seconds: Time limit of an asset.
+    """
+
+    UNIT: ClassVar = "asset"
+
+    kind: str
+    root: str
+    reading: ReaderOptions
+    conversion: ConversionSettings
+    seconds: float
+
+    @property
+    def seconds_per_item(self) -> float:
+        """The time limit of an asset, seconds."""
+        return self.seconds
+
+    def item_id(self, item: SourceRef) -> str:
+        """The asset's id."""
+        return item.asset_id
+
+    def read(self, item: SourceRef) -> SourceAsset:
+        """Reads an asset; its files are counted from zero."""
+        return open_reader(self.kind).read(Boundary(Path(self.root)), item, self.reading)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureStep(SourceStep):
+    """Measures the boxes of assets. An asset that cannot be read is no failure here: the step of assets reports it."""
+
+    TABLES: ClassVar = ("failures", MEASURED)
+    SCHEMAS: ClassVar = {
+        MEASURED: pa.schema(
+            [
+                pa.field("asset_id", pa.string(), metadata={"meaning": "identifier of the asset"}),
+                pa.field("category", pa.string(), metadata={"meaning": "category; null if its unit is known"}),
+                pa.field(
+                    "extents",
+                    pa.list_(pa.float64()),
+                    metadata={
+                        "meaning": "extents of the bounding box in the unit of the file, z up; null if its unit is known"
+                    },
+                ),
+            ]
+        )
+    }
+
+    def item_rows(self, item: SourceRef, progress: ItemProgress) -> Rows:
+        """The row of one asset."""
+        return {MEASURED: []}
+
+
+@dataclass(frozen=True, slots=True)
+class ImportStep(SourceStep):
+    """Converts assets; see :func:`stable_data.importers.conversion.convert`."""
+
+    TABLES: ClassVar = ("warnings", "failures", "textures", "meshes", "assets")
+
+    def prepare(self, item: SourceRef) -> None:
+        """Loads the text encoder."""
+        _context()
+
+    def item_rows(self, item: SourceRef, progress: ItemProgress) -> Rows:
+        """The rows of one asset."""
+        made = convert(self.read(item), self.conversion, _context(), progress, source_path=item.path)
+        return {
+            "assets": [made.asset_row],
+            "meshes": [made.mesh_row],
+            "textures": list(made.textures),
+            "warnings": [notice_row(n) for n in made.notices],
+        }
+
+
+@lru_cache(maxsize=1)
+def _context() -> ConversionContext:
+    return ConversionContext(load_default())

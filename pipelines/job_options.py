@@ -1,0 +1,19 @@
+"""What the verbs of all jobs share on the command line."""
+
+import os
+
+from stable_data.errors import ConfigError
+
+SETTINGS_HINT = "python -m pipelines settings {} lists every key of --set and of the file with its default, unit and meaning."
+"""Last line of a verb's help; its gap is the verb."""
+
+
+def worker_count(workers: int, address: str | None) -> int:
+    """Returns the number of workers of ``--workers`` and ``--address``; -1 is one for each core, of the cluster if there is one.
+
+    Raises:
+        ConfigError: The options contradict each other (``config_invalid``).
+    """
+    if address and workers == 0:
+        raise ConfigError(f"--workers 0 is this process, but --address is {address}; leave out one of them", "config_invalid")
+    return workers if workers >= 0 else 0 if address else os.cpu_count() or 1

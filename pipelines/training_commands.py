@@ -1,0 +1,165 @@
+"""The training verbs of ``python -m pipelines``."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipelines.job_options import SETTINGS_HINT, worker_count
+from stable_data.cli import Address, JobSettings, with_clear_errors
+from stable_data.errors import ConfigError
+
+app = typer.Typer()
+
+Minutes = Annotated[
+    float, typer.Option(help="Stop after this many minutes and keep the checkpoint; run again to continue. 0 is no limit.")
+]
+Trainers = Annotated[
+    int, typer.Option(help="Training processes of Ray Train, one GPU each if the cluster has GPUs. 0 trains in this process.")
+]
+
+
+@app.command("fit-encoder")
+@with_clear_errors
+def fit_encoder(
+    data: Annotated[str, typer.Option(help="Folder of a preprocess run, whose shapes are encoded; features=none is enough.")],
+    weights: Annotated[
+        str, typer.Option(help="Published weights of Point Transformer V3: scannet:FILE, modelnet:FILE or sonata:FILE.")
+    ],
+    out: Annotated[Path, typer.Option(help="File of the encoder; use it with preprocess --set features=FILE.")],
+    device: Annotated[str, typer.Option(help="Device of the encoder, cpu or cuda.")] = "cpu",
+) -> None:
+    """Read published weights of Point Transformer V3 and fit their projection to 64 point features on the shapes of a run.
+
+    Status 0: done. 2: could not be done.
+    """
+    import tempfile
+
+    from pipelines.train.point_encoder import fit_encoder as fit
+
+    with tempfile.TemporaryDirectory() as cache:
+        typer.echo(fit(data, weights, out, Path(cache), device))
+
+
+@app.command("train-corrector", epilog=SETTINGS_HINT.format("train-corrector"))
+@with_clear_errors
+def train_corrector(
+    data: Annotated[
+        list[str],
+        typer.Option(
+            help="Folder of a preprocess run; every node of a cluster must see it under this path. May be repeated: one training on "
+            "several runs."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; every node must see it too.")],
+    proposals: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Folder of a generate run on assets of --data: its proposals and their corrections are samples too. May be repeated."
+        ),
+    ] = None,
+    preset: Annotated[
+        str,
+        typer.Option(
+            help="paper, paper_tuned, paper_set, embedded or embedded_set: network and training; the file and --set override it."
+        ),
+    ] = "embedded_set",
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_corrector is read.")] = None,
+    set_: JobSettings = None,
+    minutes: Minutes = 0.0,
+    encoder: Annotated[
+        str,
+        typer.Option(help="Encoder of the run's features, saved beside the weights; auto: the one of the run, or the default."),
+    ] = "auto",
+    workers: Trainers = 0,
+    address: Address = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and a summary of the data, and stop.")] = False,
+) -> None:
+    """Train the Physics Corrector on the clean scenes of runs, and on proposals of the reasoner. Run again to continue after a stop.
+
+    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
+    """
+    from models.physics_corrector.training.settings import CorrectorTrainingSettings, training_preset
+    from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.settings import resolve_settings
+    from pipelines.train.corrector import CorrectorTrainingJob
+
+    settings = resolve_settings(CorrectorTrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
+    job = CorrectorTrainingJob(
+        data[0],
+        out,
+        settings,
+        minutes=minutes,
+        encoder=encoder,
+        also=tuple(data[1:]),
+        proposals=tuple(proposals or ()),
+        repairers=WorkerPool(worker_count(-1, address), address),
+    )
+    if dry_run:
+        typer.echo(json.dumps(job.describe(), indent=2))
+        return
+    typer.echo(job.run(worker_count(workers, address) if address or workers else 0, address))
+
+
+@app.command("train-reasoner", epilog=SETTINGS_HINT.format("train-reasoner"))
+@with_clear_errors
+def train_reasoner(
+    data: Annotated[str, typer.Option(help="Folder of a preprocess run, or its URI; every node of a cluster must see it.")],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and logs; every node must see it too.")],
+    preset: Annotated[
+        str,
+        typer.Option(
+            help="embedded: a small Qwen3 from scratch. paper: the paper's fine-tuning of the model in the folder --set base=DIR."
+        ),
+    ] = "embedded",
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_reasoner is read.")] = None,
+    set_: JobSettings = None,
+    minutes: Minutes = 0.0,
+    workers: Trainers = 0,
+    address: Address = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print examples, tokens, steps, time and the memory of each process, and stop.")
+    ] = False,
+) -> None:
+    """Train the Semantic Reasoner on the samples and edits of a run. Run again to continue after a stop, with any --workers.
+
+    OUT/weights is a plain Hugging Face folder. Workers that die are started again from the checkpoint, up to three times.
+    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
+    """
+    from models.semantic_reasoner.training.settings import ReasonerTrainingSettings, training_preset
+    from pipelines.settings import resolve_settings
+    from pipelines.train.reasoner import ReasonerTrainingJob
+
+    settings = resolve_settings(ReasonerTrainingSettings, "train_reasoner", config, set_ or [], training_preset(preset))
+    if preset == "paper" and not settings.base:
+        raise ConfigError("preset paper fine-tunes a model: name its folder with --set base=DIR", "config_invalid")
+    job = ReasonerTrainingJob(data, out, settings, minutes=minutes)
+    count = worker_count(workers, address) if address or workers else 0
+    if dry_run:
+        from pipelines.train.estimate import training_plan
+
+        typer.echo(json.dumps(training_plan(job, count), indent=2))
+        return
+    typer.echo(job.run(count, address))
+
+
+@app.command("train-reader", epilog=SETTINGS_HINT.format("train-reader"))
+@with_clear_errors
+def train_reader(
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint and logs.")],
+    frames: Annotated[str, typer.Option(help="Folder of frames; empty takes those of models/instruction_reader/frames.")] = "",
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_reader is read.")] = None,
+    set_: JobSettings = None,
+    minutes: Minutes = 0.0,
+) -> None:
+    """Train the instruction reader on sentences made from frames. Run again to continue after a stop.
+
+    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
+    """
+    from models.instruction_reader.training import ReaderTrainingSettings
+    from pipelines.settings import resolve_settings
+    from pipelines.train.reader import ReaderTrainingJob
+
+    settings = resolve_settings(ReaderTrainingSettings, "train_reader", config, set_ or [])
+    typer.echo(ReaderTrainingJob(frames, out, settings, minutes).run())
