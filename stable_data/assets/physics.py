@@ -25,8 +25,9 @@ IS_WEIGHED = pc.field("mass_source").is_valid()
 """Condition on the rows that state a mass with its origin."""
 
 # Second moments of a body are never negative. Numbers that were rounded may give one that is slightly below 0: it is raised to a
-# small share of their sum, which a physics engine accepts. One that is farther below 0 belongs to no body.
-_ROUNDED, _SMALLEST = 1e-2, 1e-6
+# small share of their sum, which a physics engine accepts. One that is farther below 0 belongs to no body, and two that are nearly 0
+# belong to a rod without thickness, which could spin at any speed.
+_ROUNDED, _SMALLEST, _THINNEST = 1e-2, 1e-6, 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +100,7 @@ def _inertia(values: Any) -> FloatArray | None:
     tensor = (tensor + tensor.T) / 2
     moments, axes = np.linalg.eigh(second_moments(tensor))
     total = float(moments.sum())
-    if not (total > 0 and moments[0] >= -_ROUNDED * total):
+    if not (total > 0 and moments[0] >= -_ROUNDED * total and moments[1] >= _THINNEST * total):
         return None
     if moments[0] >= _SMALLEST * total:
         return tensor

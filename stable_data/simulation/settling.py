@@ -319,6 +319,8 @@ def _add_body(
     if body.movable:
         added.add_freejoint()
     if body.inertial is not None:
+        if not (np.isfinite(body.inertial.center_of_mass).all() and np.isfinite(body.inertial.inertia).all()):
+            raise MeshError(f"body {body.name}: its inertial is not finite, expected finite numbers", "not_finite")
         added.explicitinertial, added.mass, added.ipos = True, body.mass, body.inertial.center_of_mass.tolist()
         added.fullinertia = body.inertial.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
     # MuJoCo takes the friction of the geom with the higher priority, and the maximum of both at the same priority.
