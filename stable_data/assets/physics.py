@@ -10,15 +10,7 @@ import pyarrow.compute as pc
 from stable_data.geometry.mass_properties import inertia_of, second_moments
 from stable_data.scene import FloatArray, Vec3
 
-PHYSICS_COLUMNS = (
-    "mass_source",
-    "typical_scale",
-    "mass",
-    "center_of_mass",
-    "inertia",
-    "inertia_per_mass",
-    "friction",
-)
+PHYSICS_COLUMNS = ("mass_source", "typical_scale", "mass", "center_of_mass", "inertia", "inertia_per_mass", "friction")
 """Columns of the table ``assets`` that :func:`physics_of_row` reads."""
 
 IS_WEIGHED = pc.field("mass_source").is_valid()
@@ -28,6 +20,7 @@ IS_WEIGHED = pc.field("mass_source").is_valid()
 # small share of their sum, which a physics engine accepts. One that is farther below 0 belongs to no body, and two that are nearly 0
 # belong to a rod without thickness, which could spin at any speed.
 _ROUNDED, _SMALLEST, _THINNEST = 1e-2, 1e-6, 1e-5
+_LARGEST = 1e12  # a larger number is none of an asset, in any unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,17 +71,13 @@ def physics_of_row(row: Mapping[str, Any]) -> AssetPhysics | None:
         row: Its :data:`PHYSICS_COLUMNS`.
     """
     mass, scale = row["mass"], _numbers(row["typical_scale"], 3)
-    if row["mass_source"] is None or mass is None or not 0 < mass < np.inf or scale is None or not (scale > 0).all():
+    if row["mass_source"] is None or mass is None or not 0 < mass < _LARGEST or scale is None or not (scale > 0).all():
         return None
-    per_mass, friction = _inertia(row["inertia_per_mass"]), _numbers(row["friction"], 3)
-    inertia = _inertia(row["inertia"])
-    return AssetPhysics(
-        mass,
-        _vec3(scale),
-        _numbers(row["center_of_mass"], 3),
-        inertia if inertia is not None else None if per_mass is None else mass * per_mass,
-        None if friction is None or (friction < 0).any() else _vec3(friction),
-    )
+    inertia, friction = _inertia(row["inertia"]), _numbers(row["friction"], 3)
+    if inertia is None and (per_mass := _inertia(row["inertia_per_mass"])) is not None:
+        inertia = mass * per_mass
+    known = None if friction is None or (friction < 0).any() else _vec3(friction)
+    return AssetPhysics(mass, _vec3(scale), _numbers(row["center_of_mass"], 3), inertia, known)
 
 
 def _inertia(values: Any) -> FloatArray | None:
@@ -108,9 +97,9 @@ def _inertia(values: Any) -> FloatArray | None:
 
 
 def _numbers(values: Any, count: int) -> FloatArray | None:
-    """So many finite numbers; None for anything else."""
+    """So many numbers of a plausible size; None for anything else."""
     found = np.array([] if values is None else values, np.float64)  # null in a list becomes NaN
-    return found if found.shape == (count,) and np.isfinite(found).all() else None
+    return found if found.shape == (count,) and (np.abs(found) < _LARGEST).all() else None
 
 
 def _vec3(values: FloatArray) -> Vec3:

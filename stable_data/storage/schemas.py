@@ -262,7 +262,9 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("mark_deletion", _truth, "annotation: true if annotators marked the asset for deletion; null if unknown"),
             _column("is_composite", _truth, "annotation: true if the mesh contains several objects; null if unknown"),
             _column("report", MESH_REPORT, "properties of the mesh and the repairs that were made", "mesh units"),
-            _column("mass", _number, "mass from the annotation, or with mass_source at the typical scale; null if unknown", "kg"),
+            _column(
+                "mass", _number, "mass from the annotation, or with mass_source at the typical scale; null if unknown", "kg"
+            ),
             _column("volume", _number, "enclosed volume at the typical scale", "m^3"),
             _column("center_of_mass", _numbers, "centre of mass relative to the box centre, at the typical scale", "m"),
             _column(

@@ -20,6 +20,8 @@ NOT_A_TENSOR: dict[str, list[Any]] = {
     "unbalanced": [1e-3, 0, 0, 0, 1e-3, 0, 0, 0, 3e-3],
     "not finite": [float("nan")] * 9,
     "null": [None] * 9,
+    "infinite": [float("inf")] * 9,
+    "huge": [1e308, 0, 0, 0, 1e308, 0, 0, 0, 1e308],
     "short": [1e-3] * 6,
     "empty": [],
 }
@@ -107,6 +109,7 @@ def test_a_turned_body_is_stretched_as_its_mesh(scale: Vec3) -> None:
         {"mass": 0.0},
         {"mass": float("nan")},
         {"mass": float("inf")},
+        {"mass": 1e300},
         {"typical_scale": None},
         {"typical_scale": [0.01, 0.0, 0.01]},
         {"typical_scale": [0.01, None, 0.01]},
