@@ -73,9 +73,9 @@ def _leaning(o: SceneObject, container: SceneObject, store: AssetStore) -> Scene
 def _lying(o: SceneObject, store: AssetStore) -> SceneObject:
     """An object that cannot stand as it is, at the lowest of its tilts at which it can, on the same height."""
     mesh = store.mesh_of(o)
-    if mesh is None or o.scale is None or stands_alone(store.shape(o)[0]):
+    if mesh is None or o.asset_id is None or o.scale is None or stands_alone(store.shape(o)[0]):
         return o
-    shapes = {tilt: Shape.from_mesh(mesh, o.scale, tilt) for tilt in _ALONG_THE_AXES}
+    shapes = {tilt: store.shape_at(o.asset_id, o.scale, tilt) for tilt in _ALONG_THE_AXES}
     standing = [tilt for tilt, shape in shapes.items() if stands_alone(shape)]
     if not standing:
         return o

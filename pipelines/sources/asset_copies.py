@@ -81,7 +81,10 @@ class CopyAssets(ItemStep[AssetUse]):
             mesh, notices = mesh if has_mesh else made.mesh, made.notices
             asset = asset if has_asset else made.asset
         if has_asset:
-            asset = asset | {"text_embedding": None} | use_columns(item, store.asset(item.asset_id))
+            used = use_columns(item, store.asset(item.asset_id))
+            if store.physics(item.asset_id) is not None:  # a known mass, centre and inertia hold at the scale of the row
+                used = {"resting_tilts": used["resting_tilts"]}
+            asset = asset | {"text_embedding": None} | used
         return {"assets": [asset], "meshes": [mesh], "warnings": [notice_row(n) for n in notices]}
 
 

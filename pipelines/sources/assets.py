@@ -14,6 +14,7 @@ from pipelines.preprocess.plan import file_digest
 from pipelines.sources.scenes import Containers, FolderSource, mesh_cache
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.catalog import AssetLibrary, library_of_run
+from stable_data.assets.physics import IS_WEIGHED, PHYSICS_COLUMNS, AssetPhysics
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.run_assets import RowsOfAssets, RunAssets, run_annotations
@@ -40,9 +41,11 @@ class _Place:
         asset_ids: All its assets, also those that cannot be retrieved.
         meshes: The mesh file of an asset.
         annotation: The annotation of an asset.
-        contents: Content hashes of the meshes, by asset; an asset without a mesh has none.
+        contents: What names the content of each asset: the hash of its mesh, and its mass and friction if they are known. An asset
+            without a mesh may have none.
         parts: The stored convex parts of an asset; empty if it stores none.
         rows: The rows of an asset in the tables ``assets`` and ``meshes``; None if the library is no run.
+        physics: Mass and friction of an asset; None if they are not known.
     """
 
     library: AssetLibrary | None
@@ -52,6 +55,7 @@ class _Place:
     contents: Callable[[], Mapping[str, object]]
     parts: Callable[[str], tuple[Mesh, ...]] = lambda _: ()
     rows: Callable[[str], tuple[Row, Row] | None] = lambda _: None
+    physics: Callable[[str], AssetPhysics | None] = lambda _: None
 
 
 class AssetLibraries:
@@ -125,6 +129,10 @@ class AssetLibraries:
         """The convex parts of an asset that a run or the embedded world stores; empty for other libraries."""
         return self._place_of(asset_id).parts(asset_id)
 
+    def physics(self, asset_id: str) -> AssetPhysics | None:
+        """Mass and friction of an asset that a run knows; None for other libraries."""
+        return self._place_of(asset_id).physics(asset_id)
+
     def rows(self, asset_id: str) -> tuple[Row, Row] | None:
         """The rows of an asset in the tables ``assets`` and ``meshes`` of its run; None if its library is no run or lacks them."""
         return self._place_of(asset_id).rows(asset_id)
@@ -169,7 +177,8 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
         contents = partial(_contents_of_run, run)
         rows = partial(_rows_of_run, kept, cache(partial(RowsOfAssets, run, "assets")))
-        return _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts, rows)
+        annotation, physics = annotations.__getitem__, kept.physics
+        return _Place(listed, annotations.keys(), kept.asset_path, annotation, contents, kept.parts, rows, physics)
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, partial(library_of_folder, root, name, scenes=shown), may_be_empty=may_be_empty)
@@ -202,9 +211,11 @@ def _of_folder(root: Path, read: Callable[[], AssetLibrary], *, may_be_empty: bo
 
 
 def _contents_of_run(run: RunFolder) -> dict[str, object]:
-    """The columns of each mesh of a run except the mesh itself: its hash and the measures of its convex parts."""
+    """The columns of each mesh of a run except the mesh itself, such as its hash; with mass and friction where they are known."""
     rows = run.table("meshes", [name for name in SCHEMAS["meshes"].names if name not in ("glb", "parts")]).to_pylist()
-    return {row["asset_id"]: row for row in rows}
+    of_mesh: dict[str, object] = {row["asset_id"]: row for row in rows}
+    weighed = run.table("assets", ["asset_id", *PHYSICS_COLUMNS], IS_WEIGHED).to_pylist()
+    return of_mesh | {row["asset_id"]: (row, of_mesh.get(row["asset_id"])) for row in weighed}
 
 
 def _contents_of_folder(folder: AssetFolder) -> dict[str, object]:

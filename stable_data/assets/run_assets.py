@@ -3,6 +3,7 @@
 import hashlib
 import weakref
 from collections.abc import Collection, Mapping, Set
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -11,6 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stable_data.assets.annotation import AssetAnnotation
+from stable_data.assets.physics import IS_WEIGHED, PHYSICS_COLUMNS, AssetPhysics, physics_of_row
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, MeshError, cannot_write
@@ -68,7 +70,9 @@ class RunAssets:
     The first request for a file writes the files of its row group; existing files, such as those of another process, are used.
     A file is returned only after its hash is verified, and a GLB whose hash differs from that of its row is never written, so
     runs of any origin can share the folder. At most one row group of the table is in memory. The class is also a
-    :class:`~stable_data.assets.store.PartSource` with the convex parts of the table.
+    :class:`~stable_data.assets.store.PartSource` with the convex parts of the table, and a
+    :class:`~stable_data.assets.store.PhysicsSource` with the masses of the table ``assets``, whose small columns are read on the
+    first request.
 
     Args:
         run: The run folder.
@@ -79,7 +83,7 @@ class RunAssets:
     """
 
     def __init__(self, run: RunFolder, files: Path) -> None:
-        self._files = files
+        self._uri, self._files = run.uri, files
         self._names = TableFiles(run.uri, "meshes", ["asset_id", "sha256"])
         self._meshes = TableFiles(run.uri, "meshes", ["asset_id", "glb", "sha256"])
         self._group_of: dict[str, int] = {}
@@ -138,6 +142,25 @@ class RunAssets:
             Mesh(np.reshape(part["vertices"], (-1, 3)), np.reshape(part["faces"], (-1, 3)))
             for part in (row["parts"] if row is not None else None) or ()
         )
+
+    def physics(self, asset_id: str) -> AssetPhysics | None:
+        """Returns mass and friction of an asset; None if the run does not know them.
+
+        Raises:
+            ConfigError: The table ``assets`` cannot be read.
+        """
+        rows, number_of = self._physics
+        number = number_of.get(asset_id)
+        return None if number is None else physics_of_row(rows.slice(number, 1).to_pylist()[0])
+
+    @cached_property
+    def _physics(self) -> tuple[pa.Table, dict[str, int]]:
+        """The rows of the table ``assets`` that state a mass with its origin, and the number of each asset among them."""
+        columns, run = ["asset_id", *PHYSICS_COLUMNS], RunFolder(self._uri)  # not that of a process before a fork
+        if not run.files("assets"):
+            return SCHEMAS["assets"].empty_table().select(columns), {}
+        rows = run.table("assets", columns, IS_WEIGHED)
+        return rows, {asset_id: number for number, asset_id in enumerate(rows["asset_id"].to_pylist())}
 
     def row(self, asset_id: str) -> Row | None:
         """Returns the row of an asset in the table ``meshes``; None if it has none.

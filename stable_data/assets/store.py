@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
+from stable_data.assets.physics import AssetPhysics
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.gltf_reader import load_colliders, load_glb
 from stable_data.geometry.mesh import Mesh
@@ -54,6 +55,15 @@ class PartSource(Protocol):
 
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
         """Returns the convex parts in the frame and unit of the asset's mesh; empty if there are none."""
+        ...
+
+
+@runtime_checkable
+class PhysicsSource(Protocol):
+    """A source that also knows what its assets weigh, such as the tables of a run."""
+
+    def physics(self, asset_id: str) -> AssetPhysics | None:
+        """Returns mass and friction of an asset; None if they are not known."""
         ...
 
 
@@ -107,6 +117,7 @@ class AssetStore:
         self._grids: _Cache[Hashable, SdfGrid] = _Cache(max_bytes)
         self._paints: _Cache[str, tuple[Paint, tuple[Notice, ...]]] = _Cache(max_bytes)
         self._faults: dict[str, str | None] = {}
+        self._physics: dict[str, AssetPhysics | None] = {}
 
     def asset(self, asset_id: str) -> AssetMesh:
         """Returns the repaired mesh of an asset.
@@ -133,6 +144,12 @@ class AssetStore:
         """Returns the convex parts of an asset from a :class:`PartSource`; empty if the source has none."""
         return self._source.parts(asset_id) if isinstance(self._source, PartSource) else ()
 
+    def physics(self, asset_id: str) -> AssetPhysics | None:
+        """Returns mass and friction of an asset from a :class:`PhysicsSource`; None if they are not known."""
+        if asset_id not in self._physics:
+            self._physics[asset_id] = self._source.physics(asset_id) if isinstance(self._source, PhysicsSource) else None
+        return self._physics[asset_id]
+
     def shape(self, o: SceneObject) -> tuple[Shape, tuple[Notice, ...]]:
         """Returns the geometry of an object at its scale and tilt.
 
@@ -156,7 +173,7 @@ class AssetStore:
             return Shape.box(o.size), o.scale, (Notice(o.instance, "mesh", error.code, message),)
         notices = tuple(Notice(o.instance, n.step, n.code, f"object {o.instance}: {n.message}") for n in asset.notices)
         if o.scale is not None:
-            shape = self._scaled(o.asset_id, asset, o.scale, o.tilt_quat_xyzw)
+            shape = self.shape_at(o.asset_id, o.scale, o.tilt_quat_xyzw)
             if has_size(shape.size, o.size):
                 return shape, o.scale, notices
             message = (
@@ -165,7 +182,7 @@ class AssetStore:
             )
             notices = (*notices, Notice(o.instance, "mesh", "asset_differs", message))
         scale = fitted_scale(asset.mesh, o.tilt_quat_xyzw, o.size)
-        shape = self._scaled(o.asset_id, asset, scale, o.tilt_quat_xyzw)
+        shape = self.shape_at(o.asset_id, scale, o.tilt_quat_xyzw)
         if has_size(shape.size, o.size):
             return shape, scale, notices
         message = (
@@ -173,6 +190,21 @@ class AssetStore:
             f"{_STAND_IN}"
         )
         return Shape.box(o.size), None, (*notices, Notice(o.instance, "mesh", "asset_does_not_fit", message))
+
+    def shape_at(self, asset_id: str, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> Shape:
+        """Returns the geometry of an asset at a scale and tilt, metres, yaw frame, with its centre of mass if that is known.
+
+        Raises:
+            MeshError: The mesh is missing or cannot be used.
+        """
+        mesh = self.asset(asset_id).mesh
+
+        def make() -> Shape:
+            physics = self.physics(asset_id)
+            centre = None if physics is None else physics.at(scale).center_of_mass
+            return Shape.from_mesh(mesh, scale, tilt_quat_xyzw, centre)
+
+        return self._shapes.get((asset_id, scale, tilt_quat_xyzw), make, lambda s: _SHAPE_WEIGHT * s.vertices.nbytes)
 
     def shapes(self, scene: Scene) -> tuple[list[Shape], tuple[Notice, ...]]:
         """Returns the geometry of every object of a scene, in order, and notices with the scene as ``item_id``."""
@@ -270,12 +302,6 @@ class AssetStore:
     def _grid(self, asset_id: str, steps: tuple[int, int, int]) -> SdfGrid:
         asset = self.asset(asset_id)
         return build_grid(asset.mesh, aspect=aspect_of(steps), is_sheet=asset.report.is_sheet)
-
-    def _scaled(self, asset_id: str, asset: AssetMesh, scale: Vec3, tilt: QuatXyzw) -> Shape:
-        key = (asset_id, scale, tilt)
-        return self._shapes.get(
-            key, lambda: Shape.from_mesh(asset.mesh, scale, tilt), lambda s: _SHAPE_WEIGHT * s.vertices.nbytes
-        )
 
     def _load(self, asset_id: str) -> AssetMesh | MeshError:
         """Reads and repairs a mesh. A lasting error is returned, to be cached; a transient one is raised."""

@@ -142,9 +142,9 @@ def _add_geom(parent: ET.Element, geom: mujoco.MjsGeom) -> None:
     kind = _GEOM_TYPES[int(geom.type)]
     element = _add(parent, "geom", name=geom.name, type=kind)
     element.set("class", geom.classname.name)
-    for key, value in {"pos": geom.pos, "quat": geom.quat, "rgba": geom.rgba, "group": geom.group}.items():
-        if not np.array_equal(value, getattr(geom.classname.geom, key)):  # values of the class are not repeated
-            element.set(key, _text(value))
+    for key in ("pos", "quat", "rgba", "group", "friction", "priority"):
+        if not np.array_equal(value := getattr(geom, key), getattr(geom.classname.geom, key)):
+            element.set(key, _text(value))  # values of the class are not repeated
     if kind == "mesh":
         element.set("mesh", geom.meshname)
         if geom.classname.name == COLLIDER:

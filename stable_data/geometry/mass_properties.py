@@ -58,5 +58,15 @@ def mass_properties(
     second = np.einsum("f,fni,fnj->ij", weight, corners, corners) + np.einsum("f,fi,fj->ij", weight, total, total)
     second = second / ((d + 1) * (d + 2)) - content * np.outer(center, center)  # parallel axis theorem
     kilograms = mass if mass is not None else given[0] * content
-    inertia = (np.trace(second) * np.eye(3) - second) * (kilograms / content)  # second moments are those of density 1
+    inertia = inertia_of(second) * (kilograms / content)  # second moments are those of density 1
     return MassProperties(kilograms, center, inertia)
+
+
+def inertia_of(moments: FloatArray) -> FloatArray:
+    """Computes the inertia tensor of a body, (3, 3), from the second moments of its mass, ∫ x xᵀ dm, (3, 3)."""
+    return np.asarray(np.trace(moments) * np.eye(3) - moments)
+
+
+def second_moments(inertia: FloatArray) -> FloatArray:
+    """Computes the second moments of a body's mass, ∫ x xᵀ dm, (3, 3), from its inertia tensor, (3, 3)."""
+    return np.asarray(np.trace(inertia) / 2 * np.eye(3) - inertia)

@@ -25,24 +25,30 @@ class Shape:
         vertices: (V, 3) float64, metres, yaw frame; the box of the referenced ones is centred on the origin.
         faces: (F, 3) int64, wound outwards.
         is_exact: False for a box that replaces a missing or broken mesh: a verdict that depends on it is unknown.
+        center_of_mass: The centre of mass that is known of the object, (3,) float64, metres, yaw frame; None: not known.
     """
 
     vertices: FloatArray
     faces: IntArray
     is_exact: bool = True
+    center_of_mass: FloatArray | None = None
 
     @classmethod
-    def from_mesh(cls, mesh: Mesh, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> "Shape":
+    def from_mesh(cls, mesh: Mesh, scale: Vec3, tilt_quat_xyzw: QuatXyzw, center_of_mass: FloatArray | None = None) -> "Shape":
         """Scales, tilts and centres a mesh; the result is in metres, yaw frame.
 
         Args:
             mesh: Mesh units, z up.
             scale: Metres per mesh unit along the mesh's axes.
             tilt_quat_xyzw: Rotation before yaw, unit.
+            center_of_mass: Its centre of mass at this scale, (3,), metres, frame of the mesh; None: not known.
         """
-        vertices = (mesh.vertices * np.asarray(scale)) @ Rotation.from_quat(tilt_quat_xyzw).as_matrix().T
+        turn = Rotation.from_quat(tilt_quat_xyzw).as_matrix().T
+        vertices = (mesh.vertices * np.asarray(scale)) @ turn
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        return cls(np.ascontiguousarray(vertices - (low + high) / 2), mesh.faces)
+        centre = (low + high) / 2
+        known = None if center_of_mass is None else center_of_mass @ turn - centre
+        return cls(np.ascontiguousarray(vertices - centre), mesh.faces, center_of_mass=known)
 
     @classmethod
     def box(cls, size: Vec3) -> "Shape":

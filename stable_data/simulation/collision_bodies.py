@@ -1,6 +1,7 @@
 """Rigid bodies of a scene for the physics engine: convex parts of its objects, in their yaw frames. An asset is decomposed once."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -13,10 +14,11 @@ from stable_data.assets.store import AssetStore
 from stable_data.assets.user_cache import ArrayFiles, array_key, user_cache
 from stable_data.geometry import convex_decomposition
 from stable_data.geometry.convex_decomposition import ConvexPart, collider_parts
-from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mass_properties import mass_properties
+from stable_data.geometry.mesh import Mesh, join_meshes
 from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, IntArray, Scene, SceneObject
-from stable_data.simulation.settling import RigidBody, hull_volume
+from stable_data.simulation.settling import Inertial, RigidBody, hull_volume
 
 DENSITY = 400.0
 """Density of every object whose mass is not known, kg/m³."""
@@ -53,8 +55,7 @@ def _parts_of(o: SceneObject, shape: Shape, store: AssetStore) -> tuple[Mesh, ..
         return (Mesh(shape.vertices, shape.faces),)
     parts = asset_parts(o.asset_id, mesh, store)
     turn = (Rotation.from_quat(o.tilt_quat_xyzw).as_matrix() * o.scale).T
-    # The shape is the same mesh, moved to the centre of its box, so that one vertex gives the offset.
-    centre = mesh.vertices[0] @ turn - shape.vertices[0]
+    centre = mesh.vertices[0] @ turn - shape.vertices[0]  # the shape is the same mesh, moved to the centre of its box
     return tuple(Mesh(part.vertices @ turn - centre, part.faces) for part in parts)
 
 
@@ -107,18 +108,41 @@ def _split(vertices: FloatArray, faces: IntArray, counts: IntArray) -> tuple[Mes
 def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density: float = DENSITY) -> list[RigidBody]:
     """Returns the objects of a scene as rigid bodies for the physics engine.
 
+    Mass, centre of mass, inertia and friction are those that the store knows of an asset (``AssetStore.physics``), at the scale and
+    tilt of the object. Else the parts have a fixed density. A body has at least 1 g.
+
     Args:
         scene: The scene, resolved (``AssetStore.resolved``).
         shapes: The geometry of its objects, in its order.
         store: The store of their meshes.
-        density: Density of every object, kg/m³.
+        density: Density of every object whose mass is not known, kg/m³.
 
     Raises:
         MeshError: No part with a volume could be made of a mesh.
     """
-    bodies = []
-    for o, shape in zip(scene.objects, shapes, strict=True):
-        parts = parts_of(o, shape, store)
-        mass = max(_LIGHTEST, density * sum(map(hull_volume, parts)))
-        bodies.append(RigidBody(o.instance, parts, mass, o.position, o.yaw))
-    return bodies
+    return [_body(o, shape, store, density) for o, shape in zip(scene.objects, shapes, strict=True)]
+
+
+def _body(o: SceneObject, shape: Shape, store: AssetStore, density: float) -> RigidBody:
+    parts = parts_of(o, shape, store)
+    volume = sum(map(hull_volume, parts))
+    mesh = store.mesh_of(o) if shape.is_exact else None
+    physics = store.physics(o.asset_id) if o.asset_id is not None and mesh is not None else None
+    if mesh is None or o.scale is None or physics is None:
+        return RigidBody(o.instance, parts, max(_LIGHTEST, density * volume), o.position, o.yaw)
+    here = physics.at(o.scale)
+    mass = max(_LIGHTEST, here.mass)
+    body = RigidBody(o.instance, parts, mass, o.position, o.yaw, friction=here.friction)
+    if not volume > 0 or (here.center_of_mass is None and here.inertia is None):
+        return body  # no solid part, which the engine refuses; or homogeneous parts
+    turn = Rotation.from_quat(o.tilt_quat_xyzw).as_matrix()
+    middle, tensor = here.center_of_mass, here.inertia
+    if middle is not None:
+        middle = turn @ middle + shape.vertices[0] - turn @ (mesh.vertices[0] * o.scale)  # as the parts
+    if tensor is not None:
+        tensor = turn @ tensor @ turn.T * (mass / here.mass)
+    if middle is None or tensor is None:  # what is missing is that of homogeneous parts
+        whole = mass_properties(join_meshes([part for part in parts if hull_volume(part) > 0]), mass=mass)
+        middle = whole.center_of_mass if middle is None else middle
+        tensor = whole.inertia if tensor is None else tensor
+    return replace(body, inertial=Inertial(middle, tensor))

@@ -51,7 +51,7 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
     """Describes a scene for MuJoCo.
 
     Body k + 1 is object k; the body, its free joint and its geoms have the object's name (:func:`body_name`). Mass and inertia
-    of a body are explicit, as MuJoCo derives them from its convex parts.
+    of a body are explicit: those that are known of its asset, or those that MuJoCo derives from its convex parts.
 
     Args:
         geometry: The scene with its geometry.
@@ -79,6 +79,7 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
     for k, o in enumerate(geometry.scene.objects):
         body, name = spec.bodies[k + 1], body_name(o.instance)
         body.explicitinertial, body.mass = True, model.body_mass[k + 1]
+        body.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # not given, because MuJoCo takes only one form of the inertia
         body.ipos, body.iquat, body.inertia = model.body_ipos[k + 1], model.body_iquat[k + 1], model.body_inertia[k + 1]
         body.name = body.joints[0].name = name
         for number, geom in enumerate(body.geoms):

@@ -127,5 +127,6 @@ def _box_centre(mesh: Mesh, scale: Vec3, tilt_quat_xyzw: QuatXyzw) -> FloatArray
 
 
 def _tilted_shape(o: SceneObject, shape: Shape, store: AssetStore) -> Shape:
-    mesh = store.mesh_of(o) if shape.is_exact else None
-    return shape if mesh is None or o.scale is None else Shape.from_mesh(mesh, o.scale, o.tilt_quat_xyzw)
+    if store.mesh_of(o) is None or not shape.is_exact or o.asset_id is None or o.scale is None:
+        return shape
+    return store.shape_at(o.asset_id, o.scale, o.tilt_quat_xyzw)

@@ -56,7 +56,7 @@ class PhysicsOptions:
         sample_seconds: Interval between samples of the poses.
         rest_speed: Settling ends early if no object moved faster than this for a tenth of a second, metres a second (0: never).
             Turning counts as the speed of a point 5 cm away.
-        friction: Sliding, torsional (metres) and rolling (metres) coefficients of every contact.
+        friction: Sliding, torsional (metres) and rolling (metres) coefficients of every contact of bodies without their own.
         solref: Time constant (seconds) and damping ratio of contacts.
         solimp: Impedance of contacts at depth 0 and beyond the width, and the width (metres).
         impratio: Ratio of the stiffness of friction to that of the normal direction; it prevents creeping with elliptic cones.
@@ -85,16 +85,33 @@ class PhysicsOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Inertial:
+    """How the mass of a body is distributed.
+
+    Attributes:
+        center_of_mass: (3,) float64, metres, yaw frame, from the centre of the object's box.
+        inertia: About the centre of mass, (3, 3) float64, kg m², axes of the yaw frame.
+    """
+
+    center_of_mass: FloatArray
+    inertia: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RigidBody:
     """An object for the physics engine.
 
     Attributes:
         name: Its name in reasons.
         parts: Convex colliders, metres, yaw frame, centred on the object's box. Their convex hulls collide.
-        mass: Kilograms, distributed over the parts by volume.
+        mass: Kilograms, distributed over the parts by volume if there is no ``inertial``.
         position: Centre of its box in its yaw frame, metres, world frame.
         yaw: Rotation about +z, radians.
         movable: False if it is fixed to the world.
+        inertial: Distribution of the mass; None: that of the parts.
+        friction: Sliding, torsional (metres) and rolling (metres) coefficients of its contacts with the table and with bodies that
+            have none; for two bodies that have some, the larger of each. None: those of :class:`PhysicsOptions`. Contacts have
+            no rolling friction, so that the third is stored only.
     """
 
     name: str
@@ -103,6 +120,8 @@ class RigidBody:
     position: Vec3
     yaw: float = 0.0
     movable: bool = True
+    inertial: Inertial | None = None
+    friction: Vec3 | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,7 +218,8 @@ def compile_bodies(bodies: Sequence[RigidBody], table: Tabletop, options: Physic
     """Compiles the MuJoCo model that :func:`spec_of` describes, a ``mujoco.MjModel``.
 
     Raises:
-        MeshError: A body has no solid part (code ``no_collider``) or no mass, or MuJoCo refuses the model (``engine``).
+        MeshError: A body has no solid part (code ``no_collider``), no mass or no friction, or MuJoCo refuses the model
+            (``engine``).
     """
     cache = mujoco.mj_getCache()
     if mujoco.mj_getCacheSize(cache) > _MAX_CACHED_BYTES:
@@ -224,7 +244,7 @@ def spec_of(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOption
         The description, a ``mujoco.MjSpec``; geoms that collide are of the class ``collider``.
 
     Raises:
-        MeshError: A body has no solid part (code ``no_collider``) or no mass.
+        MeshError: A body has no solid part (code ``no_collider``), no mass or no friction.
     """
     return _spec_of(bodies, table, options, None)
 
@@ -293,9 +313,18 @@ def _add_body(
         raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
     if not 0 < body.mass < np.inf:
         raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected a finite value above 0", "no_mass")
+    if body.friction is not None and not all(0 <= value < np.inf for value in body.friction):
+        raise MeshError(f"body {body.name}: friction is {body.friction}, expected finite values of at least 0", "no_friction")
     added = spec.worldbody.add_body(pos=list(body.position), quat=wxyz(yaw_quat(body.yaw)))
     if body.movable:
         added.add_freejoint()
+    if body.inertial is not None:
+        if not (np.isfinite(body.inertial.center_of_mass).all() and np.isfinite(body.inertial.inertia).all()):
+            raise MeshError(f"body {body.name}: its inertial is not finite, expected finite numbers", "not_finite")
+        added.explicitinertial, added.mass, added.ipos = True, body.mass, body.inertial.center_of_mass.tolist()
+        added.fullinertia = body.inertial.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+    # MuJoCo takes the friction of the geom with the higher priority, and the maximum of both at the same priority.
+    own = {} if body.friction is None else {"friction": list(body.friction), "priority": 1}
     volumes = [hull_volume(part) for part in body.parts]
     if not sum(volumes) > 0:
         raise MeshError(
@@ -312,7 +341,7 @@ def _add_body(
                     mesh.file, content = _mesh_file(part)
                     files[mesh.file] = content
             mass = body.mass * volume / sum(volumes)
-            added.add_geom(collider, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass)
+            added.add_geom(collider, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass, **own)
 
 
 def _mesh_file(part: Mesh) -> tuple[str, bytes]:

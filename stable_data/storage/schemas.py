@@ -250,14 +250,21 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("licence", _text, "licence; null if unknown"),
             _column("source", _text, "origin of the asset"),
             _column("extents", _numbers, "extents of the mesh's bounding box, z up", "mesh units"),
-            _column("typical_scale", _numbers, "median scale in the scenes; null if no scene has the asset", "m per mesh unit"),
+            _column(
+                "typical_scale",
+                _numbers,
+                "median scale in the scenes, null if no scene has the asset; with mass_source the scale that the import gave it",
+                "m per mesh unit",
+            ),
             _column("resting_tilts", pa.list_(RESTING_TILT), "tilts of the asset in the scenes, most frequent first"),
             _column("is_container", _truth, "true if other objects can be placed inside; null if unknown"),
             _column("on_table", _truth, "annotation: true if the asset belongs on a table; null if unknown"),
             _column("mark_deletion", _truth, "annotation: true if annotators marked the asset for deletion; null if unknown"),
             _column("is_composite", _truth, "annotation: true if the mesh contains several objects; null if unknown"),
             _column("report", MESH_REPORT, "properties of the mesh and the repairs that were made", "mesh units"),
-            _column("mass", _number, "mass from the annotation; null if unknown", "kg"),
+            _column(
+                "mass", _number, "mass from the annotation, or with mass_source at the typical scale; null if unknown", "kg"
+            ),
             _column("volume", _number, "enclosed volume at the typical scale", "m^3"),
             _column("center_of_mass", _numbers, "centre of mass relative to the box centre, at the typical scale", "m"),
             _column(

@@ -24,7 +24,13 @@ _alone: "WeakKeyDictionary[Shape, bool]" = WeakKeyDictionary()
 
 
 def centre_of_mass(shape: Shape) -> FloatArray:
-    """Computes the centre of mass of a solid shape, (3,), metres, yaw frame; the centre of its box if its faces bound no volume."""
+    """Returns the centre of mass of a shape, (3,), metres, yaw frame.
+
+    It is the one that is known of the object; else that of a homogeneous solid, or the centre of the box if the faces bound no
+    volume.
+    """
+    if shape.center_of_mass is not None:
+        return shape.center_of_mass
     if shape not in _centres:
         triangles = shape.vertices[shape.faces]
         volume = np.einsum("ij,ij->i", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6

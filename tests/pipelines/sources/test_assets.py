@@ -9,18 +9,24 @@ import pytest
 
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
+from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
+from pipelines.preprocess.asset import AssetUse
 from pipelines.preprocess.plan import file_digest
 from pipelines.sources import assets
+from pipelines.sources.asset_copies import CopyAssets
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
+from stable_data.assets.run_assets import run_store
+from stable_data.assets.store import AssetStore
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import ConfigError
 from stable_data.mesatask.asset_catalog import library_of_folder
-from stable_data.scene import Tabletop
+from stable_data.scene import UPRIGHT, Tabletop
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import one_thing_a_stage
 
@@ -173,6 +179,63 @@ def test_rows_of_a_run_are_copied_and_what_they_lack_is_computed(tiny_run: Path,
     assert all(copy["typical_scale"] is not None and copy["volume"] > 0 for copy in made.table("assets").to_pylist())
 
 
+@pytest.fixture
+def weighed(tiny_run: Path, tmp_path: Path) -> Path:
+    """A library whose assets are weighed at scales at which no scene uses them."""
+    library = Path(shutil.copytree(tiny_run, tmp_path / "library"))
+    return weigh(library, mass=0.123)
+
+
+def weigh(library: Path, **columns: object) -> Path:
+    tensor = [2e-4, 1e-5, 0, 1e-5, 3e-4, -1e-5, 0, -1e-5, 2.5e-4]
+    known: Row = {"mass_source": "given", "typical_scale": [0.11, 0.13, 0.17], "center_of_mass": [0.001, 0.002, -0.01]}
+    known |= {"inertia": tensor, "friction": [0.4, 0.005, 0.0001], "volume": 1e-4} | columns
+    run = RunFolder(str(library))
+    (shard,) = run.shard_ids("assets")
+    run.write_shard("assets", shard, [row | known for row in run.table("assets").to_pylist()])
+    return library
+
+
+def test_what_is_known_of_an_asset_is_copied_with_the_scale_at_which_it_holds(weighed: Path, tmp_path: Path) -> None:
+    """So that its mass in a scene is the same from the library and from the run that has the scene, to the last bit."""
+    shelf = AssetLibraries([str(weighed)])
+    asset = shelf.libraries[0].assets[0]
+    use = AssetUse(asset.asset_id, "", (0.3, 0.3, 0.3), (), ((UPRIGHT, 2),))
+    rows = CopyAssets((str(weighed),), "", 60.0).item_rows(use, ItemProgress("assets"))
+    run = RunFolder(str(tmp_path / "copy"))
+    for table in ("assets", "meshes"):
+        run.write_shard(table, "0" * 16, rows[table])
+    (copy,) = run.table("assets").to_pylist()
+    (row,) = (row for row in RunFolder(str(weighed)).table("assets").to_pylist() if row["asset_id"] == asset.asset_id)
+    assert {name for name in row if row[name] != copy[name]} <= {"resting_tilts", "text_embedding"}
+    assert copy["resting_tilts"] == [{"tilt_quat_xyzw": list(UPRIGHT), "count": 2}]
+    one, other = (store.physics(asset.asset_id) for store in (AssetStore(shelf), run_store(run.uri)))
+    assert one is not None
+    assert other is not None
+    assert (str(one.at((0.3, 0.2, 0.1))), one.mass, one.friction) == (
+        str(other.at((0.3, 0.2, 0.1))),
+        0.123,
+        (0.4, 0.005, 0.0001),
+    )
+
+
+def test_another_mass_centre_inertia_or_friction_is_another_library(tiny_run: Path, tmp_path: Path) -> None:
+    library = Path(shutil.copytree(tiny_run, tmp_path / "library"))
+    found = {fingerprint(library)}
+    weigh(library, mass_source=None)
+    found.add(fingerprint(library))  # not used: the same library
+    assert len(found) == 1
+    for changed in ({}, {"friction": None}, {"center_of_mass": [0.0, 0.0, 0.0]}, {"inertia": None}, {"mass": 0.2}):
+        found.add(fingerprint(weigh(library, **({"mass": 0.1} | changed))))
+    assert len(found) == 6
+
+
+def test_libraries_that_are_no_runs_know_no_masses(dataset: Path, weighed: Path) -> None:
+    shelf = AssetLibraries([str(weighed), str(dataset)])
+    known = {library.name: {shelf.physics(a.asset_id) is not None for a in library.assets} for library in shelf.libraries}
+    assert known == {weighed.name: {True}, dataset.name: {False}}
+
+
 def test_the_first_library_serves_and_a_run_is_one(tiny: Path, tiny_run: Path, dataset: Path) -> None:
     shelf = AssetLibraries([str(dataset)])
     both = AssetLibraries([str(tiny_run), str(dataset)])
@@ -201,7 +264,9 @@ def test_the_first_library_serves_and_a_run_is_one(tiny: Path, tiny_run: Path, d
 
 def test_the_embedded_library_serves_where_others_have_nothing(dataset: Path) -> None:
     own, rest = AssetLibraries([str(dataset), "embedded"]).libraries
-    (alone,) = AssetLibraries().libraries
+    shelf = AssetLibraries()
+    (alone,) = shelf.libraries
+    assert {shelf.physics(a.asset_id) for a in alone.assets} == {None}
     first = {a.asset_id for a in own.assets}
     assert {a.asset_id for a in rest.assets} == {a.asset_id for a in alone.assets} - first
     assert rest.name == alone.name == "embedded"

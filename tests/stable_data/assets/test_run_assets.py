@@ -1,7 +1,9 @@
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from stable_data.assets.annotation import AssetAnnotation
@@ -50,6 +52,40 @@ def test_convex_parts_are_those_of_the_table(tmp_path: Path) -> None:
     parts = asset_parts("cube", store.asset("cube").mesh, store)
     assert [part.vertices[:, 0].mean().round(3) for part in parts] == [-0.025, 0.025]
     assert store.stored_parts("other") == ()
+
+
+def test_masses_come_from_the_rows_that_say_where_they_come_from(tmp_path: Path) -> None:
+    run = run_of(tmp_path / "run")
+    blank = dict.fromkeys(SCHEMAS["assets"].names) | {"extents": [0.1, 0.2, 0.3], "typical_scale": [2.0, 2.0, 2.0], "mass": 0.2}
+    rows: list[Row] = [blank | {"asset_id": "cube", "mass_source": "category"}, blank | {"asset_id": "noted"}]
+    run.write_shard("assets", "0" * 16, rows)
+    store = AssetStore(RunAssets(run, tmp_path / "files"))
+    known = store.physics("cube")
+    assert known is not None
+    assert (known.mass, known.typical_scale, known.inertia, known.friction) == (0.2, (2.0, 2.0, 2.0), None, None)
+    assert store.physics("noted") is store.physics("other") is None
+
+
+def test_a_run_without_assets_knows_no_masses(tmp_path: Path) -> None:
+    assert RunAssets(run_of(tmp_path / "run"), tmp_path / "files").physics("cube") is None
+
+
+def test_the_table_is_read_once_and_only_if_a_mass_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_of(tmp_path / "run")
+    run.write_shard("assets", "0" * 16, [dict.fromkeys(SCHEMAS["assets"].names) | {"asset_id": "cube", "extents": [1, 1, 1]}])
+    read: list[str] = []
+    table = RunFolder.table
+
+    def count(self: RunFolder, name: str, *more: Any, **named: Any) -> pa.Table:
+        read.append(name)
+        return table(self, name, *more, **named)
+
+    monkeypatch.setattr(RunFolder, "table", count)
+    assets = RunAssets(run, tmp_path / "files")
+    assert read == []
+    for asset_id in ("cube", "other", "cube"):
+        assets.physics(asset_id)
+    assert read == ["assets"]
 
 
 def test_annotations_come_from_the_table(tmp_path: Path) -> None:

@@ -98,6 +98,16 @@ def write_run(root: Path, scenes: Sequence[Scene] = SCENES) -> RunFolder:
     return run
 
 
+def weighed(run: RunFolder, key: str, **columns: object) -> RunFolder:
+    """The run with other columns of an asset; by default it is weighed, with its centre near its foot, and slippery."""
+    tensor = [2e-4, 1e-5, 0, 1e-5, 3e-4, -1e-5, 0, -1e-5, 2.5e-4]
+    known = {"mass_source": "given", "mass": 0.118, "center_of_mass": [0.004, -0.001, -0.02], "inertia": tensor}
+    known |= {"typical_scale": [1.0, 1.0, 1.0], "friction": [0.25, 0.004, 0.0001]} | columns
+    rows = [row | (known if row["asset_id"] == asset(key).uid else {}) for row in run.table("assets").to_pylist()]
+    run.write_shard("assets", "0" * 16, rows)
+    return run
+
+
 def settled_row(scene: Scene, store: AssetStore) -> Row:
     """Where the engine left a scene."""
     rest = settle(SceneGeometry.of(scene, store).bodies, scene.table)

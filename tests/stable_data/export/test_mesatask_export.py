@@ -17,7 +17,7 @@ from stable_data.simulation.collision_bodies import asset_parts
 from stable_data.simulation.run_reader import SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
-from tests.stable_data.export.runs import at_rest, falling, write_run
+from tests.stable_data.export.runs import at_rest, falling, weighed, write_run
 
 PLAIN = replace(
     at_rest(), scene_id="plain", objects=(replace(at_rest().objects[1], instance="1_mug_0"), *at_rest().objects[2:])
@@ -64,6 +64,13 @@ def test_meshes_keep_their_parts_and_assets_their_licence(plain_run: RunFolder, 
         assert len(kept) == len(parts)
         for one, other in zip(kept, parts, strict=True):
             np.testing.assert_allclose(one.vertices.min(axis=0), other.vertices.min(axis=0), atol=1e-6)
+
+
+def test_the_annotation_of_an_asset_has_its_mass(tmp_path: Path) -> None:
+    run = weighed(write_run(tmp_path / "run", (falling(),)), "mug/0")
+    export_run(run, tmp_path / "out", "mesatask", SceneSelection())
+    masses = {a.category: a.mass for a in MesaTaskDataset(tmp_path / "out").annotations.values()}
+    assert masses == {"mug": 0.118, "can": None}
 
 
 def test_the_slow_reference_judges_it(plain_run: RunFolder, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.export import mjcf
 from stable_data.geometry.shape import Shape
@@ -19,7 +20,7 @@ from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import CAMERAS, VISUAL_GROUP, body_name
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import compile_bodies, hull_volume, settle
-from tests.stable_data.export.runs import EMPTY, SCENES, at_rest, falling
+from tests.stable_data.export.runs import EMPTY, SCENES, at_rest, falling, weighed, write_run
 
 pytestmark = pytest.mark.sim
 
@@ -36,6 +37,10 @@ mujoco.mj_forward(model, data)
 found = {
     "names": [model.body(k).name for k in range(1, model.nbody)],
     "masses": model.body_mass[1:].tolist(),
+    "centres": model.body_ipos[1:].tolist(),
+    "inertias": [(a * model.body_inertia[k]) @ a.T for k, a in enumerate(data.ximat.reshape(-1, 3, 3))][1:],
+    "frames": data.xmat.reshape(-1, 3, 3)[1:].tolist(),
+    "frictions": [model.geom_friction[model.geom_bodyid == k][0].tolist() for k in range(1, model.nbody)],
     "colliders": [int(((model.geom_bodyid == k) & (model.geom_contype > 0)).sum()) for k in range(1, model.nbody)],
     "start": np.concatenate([data.xpos[1:], data.xquat[1:]], axis=1).tolist(),
     "penetration": float(max(0.0, -data.contact.dist.min())) if data.ncon else 0.0,
@@ -43,7 +48,7 @@ found = {
 mujoco.mj_step(model, data, nstep=2000)
 mujoco.mj_kinematics(model, data)
 found["end"] = np.concatenate([data.xpos[1:], data.xquat[1:]], axis=1).tolist()
-print(json.dumps(found))
+print(json.dumps(found, default=lambda array: array.tolist()))
 """
 
 
@@ -74,8 +79,42 @@ def test_mujoco_alone_finds_what_the_verdict_found(scene: Scene, store: AssetSto
     np.testing.assert_allclose(np.abs((xyzw(found["end"]) * rest.quats_xyzw).sum(axis=1)), 1.0, atol=1e-6)
 
 
+@pytest.fixture(scope="module")
+def weighed_store(tmp_path_factory: pytest.TempPathFactory) -> AssetStore:
+    """The meshes of a run whose mug is weighed."""
+    root = tmp_path_factory.mktemp("weighed")
+    return AssetStore(RunAssets(weighed(write_run(root / "run", ()), "mug/0"), root / "files"))
+
+
+def test_a_weighed_mug_has_its_mass_its_centre_its_inertia_and_its_friction(weighed_store: AssetStore, tmp_path: Path) -> None:
+    mjcf.export_scene(SceneGeometry.of(falling(), weighed_store), tmp_path)
+    found = read(mjcf.scene_path(falling(), tmp_path))
+    can, mug = found["names"].index("0_can_0"), found["names"].index("1_mug_0")
+    assert found["masses"][mug] == 0.118
+    np.testing.assert_allclose(found["centres"][mug], [0.004, -0.001, -0.02], atol=1e-7)
+    turn = np.array(found["frames"][mug])
+    tensor = np.array([[2e-4, 1e-5, 0], [1e-5, 3e-4, -1e-5], [0, -1e-5, 2.5e-4]])
+    np.testing.assert_allclose(turn.T @ np.array(found["inertias"][mug]) @ turn, tensor, atol=1e-15)
+    assert found["frictions"] == [[0.8, 0.005, 0.0001], [0.25, 0.004, 0.0001]][:: 1 if can < mug else -1]
+
+
+def test_a_mass_that_nobody_has_checked_changes_nothing(store: AssetStore, tmp_path: Path) -> None:
+    """A mass of an annotation, and the centre and inertia of the mesh, as preprocess writes them: the file is the same."""
+    run = weighed(write_run(tmp_path / "run", ()), "mug/0", mass_source=None)
+    noted = AssetStore(RunAssets(run, tmp_path / "files"))
+    for name, of in (("noted", noted), ("plain", store)):
+        mjcf.export_scene(SceneGeometry.of(at_rest(), of), tmp_path / name)
+    one, other = (mjcf.scene_path(at_rest(), tmp_path / name).read_bytes() for name in ("noted", "plain"))
+    assert one == other
+    assert b"friction" not in one.split(b"<worldbody>")[1]
+
+
+@pytest.mark.parametrize("meshes", ["store", "weighed_store"])
 @pytest.mark.parametrize("scene", SCENES, ids=["at rest", "falling", "empty"])
-def test_the_model_is_the_one_of_the_verdict_to_the_last_bit(scene: Scene, store: AssetStore, tmp_path: Path) -> None:
+def test_the_model_is_the_one_of_the_verdict_to_the_last_bit(
+    scene: Scene, meshes: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    store: AssetStore = request.getfixturevalue(meshes)
     solid = SceneGeometry.of(scene, store)
     mjcf.export_scene(solid, tmp_path)
     read_back, own = (
@@ -98,7 +137,20 @@ def test_the_model_is_the_one_of_the_verdict_to_the_last_bit(scene: Scene, store
         np.testing.assert_array_equal(getattr(read_back, name), getattr(own, name), name)
     collides = read_back.geom_contype > 0
     assert collides.sum() == own.ngeom
-    for name in ("pos", "quat", "size", "type", "friction", "solref", "solimp", "condim", "margin", "bodyid", "conaffinity"):
+    for name in (
+        "pos",
+        "quat",
+        "size",
+        "type",
+        "friction",
+        "solref",
+        "solimp",
+        "condim",
+        "margin",
+        "bodyid",
+        "conaffinity",
+        "priority",
+    ):
         np.testing.assert_array_equal(getattr(read_back, f"geom_{name}")[collides], getattr(own, f"geom_{name}"), name)
     np.testing.assert_array_equal(read_back.mesh_vert[: len(own.mesh_vert)], own.mesh_vert)
     np.testing.assert_array_equal(read_back.key_qpos[0], own.qpos0)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import FloatArray, Tabletop, Vec3
@@ -14,6 +15,7 @@ from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.settling import (
     MOVE_LIMIT,
     Calm,
+    Inertial,
     PhysicsOptions,
     RigidBody,
     SettleResult,
@@ -306,6 +308,66 @@ def test_what_is_not_known_to_stay_is_restless() -> None:
 
 def test_body_without_mass_is_unknown() -> None:
     assert is_unknown(settle([RigidBody("a", (box(0.1, 0.1, 0.1),), 0.0, (0.5, 0.3, 0.1))], TABLE))
+
+
+def on_slope(slope: float, friction: Vec3 | None, lean: float = 0.0) -> list[RigidBody]:
+    """A fixed plate that descends along x with a slope, and a block on it whose centre of mass is moved down the slope, metres."""
+    turn = Rotation.from_euler("y", np.arctan(slope)).as_matrix()
+    plate, cube = box(0.6, 0.3, 0.02), box(0.06, 0.06, 0.1)
+    middle = np.array([0.5, 0.3, 0.3])
+    x, y, z = (middle + turn @ (0.0, 0.0, 0.06)).tolist()
+    tensor = turn @ np.diag([1e-3, 1e-3, 6e-4]) @ turn.T
+    inertial = Inertial(turn @ (lean, 0.0, 0.0), tensor) if lean else None
+    return [
+        RigidBody("plate", (Mesh(plate.vertices @ turn.T, plate.faces),), 1.0, (0.5, 0.3, 0.3), movable=False),
+        RigidBody("block", (Mesh(cube.vertices @ turn.T, cube.faces),), 0.5, (x, y, z), inertial=inertial, friction=friction),
+    ]
+
+
+@pytest.mark.parametrize(("friction", "stays"), [(0.1, False), (0.3, False), (0.45, True), (0.8, True), (None, True)])
+def test_a_block_slides_where_the_slope_is_steeper_than_its_friction(friction: float | None, stays: bool) -> None:
+    """Although the plate has the friction of all others, 0.8."""
+    own = None if friction is None else (friction, 0.005, 0.0001)
+    result = settle(on_slope(0.364, own), TABLE)
+    assert (result.stable, result.unsteady) == (stays, () if stays else ("block",))
+
+
+@pytest.mark.parametrize("lean", [-0.01, 0.0, 0.01])
+def test_a_block_tips_at_the_slope_that_its_centre_of_mass_gives(lean: float) -> None:
+    """It tips over the edge of its foot, half a side down the slope, once its centre, 5 cm above, is beyond it."""
+    critical = (0.03 - lean) / 0.05
+    rough = (1.5, 0.005, 0.0001)
+    assert settle(on_slope(0.93 * critical, rough, lean), TABLE).stable
+    tipped = settle(on_slope(1.07 * critical, rough, lean), TABLE)
+    assert tipped.turns[1] > 5
+
+
+def test_of_two_frictions_the_larger_counts() -> None:
+    low, high = (0.1, 0.005, 0.0001), (0.6, 0.005, 0.0001)
+    plate, cube = on_slope(0.364, low)
+    assert settle([replace(plate, friction=high), cube], TABLE).stable is True
+    assert settle([replace(plate, friction=low), cube], TABLE).stable is False
+
+
+@pytest.mark.parametrize("friction", [(np.nan, 0.0, 0.0), (-0.1, 0.0, 0.0), (0.5, np.inf, 0.0)])
+def test_a_friction_that_no_contact_has_is_unknown(friction: Vec3) -> None:
+    result = settle([replace(block("a", (0.5, 0.3, 0.05)), friction=friction)], TABLE, SHORT)
+    assert is_unknown(result)
+    assert "body a: friction is" in result.reason
+
+
+@pytest.mark.parametrize(
+    "inertial",
+    [
+        Inertial(np.zeros(3), np.diag([1e-3, 1e-3, 3e-3])),
+        Inertial(np.zeros(3), np.diag([1e-3, 1e-3, -1e-3])),
+        Inertial(np.zeros(3), np.full((3, 3), np.nan)),
+        Inertial(np.array([0.0, np.inf, 0.0]), np.diag([1e-3, 1e-3, 1e-3])),
+    ],
+    ids=["unbalanced", "negative", "nan", "inf"],
+)
+def test_an_inertial_that_no_body_has_is_unknown(inertial: Inertial) -> None:
+    assert is_unknown(settle([replace(block("a", (0.5, 0.3, 0.05)), inertial=inertial)], TABLE, SHORT))
 
 
 @pytest.mark.parametrize("kept", [0, 64 * 2**20])

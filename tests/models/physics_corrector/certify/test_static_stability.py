@@ -1,6 +1,7 @@
 """What certify brings to rest stays at rest: by statics with friction, and by an engine."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,6 +65,21 @@ def test_a_slope_at_which_a_block_tips() -> None:
     # Its centre is 15 mm over the support and 20 mm inside the edge.
     assert how_steady([TABLE_BOX, box(0.06, 0.06, 0.03)], (0, 0, 0), (0.04, 0, 0.0501)) == pytest.approx(10 / 15, rel=0.05)
     assert how_steady([TABLE_BOX, box(0.06, 0.06, 0.03)], (0, 0, 0), (0.06, 0, 0.0501)) < FALLS
+
+
+def test_a_block_tips_by_the_centre_of_mass_that_is_known_of_it() -> None:
+    # Its centre is moved 6 mm towards the edge of the support, and 5 mm down.
+    loaded = replace(box(0.06, 0.06, 0.03), center_of_mass=np.array([0.006, 0.0, -0.005]))
+    assert how_steady([TABLE_BOX, loaded], (0, 0, 0), (0.04, 0, 0.0501)) == pytest.approx(4 / 10, rel=0.05)
+    assert how_steady([TABLE_BOX, loaded], (0, 0, 0), (0.046, 0, 0.0501)) < FALLS
+
+
+def test_a_tray_on_a_foot_stands_unless_its_mass_is_on_one_side() -> None:
+    foot, tray = trimesh.creation.box((0.03, 0.03, 0.05)), trimesh.creation.box((0.2, 0.2, 0.01))
+    tray.apply_translation((0, 0, 0.03))
+    whole = mesh_shape(trimesh.util.concatenate([foot, tray]))
+    assert stands_alone(whole)
+    assert not stands_alone(replace(whole, center_of_mass=np.array([0.05, 0.0, 0.02])))
 
 
 def test_a_ball_on_an_edge_falls_and_in_a_bowl_stays() -> None:
