@@ -24,12 +24,19 @@ from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.library import embedded_library
 from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.surface import Surface
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.mesatask.library import AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder, absolute_uri
-from stable_data.storage.schemas import SCHEMAS, Row
+from stable_data.storage.schemas import Row
+
+_CONTENT_COLUMNS = (
+    *("asset_id", "parts_method", "parts_overfill_max", "parts_overfill_mean", "parts_uncovered_max", "parts_uncovered_mean"),
+    *("hull_distance", "sha256"),
+)
+"""Columns of ``meshes`` that name the geometry of an asset. No scene depends on its look."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +53,8 @@ class _Place:
         parts: The stored convex parts of an asset; empty if it stores none.
         rows: The rows of an asset in the tables ``assets`` and ``meshes``; None if the library is no run.
         physics: Mass and friction of an asset; None if they are not known.
+        look: The stored surfaces that are seen of an asset; empty if it stores none.
+        textures: Their rows of the table ``textures``.
     """
 
     library: AssetLibrary | None
@@ -56,6 +65,8 @@ class _Place:
     parts: Callable[[str], tuple[Mesh, ...]] = lambda _: ()
     rows: Callable[[str], tuple[Row, Row] | None] = lambda _: None
     physics: Callable[[str], AssetPhysics | None] = lambda _: None
+    look: Callable[[str], Sequence[Surface]] = lambda _: ()
+    textures: Callable[[str], Sequence[Row]] = lambda _: ()
 
 
 class AssetLibraries:
@@ -133,6 +144,14 @@ class AssetLibraries:
         """Mass and friction of an asset that a run knows; None for other libraries."""
         return self._place_of(asset_id).physics(asset_id)
 
+    def look(self, asset_id: str) -> Sequence[Surface]:
+        """The surfaces that are seen of an asset, as a run stores them; empty for other libraries."""
+        return self._place_of(asset_id).look(asset_id)
+
+    def textures(self, asset_id: str) -> Sequence[Row]:
+        """The rows of the table ``textures`` that the look of an asset names; empty if its library is no run."""
+        return self._place_of(asset_id).textures(asset_id)
+
     def rows(self, asset_id: str) -> tuple[Row, Row] | None:
         """The rows of an asset in the tables ``assets`` and ``meshes`` of its run; None if its library is no run or lacks them."""
         return self._place_of(asset_id).rows(asset_id)
@@ -177,8 +196,18 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
         contents = partial(_contents_of_run, run)
         rows = partial(_rows_of_run, kept, cache(partial(RowsOfAssets, run, "assets")))
-        annotation, physics = annotations.__getitem__, kept.physics
-        return _Place(listed, annotations.keys(), kept.asset_path, annotation, contents, kept.parts, rows, physics)
+        return _Place(
+            listed,
+            annotations.keys(),
+            kept.asset_path,
+            annotations.__getitem__,
+            contents,
+            kept.parts,
+            rows,
+            kept.physics,
+            kept.look,
+            kept.textures,
+        )
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, partial(library_of_folder, root, name, scenes=shown), may_be_empty=may_be_empty)
@@ -211,8 +240,8 @@ def _of_folder(root: Path, read: Callable[[], AssetLibrary], *, may_be_empty: bo
 
 
 def _contents_of_run(run: RunFolder) -> dict[str, object]:
-    """The columns of each mesh of a run except the mesh itself, such as its hash; with mass and friction where they are known."""
-    rows = run.table("meshes", [name for name in SCHEMAS["meshes"].names if name not in ("glb", "parts")]).to_pylist()
+    """The hash of each mesh of a run with the measures of its convex parts, and mass and friction where they are known."""
+    rows = run.table("meshes", _CONTENT_COLUMNS).to_pylist()
     of_mesh: dict[str, object] = {row["asset_id"]: row for row in rows}
     weighed = run.table("assets", ["asset_id", *PHYSICS_COLUMNS], IS_WEIGHED).to_pylist()
     return of_mesh | {row["asset_id"]: (row, of_mesh.get(row["asset_id"])) for row in weighed}
