@@ -1,0 +1,182 @@
+"""Reads glTF and GLB whose buffers and images may lie in other files or in ``data:`` addresses."""
+
+import base64
+import json
+import struct
+from typing import Any, NoReturn
+from urllib.parse import unquote_to_bytes
+
+from stable_data.errors import MeshError
+from stable_data.geometry.gltf_reader import MeshLimits, load_surfaces
+from stable_data.geometry.surface import Surface
+from stable_data.importers.formats.mesh_file import Companions, MeshFile, parsing
+from stable_data.json_text import json_value
+
+_MAGIC = b"glTF"
+_JSON_CHUNK, _BIN_CHUNK = 0x4E4F534A, 0x004E4942
+_MOST_TEXT = 64 * 2**20  # bytes of a .gltf, which may hold its buffers as text
+_CODES = {"glb_no_faces": "mesh_empty", "glb_nan_vertices": "mesh_not_finite", "glb_too_large": "mesh_too_large"}
+
+
+def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: int, max_bytes: int) -> MeshFile:
+    """Reads a glTF or GLB; all is packed to one GLB in memory for the reader of :mod:`stable_data.geometry.gltf_reader`.
+
+    Args:
+        content: The file; not trusted.
+        path: Its name in messages.
+        companions: Where buffers and images come from.
+        max_faces: Triangles beyond which it is refused.
+        max_bytes: Bytes of all buffers and images beyond which it is refused.
+
+    Raises:
+        MeshError: ``cyclic_reference``, ``mesh_empty``, ``mesh_not_finite``, ``mesh_too_large``, ``model_unreadable``, a code of
+            :func:`stable_data.geometry.gltf_reader.load_glb`, or that of a buffer which cannot be read.
+    """
+    with parsing(path, "glTF 2.0"):
+        document, binary = _opened(content, path)
+        packed = _Packing(path, companions, document, binary, max_bytes)
+        packed.check_nodes()
+        whole = packed.glb()
+        asset = document.get("asset", {})
+        extras = asset.get("extras", {})
+        extras = extras if isinstance(extras, dict) else {}
+        licence = str(extras.get("license") or extras.get("licence") or asset.get("copyright") or "")
+        author = str(extras.get("author") or "")
+    limits = MeshLimits(max_bytes=len(whole), max_faces=max_faces, max_corners=3 * max_faces)
+    try:
+        found = load_surfaces(whole, path, limits=limits)
+    except MeshError as error:
+        raise MeshError(str(error).removeprefix("asset "), _CODES.get(error.code, error.code)) from error
+    return MeshFile(tuple(_as_in_the_file(surface) for surface in found), None, "y", licence, author)
+
+
+def _as_in_the_file(surface: Surface) -> Surface:
+    """A surface of ``load_surfaces``, which is z up, in the axes of the file."""
+    turned = surface.triangles[..., [0, 2, 1]] * (1.0, 1.0, -1.0)
+    image = surface.image if surface.corner_uv is not None else None
+    return Surface(turned, surface.colour, surface.corner_colours, image, surface.corner_uv, surface.opacity)
+
+
+def _opened(content: bytes, path: str) -> tuple[dict[str, Any], bytes | None]:
+    """The JSON of a file, and the binary chunk of a GLB."""
+    if not content.startswith(_MAGIC):
+        if len(content) > _MOST_TEXT:
+            raise MeshError(
+                f"{path}: the JSON has {len(content)} bytes, expected at most {_MOST_TEXT}; export it as GLB", "mesh_too_large"
+            )
+        return _object(content), None
+    version, _, length, kind = struct.unpack_from("<4I", content, 4)
+    if version != 2 or kind != _JSON_CHUNK or length > min(MeshLimits().max_json_bytes, len(content) - 20):
+        raise ValueError(f"version {version}, a first chunk of kind {kind:#x} and {length} bytes")
+    document, end = _object(content[20 : 20 + length]), 20 + length
+    if end + 8 > len(content):
+        return document, None
+    length, kind = struct.unpack_from("<2I", content, end)
+    return document, content[end + 8 : end + 8 + length] if kind == _BIN_CHUNK else None
+
+
+def _object(text: bytes) -> dict[str, Any]:
+    document = json_value(text.decode("utf-8-sig"))
+    if not isinstance(document, dict):
+        raise ValueError("the JSON is no object")
+    return document
+
+
+class _Packing:
+    """Brings the buffers and images of a document into one binary chunk."""
+
+    def __init__(
+        self, path: str, companions: Companions, document: dict[str, Any], binary: bytes | None, max_bytes: int
+    ) -> None:
+        self.path = path
+        self.companions = companions
+        self.document = document
+        self.binary = binary
+        self.max_bytes = max_bytes
+        self.chunks: list[bytes] = []
+        self.size = 0
+
+    def fail(self, found: str, expected: str, code: str = "model_unreadable") -> NoReturn:
+        raise MeshError(f"{self.path}: {found}, expected {expected}", code)
+
+    def check_nodes(self) -> None:
+        """Refuses nodes that contain themselves.
+
+        Raises:
+            MeshError: ``cyclic_reference``.
+        """
+        nodes = self.document.get("nodes", [])
+        children = [node.get("children", []) for node in nodes]
+        stack, trail = [iter(range(len(nodes)))], list[int]()
+        above, done = set[int](), set[int]()
+        while stack:
+            child = next(stack[-1], None)
+            if child is None:
+                stack.pop()
+                if trail:
+                    done.add(trail[-1])
+                    above.discard(trail.pop())
+            elif child in above:
+                self.fail(f"node {child} contains itself", "a tree of nodes; export it again", "cyclic_reference")
+            elif child not in done and type(child) is int and 0 <= child < len(nodes):
+                trail.append(child)
+                above.add(child)
+                stack.append(iter(children[child]))
+
+    def glb(self) -> bytes:
+        """Returns the whole as a binary glTF."""
+        starts, sizes = [], []
+        for index, buffer in enumerate(self.document.get("buffers", [])):
+            content = self._buffer(index, buffer)
+            starts.append(self._add(content))
+            sizes.append(len(content))
+        views = [self._moved(view, starts, sizes) for view in self.document.get("bufferViews", [])]
+        images = [self._image(image, views) for image in self.document.get("images", [])]
+        document = self.document | {"bufferViews": views, "images": images, "buffers": [{"byteLength": self.size}]}
+        text = json.dumps(document, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        total = 28 + len(text) + self.size
+        head = struct.pack("<4s4I", _MAGIC, 2, total, len(text), _JSON_CHUNK)
+        return b"".join((head, text, struct.pack("<2I", self.size, _BIN_CHUNK), *self.chunks))
+
+    def _add(self, content: bytes) -> int:
+        """Adds content to the chunk; returns where it starts."""
+        start, filler = self.size, -len(content) % 4
+        self.size += len(content) + filler
+        if self.size > self.max_bytes:
+            self.fail(f"its buffers and images have {self.size} bytes", f"at most {self.max_bytes}", "mesh_too_large")
+        self.chunks += (content, bytes(filler))
+        return start
+
+    def _buffer(self, index: int, buffer: dict[str, Any]) -> bytes:
+        uri = buffer.get("uri")
+        if uri is None:
+            if index or self.binary is None:
+                self.fail(f"buffer {index} has no content", "a uri, or a GLB with a binary chunk; export it again")
+            return self.binary
+        return _of_data_address(uri) if uri.startswith("data:") else self.companions.part(uri)
+
+    def _moved(self, view: dict[str, Any], starts: list[int], sizes: list[int]) -> dict[str, Any]:
+        """A view of a buffer as a view of the one chunk."""
+        buffer, offset, length = view["buffer"], view.get("byteOffset", 0), view["byteLength"]
+        if not all(type(n) is int and n >= 0 for n in (buffer, offset, length)) or offset + length > sizes[buffer]:
+            self.fail(f"a bufferView ends at byte {offset + length} of {sizes[buffer]}", "a whole file; copy it again")
+        return view | {"buffer": 0, "byteOffset": starts[buffer] + offset}
+
+    def _image(self, image: dict[str, Any], views: list[dict[str, Any]]) -> dict[str, Any]:
+        """An image as a view of the chunk; without one if its file is missing or refused."""
+        uri = image.get("uri")
+        if not isinstance(uri, str):
+            return image
+        content = _of_data_address(uri) if uri.startswith("data:") else self.companions.image(uri)
+        left = {key: value for key, value in image.items() if key != "uri"}
+        if content is None:
+            return left
+        views.append({"buffer": 0, "byteOffset": self._add(content), "byteLength": len(content)})
+        return left | {"bufferView": len(views) - 1}
+
+
+def _of_data_address(uri: str) -> bytes:
+    """The content of a ``data:`` address."""
+    kind, _, data = uri.partition(",")
+    return base64.b64decode(data) if kind.endswith(";base64") else unquote_to_bytes(data)
