@@ -80,7 +80,8 @@ class Boundary:
 
         Args:
             reference: As it stands in the file: relative to ``base``, with slashes or backslashes, or ``model://NAME/…`` and
-                ``package://NAME/…`` with a folder of that name anywhere above ``base`` or directly in the folder.
+                ``package://NAME/…`` with a folder of that name above ``base`` or beside one of these; without such a folder, the rest
+                of the path from one of them.
             base: The folder of the file that refers to it, relative to the folder.
 
         Raises:
@@ -114,6 +115,8 @@ class Boundary:
                 yield (folder / name / words).as_posix()
             if self.root.name == name:
                 yield words
+            for folder in (base, *base.parents):  # the folder of the model or the package has another name here
+                yield (folder / words).as_posix()
 
     def _inside(self, reference: str, place: str) -> str | None:
         """A place as a path of an existing file in the folder; None if there is none."""
@@ -126,21 +129,32 @@ class Boundary:
             raise self._error(
                 reference, "leaves the folder", "a path inside of it; copy the file into the folder", "path_outside"
             )
-        if not found.is_file():
-            found = self._in_other_case(Path(os.path.normpath(path))) or found
-        return found.relative_to(self.root).as_posix() if found.is_file() else None
+        inside = found.relative_to(self.root)
+        if found.is_file():
+            return inside.as_posix()
+        other = self._in_other_case(inside)
+        return other.as_posix() if other is not None and (self.root / other).is_file() else None
 
     def _in_other_case(self, path: Path) -> Path | None:
-        """The one file of a folder whose name differs in case or composition of letters alone: other systems ignore these."""
+        """A path whose names differ in case or composition of letters alone, as other systems ignore these; None if none or several.
+
+        Links are not followed.
+        """
 
         def plain(name: str) -> str:
             return unicodedata.normalize("NFC", name).casefold()
 
-        try:
-            near = [p for p in path.parent.iterdir() if plain(p.name) == plain(path.name) and not p.is_symlink()]
-        except OSError:
-            return None
-        return near[0] if len(near) == 1 else None
+        found = Path()
+        for name in path.parts:
+            try:
+                with os.scandir(self.root / found) as entries:
+                    near = [e.name for e in entries if plain(e.name) == plain(name) and not e.is_symlink()]
+            except OSError:
+                return None
+            if name not in near and len(near) != 1:
+                return None
+            found /= name if name in near else near[0]
+        return found
 
     def read_bytes(self, path: str, *, most: int | None = None) -> bytes:
         """Reads a file that :meth:`resolve` or :meth:`files` returned.
@@ -175,6 +189,19 @@ class Boundary:
                 )
         return content
 
+    def read_head(self, path: str, size: int) -> bytes:
+        """Reads the first ``size`` bytes of a file that :meth:`files` or :meth:`resolve` returned; empty if it cannot be read.
+
+        The readers look there for the names of further files. It does not count as an opened file.
+        """
+        try:
+            if (self._inside(path, path) or "") != path:
+                return b""
+            with (self.root / path).open("rb") as file:
+                return file.read(size)
+        except (OSError, MeshError):
+            return b""
+
     def _error(self, path: str, found: str, expected: str, code: str) -> MeshError:
         return MeshError(f"{quote_value(path)} {found}, expected {expected}", code)
 
@@ -190,8 +217,8 @@ def asset_id_of(name: str) -> str:
 
 
 def renamed_notice(asset_id: str, name: str) -> Notice | None:
-    """The warning that an identifier differs from the name in the source; None if it does not."""
-    if asset_id == name:
+    """The warning that an identifier differs from the name in the source; None if the name could be one."""
+    if asset_id_of(name) == name:
         return None
     message = (
         f"asset {asset_id}: the source calls it {quote_value(name)}; the name has characters that an identifier cannot have"

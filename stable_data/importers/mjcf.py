@@ -28,12 +28,15 @@ import numpy as np
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.mesh import Mesh, double_areas, drop_unused_vertices
 from stable_data.geometry.mesh_colors import to_linear
-from stable_data.geometry.primitives import box_mesh, capsule_mesh, cylinder_mesh, ellipsoid_mesh, sphere_mesh
+from stable_data.geometry.primitive_shapes import box_triangles, capsule_triangles, cylinder_triangles, sphere_triangles
 from stable_data.geometry.surface import Surface
+from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary
+from stable_data.importers.closed_shapes import closed_mesh
 from stable_data.importers.mjcf_text import IsolatedModel, MjcfText
-from stable_data.importers.path_ids import path_ids, path_words
+from stable_data.importers.model_names import name_of_path
 from stable_data.importers.source import GivenInertial, GivenLicence, ReaderOptions, SourceAsset, SourceRef
+from stable_data.importers.stated_licences import LicenceFiles, licence_of_file
 from stable_data.json_text import quote_value
 from stable_data.scene import FloatArray, Vec3
 
@@ -69,12 +72,16 @@ class MjcfReader:
             if model is not None and model.is_object:
                 scenes[path] = model.includes
                 found[path] = tuple(dict.fromkeys((path, *model.includes, *_existing(model, boundary))))
-        objects = {path for path, includes in scenes.items() if not any(include in found for include in includes)}
-        for path, asset_id in path_ids({*objects, *failures}).items():
+        ids, licences = AssetIds(), LicenceFiles(root)
+        for path in sorted({*found, *failures}):
             if path in failures:
+                asset_id = ids.of_path(name_of_path(path, root.root.name), path)
                 yield Notice(asset_id, "find", failures[path].code, f"asset {asset_id}: {failures[path]}")
-            else:
-                yield SourceRef(asset_id, path, found[path])
+            elif not any(include in found for include in scenes[path]):
+                licence = licences.nearest(path)
+                files = found[path] if licence is None else tuple(dict.fromkeys((*found[path], licence)))
+                entry = {} if licence is None else {"licence_file": licence}
+                yield SourceRef(ids.of_path(name_of_path(path, root.root.name), path), path, files, entry)
 
     def read(self, root: Boundary, ref: SourceRef, options: ReaderOptions) -> SourceAsset:
         """Reads a model.
@@ -121,13 +128,17 @@ class _ModelReader:
         if not any(len(surface.triangles) for surface in surfaces):
             self._fail("has nothing that is seen", "a geom that is not transparent", "mesh_empty")
         colliders = [shapes.collider(int(geom)) for geom in np.flatnonzero(collides)]
-        licence = self.text.statement("license", "licence", "copyright")
+        licence, licence_file = self.text.statement("license", "licence", "copyright"), self.ref.entry.get("licence_file")
+        licences = [GivenLicence(licence, PurePosixPath(self.ref.path).name)] if licence else []
+        if licence_file and (stated := licence_of_file(self.root, licence_file)) is not None:
+            licences.append(stated)
         return SourceAsset(
             asset_id=self.ref.asset_id,
-            name=path_words(self.ref.path)[-1],
+            name=name_of_path(self.ref.path, self.root.root.name),
             surfaces=surfaces,
             unit_m=1.0,
             is_upright=shapes.is_upright(),
+            front=self.options.front_direction,
             colliders=tuple(collider for collider in colliders if collider is not None),
             inertial=shapes.inertial(says_total=self.text.says_total_mass),
             friction=self._friction(shapes, colliders) if self.text.says_friction else None,
@@ -135,7 +146,7 @@ class _ModelReader:
             description=self.text.statement("description"),
             author=self.text.statement("author", "creator"),
             url=self.text.statement("url", "source"),
-            licences=(GivenLicence(licence, PurePosixPath(self.ref.path).name),) if licence else (),
+            licences=tuple(licences),
             num_joints=shapes.num_joints,
             notices=tuple(self.notices),
         )
@@ -299,15 +310,15 @@ class _Shapes:
             vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
             return Mesh(vertices, model.mesh_face[start : start + model.mesh_facenum[mesh]])
         if kind == _type("mjGEOM_BOX"):
-            return box_mesh(2 * size)
+            return closed_mesh(box_triangles() * 2 * size)
         if kind == _type("mjGEOM_SPHERE"):
-            return sphere_mesh(size[0])
+            return closed_mesh(sphere_triangles() * size[0])
         if kind == _type("mjGEOM_ELLIPSOID"):
-            return ellipsoid_mesh(size)
+            return closed_mesh(sphere_triangles() * size)
         if kind == _type("mjGEOM_CYLINDER"):
-            return cylinder_mesh(size[0], 2 * size[1])
+            return closed_mesh(cylinder_triangles(size[0], 2 * size[1]))
         assert kind == _type("mjGEOM_CAPSULE"), kind  # planes and height fields were refused
-        return capsule_mesh(size[0], 2 * size[1])
+        return closed_mesh(capsule_triangles(size[0], 2 * size[1]))
 
     def in_world(self, geom: int, points: FloatArray) -> FloatArray:
         """Points (..., 3) of a geom's frame in the frame of the model."""

@@ -61,7 +61,7 @@ def parse_xml(content: bytes, path: str) -> ET.Element:
     parser.CharacterDataHandler = tree.data
     parser.StartDoctypeDeclHandler = tree.refuse
     try:
-        parser.Parse(content, True)
+        parser.Parse(content.removeprefix(b"\xef\xbb\xbf").lstrip(), True)  # many files have blanks before the declaration
     except (expat.ExpatError, ValueError, LookupError) as error:
         if isinstance(error, MeshError):
             raise
