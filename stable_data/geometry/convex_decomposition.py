@@ -110,7 +110,7 @@ class _Cutting:
     def __init__(self, mesh: Mesh, max_parts: int = 32, tolerance: float = 0.01) -> None:
         self.center, self.extent = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2, float(mesh.extents.max())
         self._unit, self._max_parts, self._tolerance = self.in_units(mesh), max_parts, tolerance
-        hull = _hull(self._unit.vertices) or _thick_hull(self._unit.vertices, _SHELL)
+        hull = convex_hull(self._unit.vertices) or _thick_hull(self._unit.vertices, _SHELL)
         if hull is None:
             message = f"mesh with extents {mesh.extents}: no convex hull has a volume, expected a surface that is not flat"
             raise MeshError(message, "convex_failed")
@@ -120,7 +120,7 @@ class _Cutting:
 
     def choose(self, given: Sequence[ConvexPart]) -> tuple[tuple[Mesh, ...], str]:
         """Chooses the parts, in units, and names the method."""
-        parts = tuple(filter(None, (_hull(self.in_units(part).vertices) for part in given)))
+        parts = tuple(filter(None, (convex_hull(self.in_units(part).vertices) for part in given)))
         if parts and max(self.overfill(parts)[0], self.uncovered(parts)[0]) <= self._tolerance:
             return parts, "given"
         parts, method = (), ""
@@ -143,7 +143,7 @@ def _divide(unit: Mesh, max_parts: int, tolerance: float) -> tuple[tuple[Mesh, .
     if solid is None:
         return _vhacd(unit, max_parts), "vhacd"
     plates = plates[: max_parts // 2]
-    hulls = [_hull(_mesh(piece.solid).vertices) for piece in _cut_repeatedly(solid, max_parts - len(plates), tolerance)]
+    hulls = [convex_hull(_mesh(piece.solid).vertices) for piece in _cut_repeatedly(solid, max_parts - len(plates), tolerance)]
     return (*(hull for hull in hulls if hull is not None), *plates), "cuts"
 
 
@@ -236,7 +236,7 @@ def _shell(unit: Mesh) -> Mesh:
     )
 
 
-def _hull(points: FloatArray) -> Mesh | None:
+def convex_hull(points: FloatArray) -> Mesh | None:
     """Convex hull of points (P, 3), None if they are flat. By Qhull, because hulls of manifold3d may fold at slivers."""
     try:
         hull = ConvexHull(points)
@@ -251,7 +251,7 @@ def _hull(points: FloatArray) -> Mesh | None:
 def _thick_hull(points: FloatArray, thickness: float) -> Mesh | None:
     """Hull of flat points (P, 3), moved apart across their plane so that the hull has a volume."""
     offset = _flattest_direction(points) * thickness / 2
-    return _hull(np.concatenate([points + offset, points - offset]))
+    return convex_hull(np.concatenate([points + offset, points - offset]))
 
 
 def _empty_volume(solid: Solid) -> float:
@@ -351,7 +351,7 @@ def _vhacd(unit: Mesh, max_parts: int) -> tuple[Mesh, ...]:
     found = vhacdx.compute_vhacd(
         few.vertices, few.faces.astype(np.uint32), maxConvexHulls=max_parts, resolution=100_000, asyncACD=False
     )
-    return tuple(filter(None, (_hull(np.asarray(points, np.float64)) for points, _ in found)))
+    return tuple(filter(None, (convex_hull(np.asarray(points, np.float64)) for points, _ in found)))
 
 
 def _overfill(unit: Mesh, parts: tuple[Mesh, ...]) -> tuple[float, float]:

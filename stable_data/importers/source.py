@@ -34,6 +34,14 @@ class ReaderOptions:
     unit_m: float = 0.0
     max_faces: int = 12_000_000
 
+    @property
+    def front_direction(self) -> Vec3 | None:
+        """The unit vector of ``front``; None if it is not known."""
+        if not self.front:
+            return None
+        x, y, z = ((-1.0 if self.front.startswith("-") else 1.0) * (name == self.front[-1]) for name in "xyz")
+        return x, y, z
+
 
 @dataclass(frozen=True, slots=True)
 class SourceRef:

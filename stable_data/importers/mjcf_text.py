@@ -1,0 +1,245 @@
+"""MJCF text made safe: includes in place, and no name of a file left that MuJoCo could open by itself."""
+
+import copy
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import NoReturn
+from xml.etree.ElementTree import Element, tostring
+
+from stable_data.errors import MeshError
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
+from stable_data.json_text import quote_value
+
+_MOST_LEVELS = 8  # includes within includes
+_MOST_ELEMENTS = 200_000
+_MODEL = re.compile(rb"<mujoco[\s/>]")
+_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+_DIRECTORIES = {"mesh": "meshdir", "texture": "texturedir"}
+# What could execute code, has files of its own, or makes much out of few words; no rigid object needs it.
+_REFUSED = frozenset(
+    {"attach", "composite", "deformable", "extension", "flex", "flexcomp", "hfield", "plugin", "replicate", "skin"}
+)
+# Sections that do not shape a rigid body; some of them reserve memory.
+_DROPPED = frozenset(
+    {"actuator", "contact", "custom", "equality", "keyframe", "option", "sensor", "size", "statistic", "tendon", "visual"}
+)
+_COMPILER_DROPPED = ("assetdir", "discardvisual", "fusestatic", "meshdir", "strippath", "texturedir")
+_TEXTURE_KEPT = ("name", "type")
+
+
+@dataclass(frozen=True, slots=True)
+class Texture:
+    """A texture of a model.
+
+    Attributes:
+        reference: The name of its image as it stands in the model, with the directory of textures; empty without a file.
+        is_mirrored: Whether the image is mirrored from left to right, and from top to bottom.
+        colour: Mean display colour of a texture that is made without a file, red, green, blue; white for others.
+    """
+
+    reference: str
+    is_mirrored: tuple[bool, bool]
+    colour: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IsolatedModel:
+    """A model that MuJoCo compiles without any file.
+
+    Attributes:
+        text: The model. Its meshes name entries of ``meshes``; its textures have one pixel.
+        meshes: Name -> content of the file.
+        textures: Name of a texture -> what the model says about it.
+    """
+
+    text: str
+    meshes: Mapping[str, bytes]
+    textures: Mapping[str, Texture]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MjcfText:
+    """A model with all its includes in place.
+
+    Attributes:
+        path: Its file, relative to the folder.
+        root: The element ``mujoco``.
+        includes: The files that were put in place, relative to the folder.
+    """
+
+    path: str
+    root: Element
+    includes: tuple[str, ...]
+
+    @classmethod
+    def load(cls, boundary: Boundary, path: str) -> "MjcfText | None":
+        """Reads a model and what it includes.
+
+        Returns:
+            The model; None if the file is no model, but other XML or a fragment that models include.
+
+        Raises:
+            MeshError: ``model_unreadable``, ``cyclic_reference``, or a code of the boundary.
+        """
+        content = boundary.read_bytes(path, most=MOST_BYTES)
+        if _MODEL.search(content) is None:
+            return None
+        root = parse_xml(content, path)
+        if root.tag != "mujoco":
+            return None
+        included: list[str] = []
+        _put_includes_in_place(boundary, root, (path,), included)
+        return cls(path, root, tuple(included))
+
+    @property
+    def base(self) -> str:
+        """The folder that names of files refer to, relative to the source folder."""
+        return PurePosixPath(self.path).parent.as_posix()
+
+    @property
+    def is_object(self) -> bool:
+        """Whether something of the model has a shape."""
+        return any(world.find(".//geom") is not None for world in self.root.iter("worldbody"))
+
+    @property
+    def says_friction(self) -> bool:
+        """Whether the friction of any geom is stated."""
+        return any("friction" in geom.attrib for geom in self.root.iter("geom"))
+
+    @property
+    def says_total_mass(self) -> bool:
+        """Whether the model states the mass of all its bodies together."""
+        try:
+            return float(self._compiler("settotalmass") or -1) > 0
+        except ValueError:
+            return False
+
+    def statement(self, *names: str) -> str:
+        """What the first text of the section ``custom`` with one of these names says; empty if there is none."""
+        texts = (text for custom in self.root.iter("custom") for text in custom.iter("text"))
+        return next((t.get("data", "").strip()[:1000] for t in texts if t.get("name", "").lower() in names), "")
+
+    def references(self) -> Iterator[str]:
+        """The names of files of meshes and textures as they stand in the model, with their directories."""
+        for element in self._assets():
+            yield from (self._reference(element, name) for name in _FILES if name in element.attrib)
+
+    def isolated(self, boundary: Boundary) -> IsolatedModel:
+        """Reads the meshes and returns the model with all names of files replaced.
+
+        Raises:
+            MeshError: ``model_unsupported``: it has elements that no rigid object needs; or a code of the boundary.
+        """
+        for element in self.root.iter():
+            if element.tag in _REFUSED or (element.tag == "mesh" and "builtin" in element.attrib):
+                self._fail(f"has an element {quote_value(element.tag)} that is not read", "a rigid object", "model_unsupported")
+        model = MjcfText(self.path, copy.deepcopy(self.root), self.includes)
+        meshes: dict[str, bytes] = {}
+        textures: dict[str, Texture] = {}
+        assets = list(model._assets())
+        for element in assets:
+            if element.tag == "mesh":
+                model._replace_mesh(element, meshes, boundary)
+            else:
+                model._replace_texture(element, textures)
+        known = set(map(id, assets))
+        if any(name in element.attrib for element in model.root.iter() if id(element) not in known for name in _FILES):
+            self._fail("names a file outside of its assets", "files of meshes and textures alone", "model_unsupported")
+        for compiler in model.root.iter("compiler"):
+            for name in _COMPILER_DROPPED:
+                compiler.attrib.pop(name, None)
+        for section in [child for child in model.root if child.tag in _DROPPED]:
+            model.root.remove(section)
+        return IsolatedModel(tostring(model.root, encoding="unicode"), meshes, textures)
+
+    def _assets(self) -> Iterator[Element]:
+        for asset in self.root.iter("asset"):
+            yield from (element for element in asset if element.tag in _DIRECTORIES)
+
+    def _compiler(self, name: str) -> str:
+        values = [c.attrib[name] for c in self.root.iter("compiler") if name in c.attrib]
+        return values[-1] if values else ""
+
+    def _reference(self, element: Element, attribute: str) -> str:
+        file = element.attrib[attribute].replace("\\", "/")
+        if self._compiler("strippath").lower() == "true":
+            file = PurePosixPath(file).name
+        folder = self._compiler(_DIRECTORIES[element.tag]) or self._compiler("assetdir")
+        return f"{folder}/{file}" if folder and not file.startswith("/") else file
+
+    def _replace_mesh(self, element: Element, meshes: dict[str, bytes], boundary: Boundary) -> None:
+        if "file" not in element.attrib:
+            return
+        path = boundary.resolve(self._reference(element, "file"), self.base)
+        name = f"{len(meshes)}{PurePosixPath(path).suffix.lower()}"
+        meshes[name] = boundary.read_bytes(path)
+        element.attrib.setdefault("name", PurePosixPath(element.attrib["file"].replace("\\", "/")).stem)
+        element.attrib.pop("content_type", None)
+        element.attrib["file"] = name
+
+    def _replace_texture(self, element: Element, textures: dict[str, Texture]) -> None:
+        """Records a texture and replaces it by a pixel: MuJoCo would decode images of any size, and PNG alone."""
+        files = [self._reference(element, name) for name in _FILES if name in element.attrib]
+        if "file" in element.attrib:
+            element.attrib.setdefault("name", PurePosixPath(element.attrib["file"].replace("\\", "/")).stem)
+        mirrored = element.get("hflip", "").lower() == "true", element.get("vflip", "").lower() == "true"
+        colour = (1.0, 1.0, 1.0) if files else _mean_colour(element)
+        textures[element.get("name", "")] = Texture(files[0] if files else "", mirrored, colour)
+        kept = {name: element.attrib[name] for name in _TEXTURE_KEPT if name in element.attrib}
+        element.attrib.clear()
+        element.attrib.update(kept, builtin="flat", width="1", height="1")
+
+    def _fail(self, found: str, expected: str, code: str) -> NoReturn:
+        raise MeshError(f"{quote_value(self.path)} {found}, expected {expected}", code)
+
+
+def _mean_colour(texture: Element) -> tuple[float, float, float]:
+    """Mean display colour of a texture that MuJoCo makes: of one colour, or of two."""
+
+    def colour(name: str, default: float) -> list[float]:
+        try:
+            values = [min(1.0, max(0.0, float(word))) for word in texture.get(name, "").split()]
+        except ValueError:
+            values = []
+        return values if len(values) == 3 else [default] * 3
+
+    one = colour("rgb1", 0.8)
+    two = one if texture.get("builtin") == "flat" else colour("rgb2", 0.5)
+    red, green, blue = ((a + b) / 2 for a, b in zip(one, two, strict=True))
+    return red, green, blue
+
+
+def _put_includes_in_place(boundary: Boundary, root: Element, trail: tuple[str, ...], included: list[str]) -> None:
+    """Replaces each ``include`` below an element by the children of the file's root, as MuJoCo does."""
+    for parent in list(root.iter()):
+        for include in [child for child in parent if child.tag == "include"]:
+            place = list(parent).index(include)
+            parent.remove(include)
+            path = _included(boundary, include.get("file", ""), trail)
+            if path in (*trail, *included) or len(trail) > _MOST_LEVELS:
+                message = f"{quote_value(trail[-1])} includes {quote_value(path)} again or too deep"
+                raise MeshError(f"{message}, expected each file once and at most {_MOST_LEVELS} levels", "cyclic_reference")
+            included.append(path)
+            fragment = parse_xml(boundary.read_bytes(path, most=MOST_BYTES), path)
+            _put_includes_in_place(boundary, fragment, (*trail, path), included)
+            parent[place:place] = list(fragment)
+    num = sum(1 for _ in root.iter())
+    if num > _MOST_ELEMENTS:
+        message = f"{quote_value(trail[0])} has {num} elements with its includes, expected at most {_MOST_ELEMENTS}"
+        raise MeshError(message, "model_unreadable")
+
+
+def _included(boundary: Boundary, reference: str, trail: tuple[str, ...]) -> str:
+    """An included file: MuJoCo seeks it from the folder of the model, and other tools from that of the including file."""
+    bases = dict.fromkeys(PurePosixPath(path).parent.as_posix() for path in (trail[0], trail[-1]))
+    failure: MeshError | None = None
+    for base in bases:
+        try:
+            return boundary.resolve(reference, base)
+        except MeshError as error:
+            failure = failure or error
+    assert failure is not None
+    raise failure

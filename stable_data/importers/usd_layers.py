@@ -1,0 +1,310 @@
+"""The layers of a USD file, loaded into memory with every reference inside the source folder.
+
+USD composes a stage from whatever files its layers name, anywhere. So each layer is opened alone, as an anonymous layer; each name of
+a layer in it is resolved by the boundary, loaded in the same way and replaced by the anonymous layer; all other names of files are
+replaced by keys. The stage that USD then composes names no file at all.
+"""
+
+import io
+import posixpath
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath
+from typing import Any
+
+from stable_data.errors import ConfigError, MeshError
+from stable_data.extras import install_hint
+from stable_data.importers.boundary import Boundary
+from stable_data.json_text import quote_value
+
+SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+"""Files that are read."""
+
+_MOST_LEVELS = 16  # layers within layers
+_MOST_LAYERS = 200
+_MOST_MEMBERS = 2_000  # of a package
+_MOST_PRIMS = 100_000  # of a composed stage
+_MOST_DEPTH = 200  # of a prim
+
+
+@contextmanager
+def quiet_usd(path: str) -> Iterator[None]:
+    """Keeps the messages of USD from the terminal and turns its exceptions into errors of the toolkit.
+
+    Raises:
+        MeshError: ``model_unreadable``.
+        ConfigError: usd-core is not installed.
+    """
+    try:
+        from pxr import Tf, UsdUtils
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"{path}: reading USD {install_hint(error) or error}", "package_missing") from error
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        yield
+    except (Tf.ErrorException, Tf.CppException) as error:
+        found = " ".join(str(error).split())[:300]
+        message = f"{quote_value(path)}: USD cannot read it ({found}), expected a valid layer; export it again"
+        raise MeshError(message, "model_unreadable") from error
+    finally:
+        delegate.TakeUncoalescedDiagnostics()
+        del delegate
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Place:
+    """Where a file lies.
+
+    Attributes:
+        path: A file of the source folder, relative to it.
+        member: The name within it, if it is a package (usdz); else empty.
+    """
+
+    path: str
+    member: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.path}[{self.member}]" if self.member else self.path
+
+
+def _refusal(name: str, found: str, expected: str, code: str) -> MeshError:
+    return MeshError(f"{quote_value(name)} {found}, expected {expected}", code)
+
+
+@dataclass(slots=True)
+class LayerLoader:
+    """Loads the layers of one asset.
+
+    Attributes:
+        boundary: Where files may lie.
+        layers: The layers that were loaded.
+        names: Key of each file that is no layer, as the layers have it now -> the name that stood there, and the place of the layer.
+    """
+
+    boundary: Boundary
+    layers: dict[Place, Any] = field(default_factory=dict)
+    names: dict[str, tuple[str, Place]] = field(default_factory=dict)
+    _packages: dict[str, zipfile.ZipFile] = field(default_factory=dict)
+
+    def load(self, path: str) -> Any:
+        """Loads a file with all layers that it needs.
+
+        Returns:
+            Its layer, a ``Sdf.Layer`` that lives as long as this loader.
+
+        Raises:
+            MeshError: ``model_unreadable``, ``model_unsupported``, ``cyclic_reference``, ``mesh_too_large``, or a code of the boundary.
+        """
+        layer = self._load(self.place(path), ())
+        _PrimCount(self).check(layer, path)
+        return layer
+
+    def read_file(self, key: str) -> bytes:
+        """Reads a file that is no layer.
+
+        Args:
+            key: As the layers name it now.
+
+        Raises:
+            MeshError: A code of the boundary.
+        """
+        if key not in self.names:
+            raise _refusal(key, "is not named by a layer", "a file of a layer", "file_missing")
+        name, place = self.names[key]
+        found = self.resolve(name, place)
+        return self._member(found) if found.member else self.boundary.read_bytes(found.path)
+
+    def resolve(self, name: str, place: Place) -> Place:
+        """Where a name of a layer points to.
+
+        Raises:
+            MeshError: ``path_outside``, ``file_missing``, or ``model_unsupported`` for a name that is computed.
+        """
+        if name.startswith("`") or "<UDIM>" in name:
+            raise _refusal(name, "is no name of a file but a pattern", "the name of a file", "model_unsupported")
+        file, _, member = name.removesuffix("]").partition("[") if name.endswith("]") else (name, "", "")
+        if place.member:
+            return self._within(name, place)
+        return self.place(self.boundary.resolve(file, PurePosixPath(place.path).parent.as_posix()), member)
+
+    def opened(self, place: Place) -> Any:
+        """Opens a layer alone, without what it names.
+
+        Raises:
+            MeshError: ``model_unreadable`` or a code of the boundary.
+        """
+        from pxr import Sdf
+
+        if PurePosixPath(place.member or place.path).suffix.lower() not in SUFFIXES[:3]:
+            raise _refusal(str(place), "is no layer", f"a file of the kinds {', '.join(SUFFIXES)}", "model_unreadable")
+        if not place.member:
+            self.boundary.read_bytes(place.path)  # counts it, and refuses what is too large
+        with quiet_usd(str(place)):
+            layer = Sdf.Layer.OpenAsAnonymous(str(Place(str(self.boundary.root / place.path), place.member)))
+        if layer is None:
+            raise _refusal(str(place), "is no layer that USD can read", "a valid layer; export it again", "model_unreadable")
+        return layer
+
+    def _load(self, place: Place, trail: tuple[Place, ...]) -> Any:
+        from pxr import UsdUtils
+
+        if place in trail or len(trail) > _MOST_LEVELS:
+            found = "is part of itself" if place in trail else f"is at the end of {len(trail)} layers, each within the other"
+            raise _refusal(str(place), found, f"layers without circles, at most {_MOST_LEVELS} levels", "cyclic_reference")
+        if place in self.layers:
+            return self.layers[place]
+        if len(self.layers) >= _MOST_LAYERS:
+            raise _refusal(
+                str(place), f"is one of more than {_MOST_LAYERS} layers", "fewer; flatten the asset", "file_too_large"
+            )
+        layer = self.opened(place)
+        parts, others = layer_names(layer)
+        anonymous = {name: self._load(self.resolve(name, place), (*trail, place)).identifier for name in parts}
+        for name in others:
+            key = f"held-{len(self.names)}{PurePosixPath(name).suffix.lower()}"
+            self.names[key] = name, place
+            anonymous[name] = key
+        with quiet_usd(str(place)):
+            UsdUtils.ModifyAssetPaths(layer, lambda name: anonymous.get(name, ""))
+        left = set(layer.GetCompositionAssetDependencies()) - {"", *anonymous.values()}
+        if left:
+            raise _refusal(
+                str(place), f"names a layer that is not followed, {quote_value(min(left))}", "a reference", "model_unsupported"
+            )
+        self.layers[place] = layer
+        return layer
+
+    def place(self, path: str, member: str = "") -> Place:
+        """A file, or the member of a package: the first one if none is named."""
+        if PurePosixPath(path).suffix.lower() != ".usdz":
+            if member:
+                raise _refusal(f"{path}[{member}]", "is no package", "a usdz file", "file_missing")
+            return Place(path)
+        names = self._package(path).namelist()
+        if member and member not in names:
+            raise _refusal(f"{path}[{member}]", "does not exist", "a member of the package", "file_missing")
+        return Place(path, member or names[0])
+
+    def _within(self, name: str, place: Place) -> Place:
+        """A name within a package, seen from one of its members, or from its root."""
+        folder = PurePosixPath(place.member).parent
+        for base in dict.fromkeys((folder, PurePosixPath())):
+            member = posixpath.normpath((base / name.replace("\\", "/")).as_posix())
+            if name.startswith("/") or ":" in name or member.startswith("../"):
+                raise _refusal(name, "leaves the package", "a path inside of it", "path_outside")
+            if member in self._package(place.path).namelist():
+                return Place(place.path, member)
+        raise _refusal(name, "does not exist", f"a member of the package {quote_value(place.path)}", "file_missing")
+
+    def _package(self, path: str) -> zipfile.ZipFile:
+        if path not in self._packages:
+            content = self.boundary.read_bytes(path)
+            try:
+                package = zipfile.ZipFile(io.BytesIO(content))
+            except (zipfile.BadZipFile, ValueError, OverflowError, NotImplementedError) as error:
+                message = f"{quote_value(path)} is no package ({error}), expected a usdz file; export it again"
+                raise MeshError(message, "model_unreadable") from error
+            members = package.infolist()
+            if not 0 < len(members) <= _MOST_MEMBERS:
+                raise _refusal(path, f"has {len(members)} members", f"1 to {_MOST_MEMBERS}", "model_unreadable")
+            if any(member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1 for member in members):
+                raise _refusal(
+                    path, "has compressed or encrypted members", "a usdz file, which stores them plainly", "archive_bomb"
+                )
+            if sum(member.file_size for member in members) > len(content):
+                raise _refusal(path, "states larger members than it has bytes", "a valid usdz file", "archive_bomb")
+            self._packages[path] = package
+        return self._packages[path]
+
+    def _member(self, place: Place) -> bytes:
+        try:
+            return self._package(place.path).read(place.member)
+        except (KeyError, zipfile.BadZipFile, EOFError, ValueError, NotImplementedError) as error:
+            raise MeshError(f"{quote_value(str(place))} cannot be read ({error})", "file_missing") from error
+
+
+def layer_names(layer: Any) -> tuple[list[str], list[str]]:
+    """Returns the names of files in a layer as they stand there: those of layers that are composed into it, and all others.
+
+    Value clips, which change over time and are found by patterns, are removed from the layer.
+    """
+    from pxr import Sdf, UsdUtils
+
+    with_clips = list[Any]()
+
+    def look(path: Any) -> None:
+        spec = layer.GetObjectAtPath(path)
+        if isinstance(spec, Sdf.PrimSpec) and spec.HasInfo("clips"):
+            with_clips.append(spec)
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    for spec in with_clips:
+        spec.ClearInfo("clips")
+    names = dict[str, None]()
+
+    def note(name: str) -> str:
+        names[name] = None
+        return name
+
+    UsdUtils.ModifyAssetPaths(layer, note)
+    parts = set(filter(None, layer.GetCompositionAssetDependencies()))  # an empty name means the layer itself
+    return sorted(parts), [name for name in names if name and name not in parts]
+
+
+@dataclass(slots=True)
+class _PrimCount:
+    """Estimates the prims of a stage from above, before it is composed: few words can ask for any number of them."""
+
+    loader: LayerLoader
+    known: dict[tuple[str, str], int] = field(default_factory=dict)
+    by_name: dict[str, Any] = field(default_factory=dict)
+
+    def check(self, layer: Any, path: str) -> None:
+        self.by_name = {one.identifier: one for one in self.loader.layers.values()}
+        num = sum(self._below(layer, prim) for prim in self._roots(layer))
+        if num > _MOST_PRIMS:
+            message = f"{quote_value(path)} composes {num} prims or more, expected at most {_MOST_PRIMS}; simplify the asset"
+            raise MeshError(message, "mesh_too_large")
+
+    def _stack(self, layer: Any, depth: int = 0) -> list[Any]:
+        below = [self.by_name[name] for name in layer.subLayerPaths if name in self.by_name]
+        return [layer, *(one for part in below for one in self._stack(part, depth + 1))]
+
+    def _roots(self, layer: Any) -> list[str]:
+        return sorted({str(prim.path) for one in self._stack(layer) for prim in one.rootPrims})
+
+    def _below(self, layer: Any, path: str, depth: int = 0) -> int:
+        """Prims at and below a path of a layer with its sublayers; at most a little more than the limit."""
+        key = layer.identifier, path
+        if key in self.known:
+            return self.known[key]
+        if depth > _MOST_DEPTH:
+            raise MeshError(
+                f"{quote_value(path)} is nested too deep, expected at most {_MOST_DEPTH} levels", "model_unreadable"
+            )
+        self.known[key] = 0  # a circle adds nothing
+        num = 1
+        for one in self._stack(layer):
+            spec = one.GetPrimAtPath(path)
+            if spec is None:
+                continue
+            variants = [variant.primSpec for choices in spec.variantSets for variant in choices.variants]
+            for part in (spec, *variants):
+                num += sum(self._below(layer, str(child.path), depth + 1) for child in part.nameChildren)
+                num += sum(self._below(*target, depth + 1) for target in self._targets(layer, part))
+                if num > _MOST_PRIMS:
+                    break
+        self.known[key] = num
+        return num
+
+    def _targets(self, layer: Any, spec: Any) -> Iterator[tuple[Any, str]]:
+        for arc in (*spec.referenceList.GetAddedOrExplicitItems(), *spec.payloadList.GetAddedOrExplicitItems()):
+            target = self.by_name.get(arc.assetPath) if arc.assetPath else layer
+            if target is not None:
+                path = str(arc.primPath) or f"/{target.defaultPrim}" if target.defaultPrim else str(arc.primPath)
+                if path and path != "/":
+                    yield target, path
+        for arc in (*spec.inheritPathList.GetAddedOrExplicitItems(), *spec.specializesList.GetAddedOrExplicitItems()):
+            yield layer, str(arc)

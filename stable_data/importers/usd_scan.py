@@ -1,0 +1,139 @@
+"""What each layer of a folder says by itself, found in a process of its own: USD's parser may end it."""
+
+import json
+import os
+import select
+import subprocess
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from stable_data.errors import MeshError
+from stable_data.importers.boundary import Boundary, FileLimits
+from stable_data.importers.usd_layers import LayerLoader, layer_names, quiet_usd
+from stable_data.json_text import quote_value
+
+_SECONDS = 60.0  # for one layer
+_MOST_ANSWER = 16 * 2**20  # bytes
+
+
+@dataclass(frozen=True, slots=True)
+class LayerFacts:
+    """What a layer says by itself.
+
+    Attributes:
+        has_default: Whether it has a default prim.
+        num_roots: Root prims that it defines.
+        parts: The layers that it is composed of, relative to the folder, as far as they exist.
+        files: Its other files, likewise.
+    """
+
+    has_default: bool
+    num_roots: int
+    parts: tuple[str, ...]
+    files: tuple[str, ...]
+
+    @classmethod
+    def of(cls, boundary: Boundary, path: str) -> "LayerFacts":
+        """Parses a layer, without those that it names.
+
+        Raises:
+            MeshError: It cannot be read.
+        """
+        from pxr import Sdf
+
+        loader = LayerLoader(boundary)
+        place = loader.place(path)
+        with quiet_usd(path):
+            layer = loader.opened(place)
+            parts, others = layer_names(layer)
+            num_roots = sum(prim.specifier == Sdf.SpecifierDef for prim in layer.rootPrims)
+            has_default = bool(layer.defaultPrim)
+        if place.member:
+            return cls(True, num_roots, (), ())
+        found: tuple[list[str], list[str]] = [], []
+        for names, known in zip((parts, others), found, strict=True):
+            for name in names:
+                try:
+                    known.append(loader.resolve(name, place).path)
+                except MeshError:
+                    continue
+        return cls(has_default, num_roots, tuple(found[0]), tuple(found[1]))
+
+
+class LayerScanner:
+    """Looks at the layers of a folder in a process of its own; a layer that ends it or takes too long costs that layer alone.
+
+    Args:
+        root: The folder.
+    """
+
+    def __init__(self, root: Boundary) -> None:
+        self._root = root
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> "LayerScanner":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop()
+
+    def __call__(self, path: str) -> LayerFacts:
+        """Returns what a layer says.
+
+        Args:
+            path: Relative to the folder.
+
+        Raises:
+            MeshError: It cannot be read.
+        """
+        process = self._process = self._process or self._started()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            process.stdin.write(json.dumps(path).encode() + b"\n")
+            process.stdin.flush()
+            is_ready, _, _ = select.select([process.stdout], [], [], _SECONDS)
+            line = process.stdout.readline(_MOST_ANSWER) if is_ready else None
+        except OSError:
+            line = b""
+        if not line:
+            self._stop()
+            found = f"was not read in {_SECONDS:.0f} s" if line is None else "ends the process that reads it"
+            raise MeshError(f"{quote_value(path)} {found}, expected a valid layer; export it again", "model_unreadable")
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise MeshError(answer["error"], answer["code"])
+        return LayerFacts(answer["has_default"], answer["num_roots"], tuple(answer["parts"]), tuple(answer["files"]))
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        limits = json.dumps(asdict(self._root.limits))
+        command = [sys.executable, "-m", __name__, str(self._root.root), limits]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+        )
+
+    def _stop(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None
+
+
+def _answer_paths(root: Path, limits: FileLimits) -> None:
+    """Answers each path of standard input with what its layer says."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries may print
+    for line in sys.stdin.buffer:
+        try:
+            answer = asdict(LayerFacts.of(Boundary(root, limits), json.loads(line)))
+        except MeshError as error:
+            answer = {"error": str(error), "code": error.code}
+        answers.write(json.dumps(answer).encode() + b"\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    _answer_paths(Path(sys.argv[1]), FileLimits(**json.loads(sys.argv[2])))
