@@ -14,7 +14,7 @@ from importlib.resources import files
 import numpy as np
 
 from stable_data.assets.text_embeddings import TextEncoder
-from stable_data.importers.naming import Vocabulary, related_categories
+from stable_data.importers.conversion.naming import Vocabulary, related_categories
 from stable_data.scene import FloatArray
 
 RIGHT = math.log(1.5)
@@ -169,7 +169,7 @@ class SizeTable:
 def read_sizes(without: tuple[str, ...] = ()) -> Mapping[str, CategorySize]:
     """Reads the rows of ``sizes.csv`` and joins those of a category; ``without`` as in :class:`SizeTable`."""
     rows: dict[str, list[dict[str, str]]] = defaultdict(list)
-    text = files("stable_data.importers").joinpath("sizes.csv").read_text("utf-8")
+    text = files("stable_data.importers.conversion").joinpath("sizes.csv").read_text("utf-8")
     for row in csv.DictReader(text.splitlines()):
         if not row["source"].startswith(tuple(without)) or not without:
             rows[row["category"]].append(row)
