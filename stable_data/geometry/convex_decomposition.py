@@ -110,10 +110,10 @@ def is_true_to(mesh: Mesh, parts: Sequence[ConvexPart]) -> bool:
     Raises:
         MeshError: ``convex_failed``: the mesh is a line or a point.
     """
-    return bool(_Cutting(mesh).usable(parts))
+    return _Cutting(mesh, max_parts=1).choose(parts)[1] == "given"
 
 
-def convex_hull(mesh: Mesh) -> ConvexPart:
+def hull_of_mesh(mesh: Mesh) -> ConvexPart:
     """Returns the convex hull of a mesh, in its frame and unit; that of a flat mesh is 1 % of its largest extent thick.
 
     Raises:
@@ -137,17 +137,11 @@ class _Cutting:
         self.overfill = cache(partial(_overfill, self._unit))
         self.uncovered = cache(partial(_uncovered, self._unit))
 
-    def usable(self, given: Sequence[ConvexPart]) -> tuple[Mesh, ...]:
-        """The given parts, in units, if they are convex and within the tolerance; else none."""
-        parts = tuple(filter(None, (_hull(self.in_units(part).vertices) for part in given)))
-        is_true = bool(parts) and max(self.overfill(parts)[0], self.uncovered(parts)[0]) <= self._tolerance
-        return parts if is_true else ()
-
     def choose(self, given: Sequence[ConvexPart]) -> tuple[tuple[Mesh, ...], str]:
         """Chooses the parts, in units, and names the method."""
-        if usable := self.usable(given):
-            return usable, "given"
-        parts: tuple[Mesh, ...]
+        parts = tuple(filter(None, (_hull(self.in_units(part).vertices) for part in given)))
+        if parts and max(self.overfill(parts)[0], self.uncovered(parts)[0]) <= self._tolerance:
+            return parts, "given"
         parts, method = (), ""
         if self.overfill((self.hull,))[0] > max(self._tolerance, _SHELL):
             parts, method = _divide(self._unit, self._max_parts, self._tolerance)

@@ -12,7 +12,7 @@ from stable_data.assets.asset_rows import file_columns, part_columns, shape_colu
 from stable_data.assets.catalog import asset_sentence
 from stable_data.assets.text_embeddings import TextEncoder, embed_texts
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.convex_decomposition import convex_hull, is_true_to
+from stable_data.geometry.convex_decomposition import hull_of_mesh, is_true_to
 from stable_data.geometry.mesh import Mesh, drop_unused_vertices, signed_volumes
 from stable_data.geometry.mesh_colors import Paint, paint_of
 from stable_data.geometry.mesh_repair import MeshReport, drop_duplicate_faces, repair_mesh
@@ -326,7 +326,7 @@ def _part_columns(asset: SourceAsset, made: _MadeMesh, *, decomposes: bool) -> t
 def _is_convex(collider: Mesh) -> bool:
     volume = float(signed_volumes(collider.triangles).sum())
     try:
-        return float(signed_volumes(convex_hull(collider).triangles).sum()) <= _CONVEX * abs(volume)
+        return float(signed_volumes(hull_of_mesh(collider).triangles).sum()) <= _CONVEX * abs(volume)
     except MeshError:
         return False
 

@@ -13,7 +13,7 @@ from importlib.resources import files
 import numpy as np
 
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.convex_decomposition import convex_hull, inside_convex
+from stable_data.geometry.convex_decomposition import hull_of_mesh, inside_convex
 from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_repair import MeshReport
@@ -120,7 +120,7 @@ def _center_of_mass(
         return None, ()
     com = np.asarray(given.center_of_mass, np.float64) - center
     try:
-        hull = convex_hull(Mesh(mesh.vertices * (1 + 2 * _OUTSIDE), mesh.faces))
+        hull = hull_of_mesh(Mesh(mesh.vertices * (1 + 2 * _OUTSIDE), mesh.faces))
         is_inside = bool(np.isfinite(com).all()) and bool(inside_convex(hull, com[None])[0])
     except MeshError:
         is_inside = False

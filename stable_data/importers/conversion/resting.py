@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError
-from stable_data.geometry.convex_decomposition import ConvexPart, convex_hull
+from stable_data.geometry.convex_decomposition import ConvexPart, hull_of_mesh
 from stable_data.geometry.hollow import Hollow, upward_hollow
 from stable_data.geometry.mesh import Mesh
 from stable_data.rotations import heading, quat_of, rotation_matrix, tilt_of
@@ -101,7 +101,7 @@ def resting_poses(
     own = _Candidate(np.eye(3), 0.0, is_source=True)
     if not searches:
         return (RestingPose(UPRIGHT, 1),), "up_axis"
-    hull = convex_hull(mesh)
+    hull = hull_of_mesh(mesh)
     candidates = [own, *_quasi_static(hull)]
     rested = _dropped(candidates, hull, tuple(parts) or (hull,))
     if not rested:  # a needle or a ball that rolls: the source's axis is all that is known
@@ -127,7 +127,7 @@ def _quasi_static(hull: Mesh) -> list[_Candidate]:
     import trimesh
 
     step = float(hull.extents.max()) / _COARSE
-    coarse = convex_hull(Mesh(np.round(hull.vertices / step) * step, hull.faces))
+    coarse = hull_of_mesh(Mesh(np.round(hull.vertices / step) * step, hull.faces))
     solid = trimesh.Trimesh(coarse.vertices, coarse.faces, process=False)
     center = hull.vertices.mean(axis=0) if not solid.volume > 0 else solid.center_mass
     heights = np.einsum("ij,ij->i", center - solid.triangles_center, solid.face_normals)
