@@ -17,7 +17,7 @@ from stable_data.geometry.convex_decomposition import hull_of_mesh, inside_conve
 from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_repair import MeshReport
-from stable_data.importers.conversion.naming import related_categories
+from stable_data.importers.conversion.naming import Vocabulary
 from stable_data.importers.source import GivenInertial
 from stable_data.instructions.wording.words import type_words
 from stable_data.scene import FloatArray
@@ -29,6 +29,7 @@ _LIKELY = (5.0, 25_000.0)  # densities of solids, kg/m³: from foam to gold and 
 _OUTSIDE = 0.05  # by how much a centre of mass may lie outside of the hull, share of its size
 _ROUNDING = 1e-3  # relative error of an inertia that was written with few digits
 _LIGHTEST = 1e-3  # kilograms
+_MOST_DENSE = 2.0  # density of a thing of a dense material, relative to that of its category
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,12 +97,12 @@ def material_of(words: Iterable[str]) -> str | None:
 
 
 def _density(material: str | None, category: str) -> tuple[float, str]:
-    """Density, kg/m³, and what it rests on. A category that is known by material is weighed as a thing: a steel bottle is hollow."""
+    """Density, kg/m³, and what it rests on. A thing is rarely as dense as its material: a steel bottle is hollow."""
     densities = _densities()
-    of_category = next((densities["category", c] for c in related_categories(category) if ("category", c) in densities), None)
+    of_category = densities.get(("category", _weighed_categories().known(category)))
     if material is not None:
         own = densities["material", material]
-        return (own if of_category is None else min(own, 2 * of_category)), "material"
+        return (own if of_category is None else min(own, _MOST_DENSE * of_category)), "material"
     return (DEFAULT_DENSITY, "default") if of_category is None else (of_category, "category")
 
 
@@ -162,6 +163,11 @@ def _rows() -> tuple[Mapping[str, str], ...]:
 @lru_cache(maxsize=1)
 def _densities() -> Mapping[tuple[str, str], float]:
     return {(row["kind"], row["name"]): float(row["density"]) for row in _rows()}
+
+
+@lru_cache(maxsize=1)
+def _weighed_categories() -> Vocabulary:
+    return Vocabulary(name for kind, name in _densities() if kind == "category")
 
 
 @lru_cache(maxsize=1)
