@@ -8,11 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from stable_data.importers.readers import open_reader
-from stable_data.importers.sizes import set_scale
 from tqdm import tqdm
 
 import stable_data
+from models.text_encoder import load_default
 from pipelines.asset_import.report import write_import_report
 from pipelines.asset_import.settings import ImportSettings
 from pipelines.asset_import.shard import MEASURED, ImportStep, MeasureStep, SourceStep
@@ -24,7 +23,8 @@ from pipelines.preprocess.plan import file_digest
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.conversion import SetScale
+from stable_data.importers.conversion import ConversionContext, SetScale
+from stable_data.importers.readers import reader_of
 from stable_data.importers.source import SourceRef
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
@@ -78,7 +78,7 @@ class ImportJob(ShardJob):
     def __init__(self, kind: str, source: str, settings: ImportSettings) -> None:
         self.kind, self.settings = kind, settings
         self.root = Path(source).expanduser().resolve()
-        self.reader = open_reader(kind)
+        self.reader = reader_of(kind)
         self.boundary = Boundary(self.root)
         self.dataset = self.root.name
 
@@ -140,14 +140,16 @@ class ImportJob(ShardJob):
 
     def plan(self) -> Sequence[StepShards[Any]]:
         """The step that measures a sample of the assets, if the unit of some may not be known."""
-        refs = [ref for ref in self._listing.found if not self.reader.is_metric] if not self.settings.unit_m else []
-        chosen = refs[:: -(-len(refs) // _MOST_MEASURED)] if refs else []
+        # Files of all other kinds state their unit.
+        refs = self._listing.found if self.kind == "mesh" and not self.settings.unit_m else ()
+        chosen = refs[:: max(1, -(-len(refs) // _MOST_MEASURED))]
         return [StepShards(self._step(MeasureStep), self._shards(chosen, MEASURED))]
 
     def later_plans(self, folder: RunFolder) -> Iterator[Sequence[StepShards[Any]]]:
         """The step of all assets, with the unit that the sample shows."""
         rows = sorted(folder.table(MEASURED).to_pylist(), key=lambda row: str(row["asset_id"]))
-        found = set_scale([(row["category"], row["extents"]) for row in rows if row["extents"]])
+        sizes = ConversionContext(load_default()).sizes if rows else None
+        found = None if sizes is None else sizes.set_scale((row["category"], row["extents"]) for row in rows)
         shards = self._shards(self._listing.found, None if found is None else asdict(found))
         yield [StepShards(self._step(ImportStep, found), shards)]
 

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import ClassVar
 
 import pyarrow as pa
-from stable_data.importers.readers import open_reader
 
 from models.text_encoder import load_default
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows
+from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.conversion import ConversionContext, ConversionSettings, convert
+from stable_data.importers.conversion import ConversionContext, ConversionSettings, convert, extents_of
+from stable_data.importers.readers import reader_of
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.storage.table_rows import notice_row
 
@@ -51,33 +52,42 @@ class SourceStep(ItemStep[SourceRef]):
 
     def read(self, item: SourceRef) -> SourceAsset:
         """Reads an asset; its files are counted from zero."""
-        return open_reader(self.kind).read(Boundary(Path(self.root)), item, self.reading)
+        return reader_of(self.kind).read(Boundary(Path(self.root)), item, self.reading)
 
 
 @dataclass(frozen=True, slots=True)
 class MeasureStep(SourceStep):
-    """Measures the boxes of assets. An asset that cannot be read is no failure here: the step of assets reports it."""
+    """Measures the boxes of assets whose unit is not known. An asset that cannot be read is no failure here: the step of assets reports it."""
 
     TABLES: ClassVar = ("failures", MEASURED)
     SCHEMAS: ClassVar = {
         MEASURED: pa.schema(
             [
                 pa.field("asset_id", pa.string(), metadata={"meaning": "identifier of the asset"}),
-                pa.field("category", pa.string(), metadata={"meaning": "category; null if its unit is known"}),
+                pa.field("category", pa.string(), metadata={"meaning": "category"}),
                 pa.field(
                     "extents",
                     pa.list_(pa.float64()),
-                    metadata={
-                        "meaning": "extents of the bounding box in the unit of the file, z up; null if its unit is known"
-                    },
+                    metadata={"meaning": "extents of the bounding box in the unit of the file, z up"},
                 ),
             ]
         )
     }
 
+    def prepare(self, item: SourceRef) -> None:
+        """Loads the text encoder."""
+        _context().vocabulary  # noqa: B018 - computed on the first access
+
     def item_rows(self, item: SourceRef, progress: ItemProgress) -> Rows:
         """The row of one asset."""
-        return {MEASURED: []}
+        try:
+            asset = self.read(item)
+        except MeshError:
+            return {}
+        if asset.unit_m is not None or asset.size_m is not None:
+            return {}
+        name = _context().vocabulary.name(asset)
+        return {MEASURED: [{"asset_id": item.asset_id, "category": name.category, "extents": extents_of(asset.surfaces)}]}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,19 +1,15 @@
 """The rows of one asset: repaired mesh, mass properties, surface points, convex parts and signed-distance grids."""
 
-import hashlib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from pipelines.execution.item_progress import ItemProgress
+from stable_data.assets.asset_rows import file_columns, part_columns, shape_columns, volume_columns
 from stable_data.assets.store import AssetMesh, AssetStore, aspect_of
 from stable_data.errors import Notice
-from stable_data.geometry.convex_decomposition import convex_parts
-from stable_data.geometry.gltf_writer import write_glb
-from stable_data.geometry.mass_properties import mass_properties
-from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.sdf.second_opinion import (
     SdfBackend,
@@ -22,7 +18,6 @@ from stable_data.geometry.sdf.second_opinion import (
     has_pysdf,
     second_opinion,
 )
-from stable_data.geometry.surface_sampling import surface_points
 from stable_data.mesatask import AssetAnnotation
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.storage import schemas
@@ -113,8 +108,6 @@ def preprocess_asset(
 def _asset_row(
     use: AssetUse, annotation: AssetAnnotation, asset: AssetMesh, settings: AssetSettings, embedding: TextFeature | None
 ) -> schemas.Row:
-    seed = int(hashlib.sha256(use.asset_id.encode()).hexdigest()[:8], 16)
-    points, normals = surface_points(asset.mesh, settings.num_points, np.random.default_rng(seed))
     return dict.fromkeys(schemas.SCHEMAS["assets"].names) | {
         "asset_id": use.asset_id,
         "category": annotation.category,
@@ -122,16 +115,13 @@ def _asset_row(
         "caption": annotation.caption,
         "licence": annotation.licence,
         "source": annotation.source,
-        "extents": asset.mesh.extents.tolist(),
         "is_container": annotation.is_container,
         "on_table": annotation.on_table,
         "mark_deletion": annotation.mark_deletion,
         "is_composite": annotation.is_composite,
-        "report": asdict(asset.report),
         "mass": annotation.mass,
         **use_columns(use, asset),
-        "points": points.ravel(),
-        "normals": normals.ravel(),
+        **shape_columns(use.asset_id, asset.mesh, asset.report, settings.num_points),
         "text_embedding": embedding,
         "mesh_sha256": use.mesh_sha256,
     }
@@ -148,37 +138,14 @@ def use_columns(use: AssetUse, asset: AssetMesh) -> schemas.Row:
     }
     if use.typical_scale is None:
         return found
-    scaled = Mesh(asset.mesh.vertices * use.typical_scale, asset.mesh.faces)
-    weighed = mass_properties(scaled, mass=1.0, is_sheet=not asset.report.is_solid)
-    x, y, z = use.typical_scale
-    return found | {
-        "volume": asset.report.volume * x * y * z,
-        "center_of_mass": weighed.center_of_mass.tolist(),
-        "inertia_per_mass": weighed.inertia.ravel().tolist(),
-    }
+    return found | volume_columns(asset.mesh, asset.report, use.typical_scale)
 
 
 def _mesh_row(asset_id: str, asset: AssetMesh, store: AssetStore, paint: Paint, *, decomposes: bool) -> schemas.Row:
-    glb = write_glb(asset.mesh, paint=paint)
-    row = dict.fromkeys(schemas.SCHEMAS["meshes"].names) | {
-        "asset_id": asset_id,
-        "glb": glb,
-        "sha256": hashlib.sha256(glb).hexdigest(),
-    }
+    row = dict.fromkeys(schemas.SCHEMAS["meshes"].names) | file_columns(asset_id, asset.mesh, paint)
     kept = store.stored_parts(asset_id)
     given = kept or store.colliders(asset_id)
-    if not (given or decomposes):
-        return row
-    parts = convex_parts(asset.mesh, given=given, kept=bool(kept))
-    return row | {
-        "parts": [{"vertices": p.vertices.ravel(), "faces": p.faces.ravel()} for p in parts.parts],
-        "parts_method": parts.method,
-        "parts_overfill_max": parts.overfill_max,
-        "parts_overfill_mean": parts.overfill_mean,
-        "parts_uncovered_max": parts.uncovered_max,
-        "parts_uncovered_mean": parts.uncovered_mean,
-        "hull_distance": parts.hull_distance,
-    }
+    return row | part_columns(asset.mesh, given=given, kept=bool(kept)) if given or decomposes else row
 
 
 def _grid_row(asset_id: str, steps: tuple[int, int, int], store: AssetStore, backend: SdfBackend) -> schemas.Row:

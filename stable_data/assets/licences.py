@@ -6,7 +6,70 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 
-_MOST_CHARACTERS = 1000  # a longer text is no name of a licence
+_MOST_CHARACTERS = 1000  # a longer text, without the texts of licences that are known, is no name of a licence
+_MOST_READ = 1 << 16  # characters: no licence is longer
+
+# The texts of licences, which say in many words what their names say: each sentence or text is replaced by a name. A text may be cut
+# off at its end. What stands around it still counts.
+_LEGAL_TEXTS = tuple(
+    (re.compile(pattern, re.DOTALL), name)
+    for pattern, name in (
+        (
+            r"permission is hereby granted, free of charge, to any person obtaining a copy of this software(?=.*the above copyright "
+            r"notice and this permission notice).{0,700}?subject to the following conditions:? *the above copyright notice and this "
+            r"permission notice (?:\(including the next paragraph\) )?shall be included in all copies or substantial portions of the "
+            r"software\.?",
+            " mit license ",
+        ),
+        (
+            r"permission is hereby granted, free of charge, to any person obtaining a copy of this software.{0,600}?to permit persons to "
+            r"whom the software is furnished to do so\.(?! *subject)",
+            " mit no attribution ",
+        ),
+        (
+            r"the software is provided [\"'`“”]*as is[\"'`“”]*, without warranty of any kind.{0,700}?(?:dealings in the software\.?|$)",
+            " ",
+        ),
+        (r"apache license,? version 2\.0, january 2004.*?(?:end of terms and conditions|$)", " apache license 2.0 "),
+        (
+            r"licensed under the apache license, version 2\.0 \(the [\"'`“”]*license[\"'`“”]*\);? you may not use.{0,700}?(?:limitations "
+            r"under the license\.?|$)",
+            " apache license 2.0 ",
+        ),
+        (
+            r"(?:creative commons legal code )?cc0 1\.0 universal.*?(?:no duty or obligation with respect to this cc0 or use of the "
+            r"work\.?|$)",
+            " cc0 ",
+        ),
+        (
+            r"(?:creative commons legal code )?(?=attribution)((?:attribution|noncommercial|sharealike|noderivatives|noderivs|-)+) "
+            r"(\d\.\d) (?:international|unported|generic|united states).{0,40}?creative commons corporation.*?(?:creative commons may be "
+            r"contacted at \S*|$)",
+            r" cc \1 \2 ",
+        ),
+        (
+            r"redistribution and use in source and binary forms, with or without modification, are permitted provided that the following "
+            r"conditions are met:?(?=.{0,900}(?:neither the name|may not be used to endorse)).*?(?:possibility of such damage\.?|$)",
+            " bsd-3 ",
+        ),
+        (
+            r"redistribution and use in source and binary forms, with or without modification, are permitted provided that the following "
+            r"conditions are met:?.*?possibility of such damage\.?",
+            " bsd-2 ",
+        ),
+        # What authors write beside a licence, and what does not restrict it.
+        (r"(?:this is |is )?not (?:mandatory|required|necessary)", " "),
+        (
+            r"(?:for|in) (?:both )?(?:personal(?:, educational)?,? and commercial|commercial and personal)(?: projects| use| purposes)?",
+            " ",
+        ),
+        (
+            r"(?:for|in) (?:both )?(?:commercial and non-?commercial|non-?commercial and commercial)(?: projects| use| purposes)?",
+            " ",
+        ),
+    )
+)
+_ALL_RIGHTS = re.compile(r"(?:copyright|\(c\)|©)[^;]{0,120}?all rights reserved\.?")
 
 _CREATIVE_COMMONS = re.compile(
     r"creativecommons\.org/licenses/by(?:-\w\w)*"
@@ -67,16 +130,16 @@ def normalise_licence(text: str | None) -> str | None:
     """Returns the SPDX identifier of a licence, such as ``CC-BY-4.0``.
 
     Args:
-        text: A name, an identifier or an address, in any of the usual spellings.
+        text: A name, an identifier or an address, in any of the usual spellings, in a sentence or alone; or the text of a licence,
+            whole or its beginning.
 
     Returns:
         The identifier, without a version where a Creative Commons licence states none, such as ``CC-BY-NC``. A restriction anywhere
         in the text counts. None if the text names no known licence, several, or one with conditions that are not its own.
     """
-    if text is None or len(text) > _MOST_CHARACTERS:
+    left = None if text is None else _plain(text)
+    if left is None:
         return None
-    plain = unicodedata.normalize("NFKC", text).lower().replace("_", " ")
-    left = " ".join(re.sub("[\u2010-\u2015]", "-", plain).split())
     if _UNKNOWN.search(re.sub(r"\S*\.(?:org|com)\S*", "", left)):
         return None
     name, rest = _creative_commons(left)
@@ -88,6 +151,27 @@ def normalise_licence(text: str | None) -> str | None:
     if len(found) != 1 or (not name and (_NON_COMMERCIAL.search(left) or _NO_DERIVATIVES.search(left))):
         return None
     return found.pop()
+
+
+def is_restricted(text: str) -> bool:
+    """Whether a text that names no known licence speaks of a restriction, such as ``for research only``."""
+    left = _plain(text)
+    patterns = (_UNKNOWN, _NON_COMMERCIAL, _NO_DERIVATIVES)
+    return left is None or any(pattern.search(left) for pattern in patterns)
+
+
+def _plain(text: str) -> str | None:
+    """A text in lower case on one line, with names in place of the texts of licences; None if it is too long."""
+    if len(text) > _MOST_READ:
+        return None
+    folded = unicodedata.normalize("NFKC", text).lower().replace("_", " ")
+    left = " ".join(re.sub("[\u2010-\u2015]", "-", folded).split())
+    whole = left
+    for pattern, name in _LEGAL_TEXTS:
+        left = pattern.sub(name, left)
+    if left != whole:  # a copyright line belongs to the text of a licence; alone it reserves all rights
+        left = _ALL_RIGHTS.sub(" ", left)
+    return left if len(left) <= _MOST_CHARACTERS else None
 
 
 def _creative_commons(text: str) -> tuple[str, str]:

@@ -104,6 +104,25 @@ def collider_parts(mesh: Mesh, *, given: Sequence[ConvexPart] = ()) -> tuple[Con
     return cutting.in_frame(cutting.choose(given)[0])
 
 
+def is_true_to(mesh: Mesh, parts: Sequence[ConvexPart]) -> bool:
+    """Whether convex parts follow a mesh so well that :func:`convex_parts` takes them, in the frame and unit of the mesh.
+
+    Raises:
+        MeshError: ``convex_failed``: the mesh is a line or a point.
+    """
+    return _Cutting(mesh, max_parts=1).choose(parts)[1] == "given"
+
+
+def hull_of_mesh(mesh: Mesh) -> ConvexPart:
+    """Returns the convex hull of a mesh, in its frame and unit; that of a flat mesh is 1 % of its largest extent thick.
+
+    Raises:
+        MeshError: ``convex_failed``: the mesh is a line or a point.
+    """
+    cutting = _Cutting(mesh)
+    return cutting.in_frame((cutting.hull,))[0]
+
+
 class _Cutting:
     """A mesh in units of its largest extent, with cached accuracy measures of parts."""
 

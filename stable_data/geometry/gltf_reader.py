@@ -14,11 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.mesh import Mesh, center_vertices, double_areas, drop_unused_vertices
+from stable_data.geometry.mesh import WELD, Mesh, center_vertices, double_areas, drop_unused_vertices, weld_vertices
 from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray
 
-_WELD = 1e-6  # vertices nearer than this share of the largest extent are merged
 _FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
 _SMALLEST = 1e-30  # squares and cubes of smaller extents, or of extents above its inverse, leave the range of a double
 COLLIDERS = "colliders"
@@ -523,23 +522,7 @@ def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
     extent = float(np.ptp(soup, axis=0).max())
     if not _SMALLEST < extent < 1 / _SMALLEST:
         reader.fail("glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a usual size")
-    mesh = center_vertices(*_weld(soup, faces, _WELD * extent))
+    mesh = center_vertices(*weld_vertices(soup, faces, WELD * extent))
     if not (double_areas(mesh) > _FLAT * extent * extent).any():
         reader.fail("glb_degenerate_only", f"none of {len(faces)} faces has an area", "a surface; export it again")
     return mesh
-
-
-def _weld(vertices: FloatArray, faces: IntArray, cell: float) -> tuple[FloatArray, IntArray]:
-    """Merges the vertices of each grid cell and drops faces that collapse.
-
-    A cell border may separate two near vertices. Along each axis this happens on one of four staggered grids at most, so one of
-    the four merges them.
-    """
-    for shift in (0.0, 0.25, 0.5, 0.75):
-        grid = np.floor((vertices - vertices.min(axis=0)) / cell + shift).astype(np.int64)
-        # 21 bits per axis, because an axis has at most 1 / _WELD cells.
-        key = (grid[:, 0] << 42) | (grid[:, 1] << 21) | grid[:, 2]
-        _, first, index = np.unique(key, return_index=True, return_inverse=True)
-        vertices, faces = vertices[first], index[faces]
-    a, b, c = faces.T
-    return vertices, faces[(a != b) & (b != c) & (c != a)]

@@ -10,6 +10,9 @@ import numpy as np
 
 from stable_data.scene import FloatArray, IntArray
 
+WELD = 1e-6
+"""Vertices nearer than this share of the largest extent are merged."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
@@ -112,6 +115,22 @@ def drop_unused_vertices(vertices: FloatArray, faces: IntArray) -> tuple[FloatAr
     used = np.zeros(len(vertices), bool)
     used[faces.ravel()] = True
     return vertices[used], (np.cumsum(used) - 1)[faces]
+
+
+def weld_vertices(vertices: FloatArray, faces: IntArray, cell: float) -> tuple[FloatArray, IntArray]:
+    """Merges the vertices (V, 3) of each grid cell and drops faces (F, 3) that collapse.
+
+    A cell border may separate two near vertices. Along each axis this happens on one of four staggered grids at most, so one of
+    the four merges them.
+    """
+    for shift in (0.0, 0.25, 0.5, 0.75):
+        grid = np.floor((vertices - vertices.min(axis=0)) / cell + shift).astype(np.int64)
+        # 21 bits per axis, because an axis has at most 1 / WELD cells.
+        key = (grid[:, 0] << 42) | (grid[:, 1] << 21) | grid[:, 2]
+        _, first, index = np.unique(key, return_index=True, return_inverse=True)
+        vertices, faces = vertices[first], index[faces]
+    a, b, c = faces.T
+    return vertices, faces[(a != b) & (b != c) & (c != a)]
 
 
 def center_vertices(vertices: FloatArray, faces: IntArray) -> Mesh:

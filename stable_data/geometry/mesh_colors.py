@@ -3,6 +3,7 @@
 Instructions name colours ("the yellow block"), so rendered images must show them.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
@@ -45,7 +46,25 @@ def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
         MeshError: The colours cannot be read; ``code`` is ``texture_invalid``, ``texture_too_large`` or one of
             :func:`stable_data.geometry.gltf_reader.load_glb`.
     """
-    surfaces = load_surfaces(data, asset_id)
+    return paint_of(load_surfaces(data, asset_id), asset_id, mesh)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def paint_of(surfaces: Sequence[Surface], asset_id: str, mesh: Mesh, center: FloatArray | None = None) -> Paint:
+    """Finds the colours of the faces of a mesh from the surfaces that it was made of.
+
+    Args:
+        surfaces: With colours and images; not trusted.
+        asset_id: The asset's name in messages.
+        mesh: Made of the surfaces, in their unit: a face gets the colour of their nearest face.
+        center: The origin of the mesh in the frame of the surfaces, (3,); None: the centre of their box.
+
+    Returns:
+        The colours, that of the largest surface first; none if the surfaces have no colour.
+
+    Raises:
+        MeshError: The colours cannot be read (``texture_invalid``).
+    """
     if all(surface.colour is None and surface.corner_colours is None for surface in surfaces):
         return ()
     images = {
@@ -56,7 +75,7 @@ def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
     colours = np.concatenate([_face_colours(surface, textures.get(id(surface.image))) for surface in surfaces])
     triangles = np.concatenate([surface.triangles for surface in surfaces])
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    middles = triangles.mean(axis=1) - (low + high) / 2
+    middles = triangles.mean(axis=1) - ((low + high) / 2 if center is None else center)
     # The tree compares squared distances, so they must be finite too.
     if not np.isfinite(np.square(4 * middles)).all():
         message = f"asset {asset_id}: a vertex is not finite or too far from the origin, expected a mesh of usual size"

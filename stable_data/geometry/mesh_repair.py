@@ -81,7 +81,7 @@ def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Noti
     """
     actions = []
     before = Edges.of(mesh.faces)
-    faces = _without_duplicates(mesh.faces)
+    faces = drop_duplicate_faces(mesh.faces)
     if len(faces) < len(mesh.faces):
         actions.append(f"dropped {len(mesh.faces) - len(faces)} duplicate faces")
     original, faces = faces, _orient_faces(faces)
@@ -106,7 +106,7 @@ def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Noti
     return repaired, report, ()
 
 
-def _without_duplicates(faces: IntArray) -> IntArray:
+def drop_duplicate_faces(faces: IntArray) -> IntArray:
     """Drops duplicate faces, and both of two opposite faces on the same corners, unless all are such (a sheet drawn twice)."""
     corners = np.sort(faces, axis=1)
     _, first, index, count = np.unique(corners, axis=0, return_index=True, return_inverse=True, return_counts=True)

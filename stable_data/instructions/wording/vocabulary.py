@@ -216,6 +216,13 @@ def classes_of(category: str) -> frozenset[str]:
 
 
 @cache
+def known_names() -> tuple[str, ...]:
+    """Returns all names that the vocabulary knows, words joined by blanks, sorted."""
+    entries = (entry for entries in _CLASSES.values() for entry in entries.split(", "))
+    return tuple(sorted({*entries, *_CALLED}))
+
+
+@cache
 def control_part(category: str) -> str | None:
     """Returns the part of a category that can be pressed, such as ``the pump``; None if there is none."""
     words = type_words(category)

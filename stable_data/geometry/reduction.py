@@ -1,0 +1,124 @@
+"""Surfaces of any size as one mesh: welded, and reduced to a number of triangles, with the distance that this moves the surface."""
+
+from collections.abc import Iterator, Sequence
+
+import fast_simplification
+import igl
+import numpy as np
+
+from stable_data.errors import MeshError
+from stable_data.geometry.mesh import WELD, Mesh, double_areas, drop_unused_vertices, weld_vertices
+from stable_data.geometry.surface_sampling import sample_surface
+from stable_data.scene import FloatArray, IntArray
+
+_CHUNK = 1_000_000  # triangles whose corners are clustered at a time
+_MOST_EXACT = 2_000_000  # triangles beyond which vertices are clustered first
+_CLUSTERS = (1024, 768, 512, 384, 256)  # cells along the largest extent, the finest first
+_SMALLEST = 1e-30  # squares and cubes of smaller extents, or of extents above its inverse, leave the range of a double
+_FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
+_NUM_PROBES = 8192
+
+
+def join_triangles(soups: Sequence[FloatArray], asset_id: str) -> tuple[Mesh, float]:
+    """Welds triangles to one mesh; more than two million are clustered first.
+
+    Args:
+        soups: Triangles of several surfaces, (F, 3, 3) each, any unit.
+        asset_id: The asset, for messages.
+
+    Returns:
+        The mesh, in the frame of the triangles, without unused vertices; and the largest distance that clustering moved a vertex.
+
+    Raises:
+        MeshError: ``mesh_empty``: no triangle has an area; ``mesh_not_finite``: a corner is not finite, or too far away.
+    """
+    soups = [soup for soup in soups if len(soup)]
+    if not soups:
+        raise MeshError(f"asset {asset_id}: has no triangle, expected a surface; export it again", "mesh_empty")
+    with np.errstate(over="ignore", invalid="ignore"):
+        low = np.min([soup.min(axis=(0, 1)) for soup in soups], axis=0)
+        extent = float((np.max([soup.max(axis=(0, 1)) for soup in soups], axis=0) - low).max())
+    if not np.isfinite(extent) or extent >= 1 / _SMALLEST:  # a NaN anywhere makes the smallest value NaN
+        message = f"asset {asset_id}: a vertex is not finite, or too far from the others, expected finite coordinates; export it again"
+        raise MeshError(message, "mesh_not_finite")
+    moved = 0.0
+    if extent <= _SMALLEST:
+        vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    elif sum(map(len, soups)) > _MOST_EXACT:
+        vertices, faces, moved = _clustered(soups, low, extent)
+    else:
+        corners = np.concatenate([soup.reshape(-1, 3) for soup in soups])
+        vertices, faces = weld_vertices(corners, np.arange(len(corners)).reshape(-1, 3), WELD * extent)
+    mesh = Mesh(*drop_unused_vertices(vertices, faces))
+    if not len(faces) or not (double_areas(mesh) > _FLAT * extent * extent).any():
+        num = sum(map(len, soups))
+        raise MeshError(
+            f"asset {asset_id}: none of {num} triangles has an area, expected a surface; export it again", "mesh_empty"
+        )
+    return mesh, moved
+
+
+def _clustered(soups: Sequence[FloatArray], low: FloatArray, extent: float) -> tuple[FloatArray, IntArray, float]:
+    """Vertices at the means of grid cells, and the faces between them; the finest grid that leaves few enough faces."""
+    for cells in _CLUSTERS:
+        step = extent / cells
+        keys = np.concatenate([_distinct(_keys(chunk, low, step)) for chunk in _chunks(soups)])
+        if len(keys) <= _MOST_EXACT:
+            break
+    labels, faces = np.unique(keys, return_inverse=True)
+    sums, counts = np.zeros((len(labels), 3)), np.zeros(len(labels))
+    for chunk in _chunks(soups):
+        key = _keys(chunk, low, step).ravel()
+        place = np.minimum(np.searchsorted(labels, key), len(labels) - 1)
+        is_used = labels[place] == key
+        points, place = chunk.reshape(-1, 3)[is_used], place[is_used]
+        counts += np.bincount(place, minlength=len(labels))
+        sums += np.stack([np.bincount(place, points[:, axis], len(labels)) for axis in range(3)], axis=1)
+    return sums / counts[:, None], faces.reshape(-1, 3).astype(np.int64), float(np.sqrt(3) * step)
+
+
+def _chunks(soups: Sequence[FloatArray]) -> Iterator[FloatArray]:
+    for soup in soups:
+        for start in range(0, len(soup), _CHUNK):
+            yield soup[start : start + _CHUNK]
+
+
+def _keys(chunk: FloatArray, low: FloatArray, step: float) -> IntArray:
+    """The grid cell of each corner, (F, 3)."""
+    grid = ((chunk - low) / step).astype(np.int64)
+    return np.asarray((grid[..., 0] << 24) | (grid[..., 1] << 12) | grid[..., 2])
+
+
+def _distinct(keys: IntArray) -> IntArray:
+    """Faces whose corners are in three cells, each set of cells once in each direction."""
+    a, b, c = keys.T
+    kept = keys[(a != b) & (b != c) & (c != a)]
+    first = kept.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(kept, (first + np.arange(3)) % 3, axis=1)
+    return np.unique(turned, axis=0)
+
+
+def reduce_mesh(mesh: Mesh, max_faces: int) -> tuple[Mesh, float]:
+    """Reduces a mesh by quadric collapse.
+
+    Args:
+        mesh: Any unit.
+        max_faces: Number of triangles that the result has at most, nearly.
+
+    Returns:
+        The mesh itself if it is small enough, else the reduced one; and the largest distance between the two, sampled both ways.
+    """
+    if len(mesh.faces) <= max_faces:
+        return mesh, 0.0
+    middle, extent = mesh.vertices.mean(axis=0), float(mesh.extents.max())
+    unit = ((mesh.vertices - middle) / extent).astype(np.float32)
+    vertices, faces = fast_simplification.simplify(unit, mesh.faces.astype(np.int32), target_count=max_faces)
+    reduced = Mesh(*drop_unused_vertices(vertices.astype(np.float64) * extent + middle, faces.astype(np.int64)))
+    return reduced, max(_reach(mesh, reduced), _reach(reduced, mesh))
+
+
+def _reach(one: Mesh, other: Mesh) -> float:
+    """Largest distance of points on one surface from another."""
+    points = sample_surface(one, _NUM_PROBES)
+    squared = igl.point_mesh_squared_distance(points, other.vertices, other.faces)[0]
+    return float(np.sqrt(squared.max()))

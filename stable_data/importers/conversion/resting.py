@@ -1,0 +1,226 @@
+"""Poses in which an imported asset rests on a table, the likeliest first.
+
+Physics alone would lay a bottle down: it stands in 4 % of all falls. So the upward axis of the source and the usual height of the
+category are asked first.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stable_data.errors import MeshError
+from stable_data.geometry.convex_decomposition import ConvexPart, hull_of_mesh
+from stable_data.geometry.hollow import Hollow, upward_hollow
+from stable_data.geometry.mesh import Mesh
+from stable_data.rotations import heading, quat_of, rotation_matrix, tilt_of
+from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Tabletop
+
+_MOST_POSES = 8
+_LEAST_PROBABILITY = 0.02
+_SAME = math.radians(5.0)  # poses whose upward directions differ by less are one
+_EXACT = math.radians(2.0)  # a pose this near to a face of the hull lies on that face
+_DROP = 2e-3  # metres
+_SECONDS = 1.0
+_COARSE = 96  # steps of the hull's largest extent: a coarser hull has few faces and the same poses
+_GAP = 2.0  # distance of bodies that fall at the same time, in largest extents
+_FITS = 0.4  # log of the height, against that of the category, up to which a pose is usual for it
+_UNIT_MASS = 0.2  # kilograms; a fall does not depend on it
+_HOLDS = (0.01, 0.2, 0.2, 0.1)  # least depth (m); shares of height, footprint and box of depth, mouth and volume
+
+
+@dataclass(frozen=True, slots=True)
+class RestingPose:
+    """A pose at rest.
+
+    Attributes:
+        quat_xyzw: Rotation of the mesh, unit, without a yaw.
+        count: Its weight, at least 1; the first of several has the largest.
+    """
+
+    quat_xyzw: QuatXyzw
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A pose that may be at rest: its rotation (3, 3), its share of random falls, and whether it is the source's own."""
+
+    matrix: FloatArray
+    probability: float
+    is_source: bool = False
+
+
+def is_container(mesh: Mesh, quat_xyzw: QuatXyzw = UPRIGHT) -> bool:
+    """Whether an object in a pose has a hollow that opens upward and is large enough to hold other objects.
+
+    Args:
+        mesh: Metres.
+        quat_xyzw: Its pose.
+    """
+    posed = Mesh(mesh.vertices @ rotation_matrix(quat_xyzw).T, mesh.faces)
+    return _holds(upward_hollow(posed), posed)
+
+
+def _holds(hollow: Hollow, posed: Mesh) -> bool:
+    least, height, footprint, box = _HOLDS
+    return (
+        hollow.depth >= max(least, height * float(posed.extents[2]))
+        and hollow.mouth >= footprint * hollow.footprint
+        and hollow.volume >= box * float(np.prod(posed.extents))
+    )
+
+
+def resting_poses(
+    mesh: Mesh,
+    *,
+    given: Sequence[QuatXyzw] = (),
+    is_upright: bool = False,
+    upright: float | None = None,
+    parts: Sequence[ConvexPart] = (),
+    searches: bool = True,
+) -> tuple[tuple[RestingPose, ...], str]:
+    """Finds the poses in which an object rests.
+
+    Args:
+        mesh: Repaired, metres.
+        given: Poses that the source states; they are kept.
+        is_upright: Whether the source says that z is up.
+        upright: Usual height of its category, divided by the longest side; None if unknown.
+        parts: Its convex parts; without them its hull falls.
+        searches: Whether poses are sought by physics; else z is up.
+
+    Returns:
+        At least one pose, the likeliest first, and what they rest on: ``given``, ``up_axis`` or ``physics``.
+    """
+    if given:
+        weights = range(len(given), 0, -1)
+        return tuple(RestingPose(_canonical(rotation_matrix(q)), n) for q, n in zip(given, weights, strict=True)), "given"
+    own = _Candidate(np.eye(3), 0.0, is_source=True)
+    if not searches:
+        return (RestingPose(UPRIGHT, 1),), "up_axis"
+    hull = hull_of_mesh(mesh)
+    candidates = [own, *_quasi_static(hull)]
+    rested = _dropped(candidates, hull, tuple(parts) or (hull,))
+    if not rested:  # a needle or a ball that rolls: the source's axis is all that is known
+        return (RestingPose(UPRIGHT, 1),), "up_axis"
+    ranked = _ranked(_merged(rested), mesh, is_upright=is_upright, upright=upright)
+    first = ranked[0]
+    total = sum(c.probability for c in ranked) or 1.0
+    counts = [100, *(min(99, max(1, round(100 * c.probability / total))) for c in ranked[1:])]
+    rests_on = "up_axis" if first.is_source and is_upright else "physics"
+    # Counts never rise, so that whoever sorts by them keeps the order.
+    falling = np.minimum.accumulate(counts).tolist()
+    return tuple(RestingPose(_canonical(c.matrix), n) for c, n in zip(ranked, falling, strict=True)), rests_on
+
+
+def _canonical(matrix: FloatArray) -> QuatXyzw:
+    """The quaternion of a rotation, without its yaw."""
+    quat = quat_of(Rotation.from_matrix(matrix))
+    return tilt_of(quat, heading(quat)[0])
+
+
+def _quasi_static(hull: Mesh) -> list[_Candidate]:
+    """Poses on the faces of a hull, with the shares of random falls that end there."""
+    import trimesh
+
+    step = float(hull.extents.max()) / _COARSE
+    coarse = hull_of_mesh(Mesh(np.round(hull.vertices / step) * step, hull.faces))
+    solid = trimesh.Trimesh(coarse.vertices, coarse.faces, process=False)
+    center = hull.vertices.mean(axis=0) if not solid.volume > 0 else solid.center_mass
+    heights = np.einsum("ij,ij->i", center - solid.triangles_center, solid.face_normals)
+    if not (np.isfinite(heights).all() and (heights < 0).all()):
+        return []  # the search for poses would not end
+    turns, shares = trimesh.poses.compute_stable_poses(solid, center, threshold=_LEAST_PROBABILITY, seed=0)
+    found = [_Candidate(np.array(turn[:3, :3]), float(share)) for turn, share in zip(turns, shares, strict=True)]
+    return _merged(found)[:_MOST_POSES]
+
+
+def _merged(candidates: Sequence[_Candidate]) -> list[_Candidate]:
+    """Joins poses whose upward directions are nearly equal, the most probable first; the source's own pose stays as it is."""
+    order = sorted(range(len(candidates)), key=lambda k: (not candidates[k].is_source, -candidates[k].probability, k))
+    kept: list[_Candidate] = []
+    for k in order:
+        new = candidates[k]
+        for n, old in enumerate(kept):
+            if float(old.matrix[2] @ new.matrix[2]) > math.cos(_SAME):
+                kept[n] = _Candidate(old.matrix, old.probability + new.probability, old.is_source)
+                break
+        else:
+            kept.append(new)
+    return sorted(kept, key=lambda c: (-c.probability, not c.is_source))
+
+
+def _dropped(candidates: Sequence[_Candidate], hull: Mesh, parts: tuple[ConvexPart, ...]) -> list[_Candidate]:
+    """Lets an object fall by 2 mm in each pose, and returns the poses in which it comes to rest."""
+    from stable_data.simulation.settling import PhysicsOptions, RigidBody, settle
+
+    reach = _GAP * float(np.linalg.norm(hull.extents))
+    bodies = []
+    for k, candidate in enumerate(candidates):
+        turned = tuple(Mesh(part.vertices @ candidate.matrix.T, part.faces) for part in parts)
+        corners = hull.vertices @ candidate.matrix.T
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        centre = (low + high) / 2
+        turned = tuple(Mesh(part.vertices - centre, part.faces) for part in turned)
+        place = ((k + 0.5) * reach, reach / 2, float(high[2] - low[2]) / 2 + _DROP)
+        bodies.append(RigidBody(f"pose {k}", turned, _UNIT_MASS, place))
+    options = PhysicsOptions(settle_seconds=_SECONDS, watch_seconds=0.1, rest_speed=5e-3)
+    try:
+        result = settle(bodies, Tabletop("table", (len(bodies) * reach, reach)), options)
+    except MeshError:
+        return []
+    rested = []
+    for k, candidate in enumerate(candidates):
+        position, quat = result.pose(k)
+        if not (np.isfinite(position).all() and np.isfinite(quat).all() and position[2] > 0):
+            continue
+        turn = rotation_matrix(quat) @ candidate.matrix
+        stays = float(turn[2] @ candidate.matrix[2]) > math.cos(_SAME)
+        if stays:
+            rested.append(
+                _Candidate(
+                    candidate.matrix if candidate.is_source else _on_face(candidate.matrix, hull),
+                    candidate.probability,
+                    candidate.is_source,
+                )
+            )
+        elif abs(position[2]) < reach:
+            rested.append(_Candidate(_on_face(turn, hull), candidate.probability))
+    return rested
+
+
+def _on_face(matrix: FloatArray, hull: Mesh) -> FloatArray:
+    """A pose turned by up to two degrees, so that the largest face of the hull that is nearly level below is level."""
+    corners = hull.triangles
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ matrix.T
+    area = np.linalg.norm(normals, axis=1)
+    down = -normals[:, 2] / np.maximum(area, 1e-300)
+    area = np.where(down > math.cos(_EXACT), area, 0.0)
+    if not area.any():
+        return matrix
+    normal = normals[int(np.argmax(area))]
+    level, _ = Rotation.align_vectors([[0.0, 0.0, -1.0]], [normal / np.linalg.norm(normal)])
+    turned: FloatArray = level.as_matrix() @ matrix
+    return turned
+
+
+def _ranked(candidates: Sequence[_Candidate], mesh: Mesh, *, is_upright: bool, upright: float | None) -> list[_Candidate]:
+    """Poses, the likeliest first: the source's true up axis, the usual height, the source's guess, the hollow upward, the share."""
+    longest = float(mesh.extents.max())
+
+    def key(candidate: _Candidate) -> tuple[bool, bool, bool, bool, float]:
+        posed = Mesh(mesh.vertices @ candidate.matrix.T, mesh.faces)
+        height = float(posed.extents[2]) / longest
+        is_usual = upright is not None and abs(math.log(height / upright)) < _FITS
+        return (
+            not (candidate.is_source and is_upright),
+            not is_usual,
+            not candidate.is_source,
+            not (is_usual and _holds(upward_hollow(posed), posed)),
+            -candidate.probability,
+        )
+
+    return [candidate for _, candidate in sorted(((key(c), c) for c in candidates), key=lambda pair: pair[0])]
