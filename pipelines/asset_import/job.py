@@ -143,13 +143,15 @@ class ImportJob(ShardJob):
         # Files of all other kinds state their unit.
         refs = self._listing.found if self.kind == "mesh" and not self.settings.unit_m else ()
         chosen = refs[:: max(1, -(-len(refs) // _MOST_MEASURED))]
-        return [StepShards(self._step(MeasureStep), self._shards(chosen, MEASURED))]
+        return [StepShards(self._step(MeasureStep), self._shards(chosen, MEASURED))] if chosen else []
 
     def later_plans(self, folder: RunFolder) -> Iterator[Sequence[StepShards[Any]]]:
         """The step of all assets, with the unit that the sample shows."""
-        rows = sorted(folder.table(MEASURED).to_pylist(), key=lambda row: str(row["asset_id"]))
-        sizes = ConversionContext(load_default()).sizes if rows else None
-        found = None if sizes is None else sizes.set_scale((row["category"], row["extents"]) for row in rows)
+        found = None
+        if self.plan():
+            rows = sorted(folder.table(MEASURED).to_pylist(), key=lambda row: str(row["asset_id"]))
+            sizes = ConversionContext(load_default()).sizes
+            found = sizes.set_scale((row["category"], row["extents"]) for row in rows)
         shards = self._shards(self._listing.found, None if found is None else asdict(found))
         yield [StepShards(self._step(ImportStep, found), shards)]
 

@@ -57,7 +57,7 @@ class SourceStep(ItemStep[SourceRef]):
 
 @dataclass(frozen=True, slots=True)
 class MeasureStep(SourceStep):
-    """Measures the boxes of assets whose unit is not known. An asset that cannot be read is no failure here: the step of assets reports it."""
+    """Measures the boxes of assets whose unit is not known. The step of assets reports those that cannot be read."""
 
     TABLES: ClassVar = ("failures", MEASURED)
     SCHEMAS: ClassVar = {
