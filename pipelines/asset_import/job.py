@@ -50,14 +50,12 @@ class _Listing:
     """The assets of a folder.
 
     Attributes:
-        found: The assets, in the order of the reader, each with an identifier of its own.
-        lost: Notices about assets that cannot be used.
-        odd: Warnings about assets, and about the folder.
+        found: The assets, in the order of the reader.
+        lost: Notices about assets that cannot be used, each under an identifier of its own.
     """
 
     found: tuple[SourceRef, ...]
     lost: tuple[Notice, ...]
-    odd: tuple[Notice, ...]
 
 
 class ImportJob(ShardJob):
@@ -84,30 +82,21 @@ class ImportJob(ShardJob):
 
     @cached_property
     def _listing(self) -> _Listing:
-        """What the reader finds. An identifier that is taken gets a number, so that no asset is lost."""
-        found, notices = list[SourceRef](), list[Notice]()
-        count = Counter[str]()
-        for each in self.reader.find(self.boundary, self.settings.reading):
-            if isinstance(each, Notice):
-                notices.append(each)
-                continue
-            count[each.asset_id] += 1
-            if count[each.asset_id] > 1:
-                new = f"{each.asset_id}-{count[each.asset_id]}"
-                message = (
-                    f"asset {new}: {each.path} has the identifier {each.asset_id}, as an earlier asset; it is called {new} here"
-                )
-                notices.append(Notice(new, "find", "asset_renamed", message))
-                count[new] += 1
-                each = replace(each, asset_id=new)
-            found.append(each)
-        ids = {ref.asset_id for ref in found}
-        lost = tuple(n for n in notices if n.item_id and n.item_id not in ids)
+        """What the reader finds."""
+        every = list(self.reader.find(self.boundary, self.settings.reading))
+        found = tuple(each for each in every if isinstance(each, SourceRef))
+        taken, lost = {ref.asset_id for ref in found}, list[Notice]()
+        for notice in (each for each in every if isinstance(each, Notice)):
+            # An asset may be lost because another one has its identifier.
+            names = (notice.item_id, *(f"{notice.item_id}-{number}" for number in range(2, len(every) + 2)))
+            name = next(name for name in names if name not in taken)
+            taken.add(name)
+            lost.append(replace(notice, item_id=name))
         if not found:
-            reasons = f" ({', '.join(f'{k} {n}' for k, n in Counter(n.code for n in lost).items())})" if lost else ""
+            reasons = f" ({lost[0].message})" if lost else ""
             message = f"{self.root}: no assets of kind {self.kind}{reasons}, expected some; is it another kind?"
             raise ConfigError(message, "source_empty")
-        return _Listing(tuple(found), lost, tuple(n for n in notices if n not in lost))
+        return _Listing(found, tuple(lost))
 
     @cached_property
     def _digests(self) -> dict[str, str]:
@@ -127,7 +116,7 @@ class ImportJob(ShardJob):
 
     def about(self) -> dict[str, Any]:
         """The number of assets."""
-        return {"num_assets": len(self._listing.found) + len({n.item_id for n in self._listing.lost})}
+        return {"num_assets": len(self._listing.found) + len(self._listing.lost)}
 
     def _step(self, step: Callable[..., S], scale: SetScale | None = None) -> S:
         settings = self.settings
@@ -163,10 +152,6 @@ class ImportJob(ShardJob):
     def lost(self) -> Sequence[Notice]:
         """Assets that the reader could not use."""
         return self._listing.lost
-
-    def odd(self) -> Sequence[Notice]:
-        """Warnings of the reader."""
-        return self._listing.odd
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:
         """Counts assets whose meshes are copies of another's."""

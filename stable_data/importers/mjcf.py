@@ -467,3 +467,6 @@ def _cube_coordinates(triangles: FloatArray) -> FloatArray:
     depth = np.maximum(depth, 0.1 * np.abs(triangles).max(axis=(1, 2))[:, None] + 1e-15)
     coordinates: FloatArray = (np.einsum("fcx,fdx->fcd", triangles, _CUBE[face]) / depth[..., None] + 1) / 2
     return coordinates
+
+
+READER = MjcfReader()

@@ -451,3 +451,6 @@ def _category(labels: list[tuple[str, str]]) -> str:
     classes = [label for kind, label in labels if kind.lower() in _CLASSES]
     ends = {PurePosixPath(label).name for _, label in labels if "/" in label}
     return next((label for label in classes if label in ends), classes[0] if classes else "")
+
+
+READER = UsdReader()
