@@ -1,5 +1,7 @@
 """Exports a scene as binary glTF: one node for each object, with its instance and pose; objects of one asset share its mesh."""
 
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,18 +9,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.atomic_files import safe_file_name, write_file_atomically
-from stable_data.geometry.gltf_writer import material, pack
+from stable_data.geometry.gltf_writer import SurfaceParts, material, pack
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface import Surface
 from stable_data.rotations import quat_of
-from stable_data.scene import UPRIGHT, FloatArray, IntArray, QuatXyzw, Scene, Vec3
-from stable_data.simulation.render import object_colour, table_boxes
+from stable_data.scene import QuatXyzw, Scene, Vec3
+from stable_data.simulation.render import object_colour, scene_bounds
+from stable_data.simulation.room import furnish
 from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """Binary glTF, one file for each scene: `<scene>.glb`, metres. The format requires that y is up and -z is away from the
 viewer; the node `scene` turns all nodes below it, whose coordinates are those of stable-data. Nodes have the names of the
-instances, and their `extras` give category, asset and description."""
+instances, and their `extras` give category, asset and description. The node `table` is the table with its legs; its top is at
+z = 0."""
 
 _Y_UP = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))  # turns z up into y up
 
@@ -35,11 +40,14 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
 
 def scene_glb(geometry: SceneGeometry) -> bytes:
     """Returns the content of a scene's file."""
-    document = _Document()
+    low, high = scene_bounds(geometry.scene, [Mesh(shape.vertices, shape.faces) for shape in geometry.shapes])
+    table = defaultdict[str, list[Surface]](list)
+    for part in furnish(geometry.scene.table, low, high):
+        if part.is_of_table:
+            table[part.name.split("/")[0]].append(part.surface)
+    document = _Document(table)
     unit = Shape.box((1.0, 1.0, 1.0))
     box = Mesh(unit.vertices, unit.faces)
-    for name, colour, position, (x, y, z) in table_boxes(geometry.scene.table):
-        document.add(name, document.mesh(name, box, _all_of(box, colour)), position, UPRIGHT, (2 * x, 2 * y, 2 * z))
     for k, (o, mesh) in enumerate(zip(geometry.scene.objects, geometry.meshes, strict=True)):
         turn = Rotation.from_euler("z", o.yaw)
         extras = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
@@ -48,7 +56,8 @@ def scene_glb(geometry: SceneGeometry) -> bytes:
             document.add(o.instance, number, o.position, quat_of(turn), o.size, extras)
             continue
         x, y, z = (o.position + turn.apply(geometry.offset(k))).tolist()
-        number = document.mesh(str(o.asset_id), mesh, geometry.paint(k))
+        asset_id, look = str(o.asset_id), geometry.look(k)
+        number = document.mesh(asset_id, mesh, geometry.paint(k), None if look is None else look.surfaces)
         document.add(o.instance, number, (x, y, z), quat_of(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
     return document.content(geometry.scene.scene_id)
 
@@ -56,16 +65,26 @@ def scene_glb(geometry: SceneGeometry) -> bytes:
 class _Document:
     """A glTF document under construction."""
 
-    def __init__(self) -> None:
-        self._nodes: list[dict[str, Any]] = []
+    def __init__(self, table: Mapping[str, Sequence[Surface]]) -> None:
+        self._parts = SurfaceParts()
         self._meshes: list[dict[str, Any]] = []
-        self._materials: list[dict[str, Any]] = []
-        self._arrays: list[FloatArray | IntArray] = []
+        self._nodes: list[dict[str, Any]] = [
+            {"name": name, "mesh": self.look(name, surfaces)} for name, surfaces in table.items()
+        ]
+        self._materials: list[dict[str, Any]] = self._parts.document(())["materials"]
+        self._arrays = self._parts.arrays
         self._numbers: dict[tuple[str, ...], int] = {}
 
-    def mesh(self, name: str, mesh: Mesh, paint: Paint) -> int:
-        """Number of a mesh in its colours; an equal mesh is added only once."""
+    def look(self, name: str, surfaces: Sequence[Surface]) -> int:
+        """Number of a mesh with colours and textures, which is added."""
+        self._meshes.append({"name": name, "primitives": [self._parts.primitive(surface) for surface in surfaces]})
+        return len(self._meshes) - 1
+
+    def mesh(self, name: str, mesh: Mesh, paint: Paint, look: Sequence[Surface] | None = None) -> int:
+        """Number of a mesh with its look, or in its colours; an equal mesh is added only once."""
         key = (name, *(colour for colour, _ in paint))
+        if key not in self._numbers and look is not None:
+            self._numbers[key] = self.look(name, look)
         if key not in self._numbers:
             self._numbers[key] = len(self._meshes)
             corners, first = len(self._arrays), len(self._materials)
@@ -92,9 +111,9 @@ class _Document:
             "scenes": [{"name": name, "nodes": [0]}],
             "nodes": [root, *self._nodes],
             "meshes": self._meshes,
-            "materials": self._materials,
+            **self._parts.document(self._parts.embedded_images()),
         }
-        return pack(document, self._arrays)
+        return pack(document, self._arrays, self._parts.images)
 
 
 def _all_of(mesh: Mesh, colour: str) -> Paint:

@@ -10,18 +10,19 @@ from stable_data.atomic_files import safe_file_name
 from stable_data.geometry.mesh import Mesh, double_areas, drop_unused_vertices
 from stable_data.rotations import wxyz
 from stable_data.scene import TABLE
+from stable_data.simulation.look_meshes import add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.render import (
-    TABLE_COLOUR,
     View,
     add_camera,
     add_lights,
+    add_room,
     object_colour,
     rgba,
     scene_bounds,
     set_lighting,
-    table_boxes,
 )
+from stable_data.simulation.room import RESTRICTED_ZONE, furnish
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER, compile_spec, spec_of
 
@@ -37,7 +38,7 @@ CAMERAS: tuple[View, ...] = ("front", "top")
 COLLIDER_GROUP, VISUAL_GROUP = 3, 2
 """Groups of geoms: MuJoCo's viewer hides the first and shows the second."""
 
-_RESERVED = frozenset({TABLE, "world", "hand", "restricted_zone"})
+_RESERVED = frozenset({TABLE, "world", "hand", RESTRICTED_ZONE})
 _FLATTEST = 1e-14  # a face of less area is not visible, m²
 _PICTURE = (640, 480)  # default size of the largest picture that can be rendered off screen, pixels
 
@@ -50,8 +51,10 @@ def body_name(instance: str) -> str:
 def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
     """Describes a scene for MuJoCo.
 
-    Body k + 1 is object k; the body, its free joint and its geoms have the object's name (:func:`body_name`). Mass and inertia
-    of a body are explicit: those that are known of its asset, or those that MuJoCo derives from its convex parts.
+    The geom ``table`` is the collider of the verdict. What is seen of the table and its room are geoms that collide with nothing,
+    named ``table/…``, ``restricted_zone`` and ``room/…``. Body k + 1 is object k; the body, its free joint and its geoms have the
+    object's name (:func:`body_name`). Mass and inertia of a body are explicit: those that are known of its asset, or those that
+    MuJoCo derives from its convex parts.
 
     Args:
         geometry: The scene with its geometry.
@@ -73,8 +76,7 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
     visual = spec.add_default(VISUAL, spec.default)
     spec.find_default(COLLIDER).geom.group, visual.geom.group = COLLIDER_GROUP, VISUAL_GROUP
     visual.geom.contype, visual.geom.conaffinity, visual.geom.mass = 0, 0, 0.0
-    table = spec.geom(TABLE)
-    table.group, table.rgba = VISUAL_GROUP, rgba(TABLE_COLOUR)
+    spec.geom(TABLE).group = COLLIDER_GROUP
     meshes: dict[object, str] = {}
     for k, o in enumerate(geometry.scene.objects):
         body, name = spec.bodies[k + 1], body_name(o.instance)
@@ -84,10 +86,53 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
         body.name = body.joints[0].name = name
         for number, geom in enumerate(body.geoms):
             geom.name, geom.group = f"{name}/part_{number}", COLLIDER_GROUP
-        _add_visuals(spec, body, visual, geometry, k, meshes)
+        if not _add_look(spec, body, visual, geometry, k, meshes):
+            _add_visuals(spec, body, visual, geometry, k, meshes)
     _add_environment(spec, geometry, picture)
     spec.add_key(name=HOME, qpos=model.qpos0)
     return spec
+
+
+def _add_look(
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    visual: mujoco.MjsDefault,
+    geometry: SceneGeometry,
+    index: int,
+    meshes: dict[object, str],
+) -> bool:
+    """Adds the look of an object with its textures; returns whether it has one."""
+    o = geometry.scene.objects[index]
+    look = None if geometry.meshes[index] is None else geometry.look(index)
+    found = () if look is None else look_meshes(look.surfaces)
+    for number, mesh in enumerate(found):
+        assert look is not None
+        name = f"{body.name}/visual_{number}" if number else f"{body.name}/visual"
+        key = (o.asset_id, look.scale, number)
+        if key not in meshes:  # objects of one asset share its look
+            meshes[key] = name
+            corners = np.arange(3 * len(mesh.faces), dtype=np.int32)
+            uv = {} if mesh.corner_uv is None else {"usertexcoord": mesh.corner_uv.ravel(), "userfacetexcoord": corners}
+            spec.add_mesh(
+                name=name,
+                uservert=mesh.vertices.ravel(),
+                userface=mesh.faces.ravel(),
+                scale=list(look.scale),
+                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+                **uv,
+            )
+            if mesh.pixels is not None:
+                add_look_material(spec, mesh, name)
+        body.add_geom(
+            visual,
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=meshes[key],
+            pos=list(look.offset),
+            quat=wxyz(look.tilt_quat_xyzw),
+            **({"rgba": list(mesh.rgba)} if mesh.pixels is None else {"material": meshes[key]}),
+        )
+    return bool(found)
 
 
 def _add_visuals(
@@ -127,11 +172,9 @@ def _add_visuals(
 
 
 def _add_environment(spec: mujoco.MjSpec, geometry: SceneGeometry, picture: tuple[int, int]) -> None:
-    """Adds lights, background, cameras and the restricted zone."""
+    """Adds table, room, lights, background and cameras."""
     low, high = scene_bounds(geometry.scene, [Mesh(shape.vertices, shape.faces) for shape in geometry.shapes])
-    visual, box = spec.find_default(VISUAL), mujoco.mjtGeom.mjGEOM_BOX
-    for name, colour, centre, half in table_boxes(geometry.scene.table)[1:]:  # the table top itself is a collider already
-        spec.worldbody.add_geom(visual, name=name, type=box, pos=list(centre), size=list(half), rgba=rgba(colour))
+    add_room(spec, furnish(geometry.scene.table, low, high), spec.find_default(VISUAL))
     set_lighting(spec, picture)
     add_lights(spec, low, high)
     for view in CAMERAS:
