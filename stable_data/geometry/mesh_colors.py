@@ -3,8 +3,6 @@
 Instructions name colours ("the yellow block"), so rendered images must show them.
 """
 
-import io
-import warnings
 from pathlib import Path
 from typing import TypeAlias
 
@@ -14,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import load_surfaces
+from stable_data.geometry.images import decode_images
 from stable_data.geometry.mesh import Mesh, double_areas
 from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray
@@ -24,10 +23,7 @@ Paint: TypeAlias = tuple[tuple[str, IntArray], ...]
 MOST_COLOURS = 8
 """Largest number of colours of a mesh: more than an instruction names, and few enough pieces to render."""
 
-_FORMATS = ("PNG", "JPEG", "WEBP")  # texture formats of glTF; for others Pillow may start Ghostscript
 _PIXELS = 512  # side to which a texture is reduced
-_MAX_SCANS = 100  # of a progressive JPEG; encoders write about 10
-_MOST_PIXELS = 2**27  # of all textures of a file before they are reduced
 _MAX_SAMPLED_FACES = 20_000  # faces; up to this number a texture is read at many points of each face
 _CELL = 16  # of 256: side of the colour cells that are merged if a mesh has many colours
 
@@ -46,7 +42,7 @@ def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
         The colours, that of the largest surface first; none if the file gives no colour.
 
     Raises:
-        MeshError: The colours cannot be read; ``code`` is ``texture_invalid`` or one of
+        MeshError: The colours cannot be read; ``code`` is ``texture_invalid``, ``texture_too_large`` or one of
             :func:`stable_data.geometry.gltf_reader.load_glb`.
     """
     surfaces = load_surfaces(data, asset_id)
@@ -55,7 +51,8 @@ def load_paint(data: bytes | Path, asset_id: str, mesh: Mesh) -> Paint:
     images = {
         id(surface.image): surface.image for surface in surfaces if surface.image is not None and surface.corner_uv is not None
     }
-    textures = _decode_textures(images, asset_id) if images else {}
+    decoded = decode_images(images, f"asset {asset_id}", side=_PIXELS) if images else {}
+    textures = {key: np.asarray(image) for key, image in decoded.items()}
     colours = np.concatenate([_face_colours(surface, textures.get(id(surface.image))) for surface in surfaces])
     triangles = np.concatenate([surface.triangles for surface in surfaces])
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
@@ -86,32 +83,6 @@ def _face_colours(surface: Surface, texture: npt.NDArray[np.uint8] | None) -> np
     clipped = np.clip(np.nan_to_num(linear), 0.0, 1.0)
     on_screen = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)  # undoes `to_linear`
     return np.asarray(np.rint(255 * on_screen), np.uint8)
-
-
-def _decode_textures(images: dict[int, bytes], asset_id: str) -> dict[int, npt.NDArray[np.uint8]]:
-    """Decodes textures, reduced, as display colours (H, W, 3); the keys are those of ``images``."""
-    from PIL import Image, UnidentifiedImageError  # imported here: few files have textures, and Pillow may not be installed
-
-    textures, num_pixels = {}, 0
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            for key, image in images.items():
-                # Each scan of a progressive JPEG decodes the whole picture again. The marker cannot occur in coded data.
-                if image.startswith(b"\xff\xd8") and image.count(b"\xff\xda") > _MAX_SCANS:
-                    raise ValueError(f"a JPEG with more than {_MAX_SCANS} scans")
-                with Image.open(io.BytesIO(image), formats=_FORMATS) as picture:  # reads only the header
-                    num_pixels += picture.width * picture.height
-                    if num_pixels > _MOST_PIXELS:
-                        raise ValueError(f"{num_pixels} pixels in all textures, of at most {_MOST_PIXELS}")
-                    picture.thumbnail((_PIXELS, _PIXELS))
-                    textures[key] = np.asarray(picture.convert("RGB"))
-    except Exception as error:  # each decoder of Pillow raises its own exceptions
-        found = "another format" if isinstance(error, UnidentifiedImageError) else f"{type(error).__name__}: {error}"
-        message = f"asset {asset_id}: a texture cannot be read ({found:.200}), expected PNG, JPEG or WEBP; export it again"
-        raise MeshError(message, "texture_invalid") from error
-    return textures
 
 
 def _mean_texture_colours(texture: npt.NDArray[np.uint8], corner_uv: FloatArray) -> FloatArray:

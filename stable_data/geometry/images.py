@@ -1,0 +1,172 @@
+"""Images of textures: decodes untrusted image files within bounds, and encodes them again for the tables of a run."""
+
+import hashlib
+import io
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from stable_data.errors import MeshError
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+TEXTURE_SIDE = 1024
+"""Largest side of a stored texture, pixels."""
+
+GLTF_FORMATS = ("PNG", "JPEG", "WEBP")
+"""Formats of the images in a glTF file, as Pillow names them. For some of the others Pillow may start Ghostscript."""
+
+MESH_FORMATS = (*GLTF_FORMATS, "BMP", "TGA")
+"""Formats of the images beside mesh files of other kinds."""
+
+_MAX_BYTES = 64 * 2**20  # of one file that is encoded again
+_MAX_SCANS = 100  # of a progressive JPEG; encoders write about 10
+_MOST_PIXELS = 2**27  # of all images that are decoded together, before they are reduced
+_ALPHA = ("LA", "PA", "RGBA", "La", "RGBa")  # Pillow's modes with transparency
+_QUALITY = 90  # of a JPEG
+_SMALL = 2**15  # bytes up to which an image is kept exact, whatever a JPEG would save
+
+K = TypeVar("K")
+
+
+@dataclass(frozen=True, slots=True)
+class TextureImage:
+    """A row of the table ``textures``: an image that was decoded and encoded again.
+
+    Attributes:
+        sha256: SHA-256 of ``image``.
+        image: The content of the image file.
+        mime: ``image/png`` or ``image/jpeg``.
+        width: Pixels.
+        height: Pixels.
+    """
+
+    sha256: str
+    image: bytes
+    mime: str
+    width: int
+    height: int
+
+
+def encode_texture(content: bytes, name: str, *, side: int = TEXTURE_SIDE, has_alpha: bool = False) -> TextureImage:
+    """Decodes the image file of a texture and encodes its pixels; no byte of the file is passed on.
+
+    An image with transparency becomes a PNG. Others become a PNG if that is small or not larger than a JPEG, so that palettes and
+    atlases of flat colours stay exact: a JPEG would mix the colours of neighbouring blocks. Else they become a JPEG of quality 90
+    whose colours have the full resolution, for labels. Colour profiles and orientations of files are ignored, as glTF demands.
+
+    Args:
+        content: The file, PNG, JPEG, WEBP, BMP or TGA; not trusted.
+        name: What the image belongs to, in messages.
+        side: A larger image is reduced to this, pixels.
+        has_alpha: Whether the image's alpha is opacity; else it is dropped.
+
+    Raises:
+        MeshError: The image cannot be read (``texture_invalid``), or is too large (``texture_too_large``).
+    """
+    if len(content) > _MAX_BYTES:
+        found = f"has {len(content)} bytes, expected at most {_MAX_BYTES}"
+        raise MeshError(f"{name}: a texture {found}; reduce it", "texture_too_large")
+    (picture,) = decode_images({0: content}, name, side=side, formats=MESH_FORMATS, has_alpha=has_alpha).values()
+    if picture.mode == "RGBA" and picture.getchannel("A").getextrema() == (255, 255):
+        picture = picture.convert("RGB")
+    picture = _without_metadata(picture)
+    encoded, mime = _encoded(picture, "PNG", compress_level=9), "image/png"
+    if picture.mode == "RGB" and len(encoded) > _SMALL:
+        smaller = _encoded(picture, "JPEG", quality=_QUALITY, subsampling=0)
+        if len(smaller) < len(encoded):
+            encoded, mime = smaller, "image/jpeg"
+    return TextureImage(hashlib.sha256(encoded).hexdigest(), encoded, mime, *picture.size)
+
+
+@lru_cache(maxsize=16)
+def texture_pixels(content: bytes, *, has_alpha: bool = False) -> npt.NDArray[np.uint8]:
+    """Decodes an image of the table ``textures``, (H, W, 3) uint8, display colours, or (H, W, 4) with alpha; cached for recent ones.
+
+    Raises:
+        MeshError: As :func:`encode_texture`.
+    """
+    images = decode_images({0: content}, "table textures", side=TEXTURE_SIDE, formats=MESH_FORMATS, has_alpha=has_alpha)
+    pixels = np.asarray(images[0])
+    pixels.setflags(write=False)  # shared by all who ask for it
+    return pixels
+
+
+def decode_images(
+    images: Mapping[K, bytes], name: str, *, side: int, formats: tuple[str, ...] = GLTF_FORMATS, has_alpha: bool = False
+) -> dict[K, "Image.Image"]:
+    """Decodes image files within bounds.
+
+    Args:
+        images: The files by any key; not trusted. All of them together have at most 2^27 pixels.
+        name: What they belong to, in messages.
+        side: Larger images are reduced to this, pixels.
+        formats: The formats that are opened.
+        has_alpha: Whether transparency is kept.
+
+    Returns:
+        Images of mode ``RGB``, or ``RGBA`` where transparency is kept and the file has some, by the keys of ``images``.
+
+    Raises:
+        MeshError: As :func:`encode_texture`.
+    """
+    from PIL import Image, UnidentifiedImageError  # imported here: few files have textures, and Pillow may not be installed
+
+    decoded: dict[K, Image.Image] = {}
+    num_pixels = 0
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            for key, content in images.items():
+                # Each scan of a progressive JPEG decodes the whole picture again. The marker cannot occur in coded data.
+                if content.startswith(b"\xff\xd8") and content.count(b"\xff\xda") > _MAX_SCANS:
+                    raise ValueError(f"a JPEG with more than {_MAX_SCANS} scans")
+                with Image.open(io.BytesIO(content), formats=formats) as picture:  # reads only the header
+                    num_pixels += picture.width * picture.height
+                    if num_pixels > _MOST_PIXELS:
+                        raise Image.DecompressionBombError(f"{num_pixels} pixels in all textures, of at most {_MOST_PIXELS}")
+                    decoded[key] = _reduced(picture, side, has_alpha=has_alpha)
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        message = f"{name}: a texture is too large ({type(error).__name__}: {error!s:.200}), expected fewer pixels; reduce it"
+        raise MeshError(message, "texture_too_large") from error
+    except Exception as error:  # each decoder of Pillow raises its own exceptions
+        found = "another format" if isinstance(error, UnidentifiedImageError) else f"{type(error).__name__}: {error}"
+        expected = f"{', '.join(formats[:-1])} or {formats[-1]}"
+        message = f"{name}: a texture cannot be read ({found:.200}), expected {expected}; export it again"
+        raise MeshError(message, "texture_invalid") from error
+    return decoded
+
+
+def _reduced(picture: "Image.Image", side: int, *, has_alpha: bool) -> "Image.Image":
+    """A picture of mode RGB or RGBA whose sides are at most ``side``."""
+    is_clear = has_alpha and (picture.mode in _ALPHA or "transparency" in picture.info)
+    mode = "RGBA" if is_clear else "RGB"
+    if picture.mode.startswith("I"):  # grey of 16 bits, which Pillow would clip to 255
+        from PIL import Image
+
+        grey = np.clip(np.asarray(picture, np.int64), 0, 65535) // 257
+        picture = Image.fromarray(grey.astype(np.uint8))
+    elif picture.mode in ("P", *_ALPHA) or is_clear:
+        # Indices of a palette must not be mixed; and where alpha does not count, colours must not be weighed by it.
+        picture = picture.convert(mode)
+    picture.thumbnail((side, side))
+    return picture.convert(mode)
+
+
+def _without_metadata(picture: "Image.Image") -> "Image.Image":
+    from PIL import Image
+
+    return Image.frombytes(picture.mode, picture.size, picture.tobytes())
+
+
+def _encoded(picture: "Image.Image", file_format: str, **options: Any) -> bytes:
+    stream = io.BytesIO()
+    picture.save(stream, file_format, **options)
+    return stream.getvalue()
