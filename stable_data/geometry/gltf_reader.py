@@ -2,12 +2,13 @@
 
 import errno
 import json
+import re
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,12 @@ COLLIDERS = "colliders"
 
 PART_FACES = "part_faces"
 """Key in the ``extras`` of that mesh: the number of faces of each part, in order."""
+
+TEXTURE = "texture:"
+"""Start of the address of an image that is a row of the table ``textures``; its SHA-256 follows."""
+
+TextureLookup: TypeAlias = Callable[[str], bytes | None]
+"""Returns the image file of a SHA-256; None if there is none."""
 
 _MAGIC, _JSON_CHUNK, _BIN_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -45,6 +52,7 @@ _LEVEL_STEPS[list(b"[{")] = 1
 _LEVEL_STEPS[list(b"]}")] = -1
 # The exceptions of json, struct, numpy and indexing on invalid content.
 _PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError, struct.error)
+_ADDRESS = re.compile(re.escape(TEXTURE) + "([0-9a-f]{64})")
 _Result = TypeVar("_Result")
 
 
@@ -105,13 +113,32 @@ def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = Me
     return _read(data, _GlbReader(asset_id, limits), _GlbReader.colliders)
 
 
-def load_surfaces(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> list[Surface]:
-    """Reads the surfaces of a file with their colours and textures. The arguments are those of :func:`load_glb`.
+def load_surfaces(
+    data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits(), textures: TextureLookup | None = None
+) -> list[Surface]:
+    """Reads the surfaces of a file with their colours and textures; other arguments are those of :func:`load_glb`.
+
+    Args:
+        data: The file, or its content.
+        asset_id: The asset's name in messages.
+        limits: Sizes beyond which the file is refused.
+        textures: Finds an image whose URI is an address of the table ``textures``, as :func:`stable_data.geometry.gltf_writer.write_look`
+            writes it. No other URI is opened: without an image in the file, a surface has none.
+
+    Raises:
+        MeshError: The file violates the format (the codes are those of :func:`load_glb`), or ``textures`` lacks an image
+            (``texture_missing``).
+    """
+    return _read(data, _GlbReader(asset_id, limits, textures), _GlbReader.surfaces)
+
+
+def texture_addresses(data: bytes, asset_id: str) -> tuple[str, ...]:
+    """Returns the SHA-256 of each image of the table ``textures`` that a file names, each once, sorted.
 
     Raises:
         MeshError: The file violates the format; the codes are those of :func:`load_glb`.
     """
-    return _read(data, _GlbReader(asset_id, limits), _GlbReader.surfaces)
+    return _read(data, _GlbReader(asset_id, MeshLimits()), _GlbReader.addresses)
 
 
 def _read(data: bytes | Path, reader: "_GlbReader", extract: Callable[["_GlbReader"], _Result]) -> _Result:
@@ -133,10 +160,12 @@ class _GlbReader:
 
     asset_id: str
     limits: MeshLimits
+    textures: TextureLookup | None = None
     notices: list[Notice] = field(default_factory=list)
     document: dict[str, Any] = field(default_factory=dict)
     binary: memoryview = field(default_factory=lambda: memoryview(b""))
     images: dict[int, bytes] = field(default_factory=dict)
+    stored_images: dict[str, bytes] = field(default_factory=dict)
 
     def fail(self, code: str, found: str, expected: str) -> NoReturn:
         raise MeshError(f"asset {self.asset_id}: {found:.300}, expected {expected}", code)
@@ -176,43 +205,68 @@ class _GlbReader:
         self._refuse_unsupported()
         surfaces = []
         for primitive, corners, triangles in self._placed_primitives():
-            factor, texture = self._base_colour(primitive)
+            factor, opacity, texture = self._base_colour(primitive)
             attributes, colours, uv = primitive["attributes"], None, None
             if "COLOR_0" in attributes:
                 width = 4 if self._entry("accessors", attributes["COLOR_0"])["type"] == "VEC4" else 3
                 colours = self._accessor(attributes["COLOR_0"], width, triangles)[..., :3].astype(np.float64)
             image = None if texture is None else self._image(texture)
-            name = f"TEXCOORD_{(texture or {}).get('texCoord', 0)}"
+            moved = (texture or {}).get("extensions", {}).get("KHR_texture_transform", {})
+            name = f"TEXCOORD_{moved.get('texCoord', (texture or {}).get('texCoord', 0))}"
             if image is not None and name in attributes:
-                uv = self._accessor(attributes[name], 2, triangles).astype(np.float64)
-            surfaces.append(Surface(corners[triangles], factor, colours, image, uv))
+                uv = _moved_uv(self._accessor(attributes[name], 2, triangles).astype(np.float64), moved)
+            has_alpha, opacity = opacity is not None, 1.0 if opacity is None else opacity
+            surfaces.append(Surface(corners[triangles], factor, colours, image, uv, opacity, has_alpha))
         return surfaces
 
-    def _base_colour(self, primitive: dict[str, Any]) -> tuple[tuple[float, float, float] | None, dict[str, Any] | None]:
-        """Factor and texture of a primitive's material; without a material there is no factor."""
+    def addresses(self) -> tuple[str, ...]:
+        """See :func:`texture_addresses`."""
+        uris = (image.get("uri") for image in self.document.get("images", []))
+        return tuple(sorted({found[1] for uri in uris if isinstance(uri, str) and (found := _ADDRESS.fullmatch(uri))}))
+
+    def _base_colour(
+        self, primitive: dict[str, Any]
+    ) -> tuple[tuple[float, float, float] | None, float | None, dict[str, Any] | None]:
+        """Factor, opacity and texture of a primitive's material; no factor without a material, no opacity where alpha is ignored."""
         if "material" not in primitive:
-            return None, None
+            return None, None, None
         material = self._entry("materials", primitive["material"])
         # An archived extension that files still use.
         older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         names = ("baseColorFactor", "baseColorTexture") if older is None else ("diffuseFactor", "diffuseTexture")
         found = material.get("pbrMetallicRoughness", {}) if older is None else older
-        red, green, blue = (float(channel) for channel in found.get(names[0], (1.0, 1.0, 1.0))[:3])
-        return (red, green, blue), found.get(names[1])
+        red, green, blue, *rest = (float(channel) for channel in found.get(names[0], (1.0, 1.0, 1.0))[:4])
+        mode = material.get("alphaMode", "OPAQUE")
+        opacity = None
+        if mode != "OPAQUE":  # a mask is seen or not: its factor only moves the limit
+            opacity = float(np.clip(rest[0], 0.0, 1.0)) if rest and mode == "BLEND" else 1.0
+        return (red, green, blue), opacity, found.get(names[1])
 
     def _image(self, texture: dict[str, Any]) -> bytes | None:
-        """The content of a texture's image; None if it is not in the file."""
+        """The content of a texture's image; None if it is neither in the file nor in the table ``textures``."""
         entry = self._entry("textures", texture["index"])
         source = entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source", entry.get("source"))
         image = {} if source is None else self._entry("images", source)
         if "bufferView" not in image:
-            return None
+            address = _ADDRESS.fullmatch(str(image.get("uri")))
+            return None if address is None or self.textures is None else self._stored_image(address[1], self.textures)
         index = image["bufferView"]
         if index not in self.images:  # many primitives may share one large texture
             self.images[index] = bytes(self._view(index))
             if sum(map(len, self.images.values())) > len(self.binary):  # overlapping textures could fill the memory
                 self.fail("glb_invalid", "has textures that overlap", "a part of the file for each; export it again")
         return self.images[index]
+
+    def _stored_image(self, sha256: str, textures: TextureLookup) -> bytes:
+        """An image of the table ``textures``."""
+        if sha256 not in self.stored_images:
+            content = textures(sha256)
+            if content is None:
+                found = f"its look names the image {sha256}, which the table textures does not have"
+                self.fail("texture_missing", found, "a row for it; import the asset again")
+            self.stored_images[sha256] = content
+            self.check_limit("max_bytes", sum(map(len, self.stored_images.values())))
+        return self.stored_images[sha256]
 
     def _placed_primitives(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
         """Every primitive of the scene with its corners (V, 3), z up, in the scene's frame, and its triangles (F, 3)."""
@@ -434,6 +488,16 @@ def _parent_from_node(node: dict[str, Any]) -> FloatArray:
     matrix[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), np.float64).reshape(3)
     matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64).reshape(3)
     return matrix
+
+
+def _moved_uv(uv: FloatArray, transform: dict[str, Any]) -> FloatArray:
+    """Texture coordinates (..., 2) after the extension KHR_texture_transform; unchanged without one."""
+    if not transform:
+        return uv
+    turn = float(transform.get("rotation", 0.0))
+    scaled = uv * np.array(transform.get("scale", (1.0, 1.0)), np.float64).reshape(2)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return np.asarray(scaled @ rotation.T + np.array(transform.get("offset", (0.0, 0.0)), np.float64).reshape(2))
 
 
 def _triangles(indices: IntArray, mode: int) -> IntArray:

@@ -1,18 +1,25 @@
 """Writes binary glTF: geometry, colours, convex parts; the same input gives the same bytes."""
 
+import hashlib
 import json
 import struct
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
-from stable_data.geometry.gltf_reader import COLLIDERS, PART_FACES
+from stable_data.geometry.gltf_reader import COLLIDERS, PART_FACES, TEXTURE
 from stable_data.geometry.mesh import Mesh, join_meshes
 from stable_data.geometry.mesh_colors import to_linear
+from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray
 
-_FLOAT, _UINT, _VERTICES, _INDICES = 5126, 5125, 34962, 34963  # constants of the glTF 2.0 specification
+# Constants of the glTF 2.0 specification.
+_FLOAT, _UINT, _USHORT, _VERTICES, _INDICES = 5126, 5125, 5123, 34962, 34963
+_FULL = 65535  # a full colour channel
+GltfArray: TypeAlias = FloatArray | IntArray | npt.NDArray[np.float32] | npt.NDArray[np.uint16]
+"""An array that an accessor describes, see :func:`pack`."""
 
 
 def write_glb(
@@ -45,7 +52,7 @@ def write_glb(
     def stored(vertices: FloatArray) -> FloatArray:
         if is_z_up:
             return vertices / unit / 2
-        return np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1) / unit  # from z up to y up
+        return y_up(vertices) / unit
 
     face_groups = [mesh.faces[rows] for _, rows in paint] or [mesh.faces]
     primitives = [{"attributes": {"POSITION": 0}, "indices": 1 + k} for k in range(len(face_groups))]
@@ -70,24 +77,149 @@ def material(color: str) -> dict[str, Any]:
     return {"pbrMetallicRoughness": {"baseColorFactor": factor, "metallicFactor": 0.0}}
 
 
-def pack(document: dict[str, Any], arrays: Sequence[FloatArray | IntArray]) -> bytes:
-    """Packs a glTF document whose accessor k is ``arrays[k]``: corners if it holds floats, else faces."""
+def write_look(surfaces: Sequence[Surface]) -> bytes:
+    """Writes surfaces with colours and texture coordinates as binary glTF, for the column ``look``; y up.
+
+    Args:
+        surfaces: At least one triangle in all; any unit, z up. Their images are rows of the table ``textures``: the file has
+            their addresses (``texture:`` and the SHA-256 of the image) and not their content.
+
+    Returns:
+        The content of the file: a primitive for each surface, in order. Read it with
+        :func:`stable_data.geometry.gltf_reader.load_surfaces`.
+    """
+    parts = SurfaceParts()
+    primitives = [parts.primitive(surface, y_up) for surface in surfaces if len(surface.triangles)]
+    document: dict[str, Any] = {"scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "name": "look"}]}
+    addresses = [{"uri": TEXTURE + hashlib.sha256(image).hexdigest()} for image in parts.images]
+    return pack(document | {"meshes": [{"primitives": primitives}]} | parts.document(addresses), parts.arrays)
+
+
+def y_up(vertices: FloatArray) -> FloatArray:
+    """Turns coordinates (V, 3) from z up to y up, as glTF demands."""
+    return np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1)
+
+
+class SurfaceParts:
+    """Arrays, materials and images of the surfaces in a glTF document under construction.
+
+    Args:
+        arrays: Arrays that the document has already.
+
+    Attributes:
+        arrays: The accessors of the document, see :func:`pack`.
+        images: Contents of the images, each once.
+    """
+
+    def __init__(self, arrays: Sequence[GltfArray] = ()) -> None:
+        self.arrays: list[GltfArray] = list(arrays)
+        self.images: list[bytes] = []
+        self._materials: list[dict[str, Any]] = []
+
+    def primitive(
+        self, surface: Surface, to_file: Callable[[FloatArray], FloatArray] = lambda vertices: vertices
+    ) -> dict[str, Any]:
+        """Adds a surface and returns its primitive; equal corners are stored once.
+
+        Args:
+            surface: At least one triangle.
+            to_file: Turns coordinates (V, 3) into those of the file.
+        """
+        # Equal corners of a surface remain equal numbers; zeros lose their sign, which would make them differ.
+        columns: dict[str, GltfArray] = {"POSITION": to_file(surface.triangles.reshape(-1, 3)).astype(np.float32) + 0.0}
+        if surface.corner_uv is not None:
+            columns["TEXCOORD_0"] = np.nan_to_num(surface.corner_uv.reshape(-1, 2)).astype(np.float32) + 0.0
+        if surface.corner_colours is not None:
+            colours = np.clip(np.nan_to_num(surface.corner_colours.reshape(-1, 3)), 0.0, 1.0)
+            columns["COLOR_0"] = np.pad(np.rint(_FULL * colours), ((0, 0), (0, 1)), constant_values=_FULL).astype(np.uint16)
+        first, corner = _distinct_rows(list(columns.values()))
+        attributes = {name: len(self.arrays) + k for k, name in enumerate(columns)}
+        self.arrays += [column[first] for column in columns.values()]
+        self.arrays.append(corner.reshape(-1, 3))
+        primitive: dict[str, Any] = {"attributes": attributes, "indices": len(self.arrays) - 1}
+        material = self._material(surface)
+        return primitive if material is None else primitive | {"material": material}
+
+    def _material(self, surface: Surface) -> int | None:
+        """The number of the material of a surface, which is added if it is new; None without one."""
+        image = surface.image if surface.corner_uv is not None else None
+        is_clear = surface.opacity < 1 or (surface.has_alpha and image is not None)
+        if surface.colour is None and image is None and not is_clear:
+            return None
+        found: dict[str, Any] = {
+            "baseColorFactor": [*(surface.colour or (1.0, 1.0, 1.0)), surface.opacity],
+            "metallicFactor": 0.0,
+        }
+        if image is not None:
+            if image not in self.images:
+                self.images.append(image)
+            found["baseColorTexture"] = {"index": self.images.index(image)}
+        material = {"pbrMetallicRoughness": found, "doubleSided": True} | ({"alphaMode": "BLEND"} if is_clear else {})
+        if material not in self._materials:
+            self._materials.append(material)
+        return self._materials.index(material)
+
+    def document(self, images: Sequence[dict[str, Any]]) -> dict[str, Any]:
+        """Returns the entries ``materials``, ``textures`` and ``images`` of the document, as far as there are any.
+
+        Args:
+            images: The glTF image of each of ``images``.
+        """
+        textures = [{"source": k} for k in range(len(images))]
+        entries = {"materials": self._materials, "textures": textures, "images": list(images)}
+        return {name: found for name, found in entries.items() if found}
+
+
+def _distinct_rows(columns: Sequence[GltfArray]) -> tuple[IntArray, IntArray]:
+    """The first of each group of equal rows (V,) of arrays with N rows each, in their order, and the group of each row, (N,)."""
+    rows = np.ascontiguousarray(np.concatenate([c.view(np.uint8).reshape(len(c), -1) for c in columns], axis=1))
+    _, first, group = np.unique(rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[group]
+
+
+def pack(document: dict[str, Any], arrays: Sequence[GltfArray], images: Sequence[bytes] = ()) -> bytes:
+    """Packs a glTF document.
+
+    Args:
+        document: The document without accessors and buffers.
+        arrays: Accessor k is ``arrays[k]``: positions (V, 3) if it holds floats, or texture coordinates (V, 2); colours (V, 4) if
+            it holds unsigned integers of 16 bits; else faces.
+        images: Image files; their buffer views follow those of the arrays.
+
+    Returns:
+        The content of the file.
+    """
     accessors: list[dict[str, Any]] = []
     views: list[dict[str, Any]] = []
     chunks: list[bytes] = []
+    start = 0
+
+    def add(content: bytes, **entries: int) -> None:
+        nonlocal start
+        chunks.append(content + b"\0" * (-len(content) % 4))
+        views.append({"buffer": 0, "byteOffset": start, "byteLength": len(content)} | entries)
+        start += len(chunks[-1])
+
     for k, array in enumerate(arrays):
-        is_corners = array.dtype.kind == "f"
-        stored = array.astype("<f4" if is_corners else "<u4")
-        start = sum(map(len, chunks))
-        chunks.append(stored.tobytes())
-        target = _VERTICES if is_corners else _INDICES
-        views.append({"buffer": 0, "byteOffset": start, "byteLength": len(chunks[-1]), "target": target})
-        accessor: dict[str, Any] = {"bufferView": k, "componentType": _FLOAT if is_corners else _UINT}
-        if is_corners:
+        if array.dtype == np.uint16:
+            add(array.astype("<u2").tobytes(), target=_VERTICES)
+            accessors.append(
+                {"bufferView": k, "componentType": _USHORT, "normalized": True, "count": len(array), "type": "VEC4"}
+            )
+        elif array.dtype.kind == "f":
+            stored = array.astype("<f4")
+            add(stored.tobytes(), target=_VERTICES)
+            accessor: dict[str, Any] = {"bufferView": k, "componentType": _FLOAT, "count": len(stored)}
             box = {"min": stored.min(axis=0).tolist(), "max": stored.max(axis=0).tolist()}
-            accessors.append(accessor | {"count": len(stored), "type": "VEC3", **box})
+            accessors.append(accessor | ({"type": "VEC3", **box} if stored.shape[1] == 3 else {"type": "VEC2"}))
         else:
-            accessors.append(accessor | {"count": stored.size, "type": "SCALAR"})
+            add(array.astype("<u4").tobytes(), target=_INDICES)
+            accessors.append({"bufferView": k, "componentType": _UINT, "count": array.size, "type": "SCALAR"})
+    for image in images:
+        add(image)
     binary = b"".join(chunks)
     document = {"asset": {"version": "2.0", "generator": "stable-data"}, **document}
     document |= {"accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(binary)}]}

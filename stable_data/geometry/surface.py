@@ -17,6 +17,7 @@ class Surface:
         corner_uv: Texture coordinates of the corners, (F, 3, 2), shares of width and height from the upper left; the texture
             repeats. None without an image.
         opacity: From 0 (not seen) to 1.
+        has_alpha: Whether the alpha of the image is opacity too; else it is ignored, as formats of meshes do by default.
     """
 
     triangles: FloatArray
@@ -25,3 +26,4 @@ class Surface:
     image: bytes | None = None
     corner_uv: FloatArray | None = None
     opacity: float = 1.0
+    has_alpha: bool = False
