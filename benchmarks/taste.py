@@ -51,7 +51,8 @@ from stable_data.cli import with_clear_errors
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import FloatArray, RelationKind, Scene, SceneObject
 from stable_data.scene_graph.relations import CELLS, cell_of, yawed_rectangle
-from stable_data.simulation.render import Picture, contact_sheet, object_colour, render_scene
+from stable_data.simulation.offscreen import Picture
+from stable_data.simulation.render import contact_sheet, object_colour, render_scene
 from stable_data.storage.row_groups import SPLITS
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row

@@ -1,5 +1,7 @@
 """Exports a scene as binary glTF: one node for each object, with its instance and pose; objects of one asset share its mesh."""
 
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,18 +9,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.atomic_files import safe_file_name, write_file_atomically
-from stable_data.geometry.gltf_writer import material, pack
+from stable_data.geometry.gltf_writer import SurfaceParts, material, pack
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface import Surface
 from stable_data.rotations import quat_of
-from stable_data.scene import UPRIGHT, FloatArray, IntArray, QuatXyzw, Scene, Vec3
-from stable_data.simulation.render import object_colour, table_boxes
+from stable_data.scene import QuatXyzw, Scene, Vec3
+from stable_data.simulation.render import object_colour, scene_bounds
+from stable_data.simulation.room import furnish
 from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """Binary glTF, one file for each scene: `<scene>.glb`, metres. The format requires that y is up and -z is away from the
 viewer; the node `scene` turns all nodes below it, whose coordinates are those of stable-data. Nodes have the names of the
-instances, and their `extras` give category, asset and description."""
+instances, and their `extras` give category, asset and description. The node `table` is the table with its legs; its top is at
+z = 0."""
 
 _Y_UP = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))  # turns z up into y up
 
@@ -35,11 +40,14 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
 
 def scene_glb(geometry: SceneGeometry) -> bytes:
     """Returns the content of a scene's file."""
-    document = _Document()
+    low, high = scene_bounds(geometry.scene, [Mesh(shape.vertices, shape.faces) for shape in geometry.shapes])
+    table = defaultdict[str, list[Surface]](list)
+    for part in furnish(geometry.scene.table, low, high):
+        if part.is_of_table:
+            table[part.name.split("/")[0]].append(part.surface)
+    document = _Document(table)
     unit = Shape.box((1.0, 1.0, 1.0))
     box = Mesh(unit.vertices, unit.faces)
-    for name, colour, position, (x, y, z) in table_boxes(geometry.scene.table):
-        document.add(name, document.mesh(name, box, _all_of(box, colour)), position, UPRIGHT, (2 * x, 2 * y, 2 * z))
     for k, (o, mesh) in enumerate(zip(geometry.scene.objects, geometry.meshes, strict=True)):
         turn = Rotation.from_euler("z", o.yaw)
         extras = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
@@ -56,11 +64,15 @@ def scene_glb(geometry: SceneGeometry) -> bytes:
 class _Document:
     """A glTF document under construction."""
 
-    def __init__(self) -> None:
-        self._nodes: list[dict[str, Any]] = []
-        self._meshes: list[dict[str, Any]] = []
-        self._materials: list[dict[str, Any]] = []
-        self._arrays: list[FloatArray | IntArray] = []
+    def __init__(self, table: Mapping[str, Sequence[Surface]]) -> None:
+        self._table = SurfaceParts()
+        self._meshes: list[dict[str, Any]] = [
+            {"name": name, "primitives": [self._table.primitive(surface) for surface in surfaces]}
+            for name, surfaces in table.items()
+        ]
+        self._nodes: list[dict[str, Any]] = [{"name": name, "mesh": number} for number, name in enumerate(table)]
+        self._materials: list[dict[str, Any]] = self._table.document(())["materials"]
+        self._arrays = self._table.arrays
         self._numbers: dict[tuple[str, ...], int] = {}
 
     def mesh(self, name: str, mesh: Mesh, paint: Paint) -> int:
@@ -87,14 +99,17 @@ class _Document:
 
     def content(self, name: str) -> bytes:
         root = {"name": "scene", "rotation": _Y_UP, "children": list(range(1, len(self._nodes) + 1))}
+        files = self._table.images
+        images = [{"bufferView": len(self._arrays) + k, "mimeType": "image/png"} for k in range(len(files))]
         document = {
             "scene": 0,
             "scenes": [{"name": name, "nodes": [0]}],
             "nodes": [root, *self._nodes],
             "meshes": self._meshes,
+            **self._table.document(images),
             "materials": self._materials,
         }
-        return pack(document, self._arrays)
+        return pack(document, self._arrays, files)
 
 
 def _all_of(mesh: Mesh, colour: str) -> Paint:

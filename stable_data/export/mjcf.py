@@ -2,7 +2,8 @@
 
 An export::
 
-    assets/<2 digits>/<content>.obj    a convex part, metres; or the visible mesh of an asset, mesh units
+    assets/<2 digits>/<content>.obj    a convex part, metres; the visible mesh of an asset, mesh units; or a part of the table, metres
+    assets/<2 digits>/<content>.png    a texture
     <scene>/scene.xml
 
 The model is that of the stability verdict (:mod:`stable_data.simulation.mujoco_model`): MuJoCo reads exactly the same numbers
@@ -10,11 +11,13 @@ from the file. MuJoCo's own writer is not used, because it rounds to six digits.
 """
 
 import hashlib
+import io
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from PIL import Image
 
 from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.scene import Scene
@@ -25,7 +28,8 @@ from stable_data.simulation.settling import COLLIDER
 
 ABOUT = """MuJoCo models (MJCF): `<scene>/scene.xml`, which `mujoco.MjModel.from_xml_path` and `python -m mujoco.viewer --mjcf=` open.
 Bodies have the names of the instances; the keyframe `home` contains the poses. Geoms of group 3 collide and are the convex parts
-of the objects; geoms of group 2 are visible. Masses, inertias, friction and contact settings are those of the stability verdict.
+of the objects and the geom `table`; geoms of group 2 are visible, among them the table with its legs (`table/…`) and a floor and
+walls around it (`room/…`), which nothing collides with. Masses, inertias, friction and contact settings are those of the stability verdict.
 Scenes share the folder `assets`: copy it with them, or export a single scene with `--scene`."""
 
 MESH_FOLDER = "assets"
@@ -51,37 +55,51 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
         MeshError: An object has no solid part, or MuJoCo refuses it.
     """
     spec = engine_spec(geometry)
-    files = {mesh.name: _put_mesh(mesh, out / MESH_FOLDER) for mesh in spec.meshes}
+    folder = out / MESH_FOLDER
+    files = {mesh.name: _put(_obj(mesh), ".obj", folder) for mesh in spec.meshes}
+    pictures = {t.name: _put(_png(t), ".png", folder) for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_2D}
     path = scene_path(geometry.scene, out)
     path.parent.mkdir(parents=True, exist_ok=True)
-    tree = _model(spec, files)
+    tree = _model(spec, files, pictures)
     ET.indent(tree)
     write_file_atomically(path, ET.tostring(tree, encoding="utf-8") + b"\n")
 
 
-def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
-    """Writes a mesh under a hash of its content and returns its name in the folder."""
-    vertices = np.fromiter(mesh.uservert, np.float32, len(mesh.uservert)).reshape(-1, 3)
-    faces = np.fromiter(mesh.userface, np.int64, len(mesh.userface)).reshape(-1, 3)
-    content = _obj(vertices, faces)
+def _put(content: bytes, suffix: str, folder: Path) -> str:
+    """Writes a file under a hash of its content and returns its name in the folder."""
     digest = hashlib.sha256(content).hexdigest()[:24]
-    path = folder / digest[:2] / f"{digest}.obj"
+    path = folder / digest[:2] / f"{digest}{suffix}"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file_atomically(path, content)
-    return f"{digest[:2]}/{digest}.obj"
+    return f"{digest[:2]}/{digest}{suffix}"
 
 
-def _obj(vertices: Any, faces: Any) -> bytes:
+def _obj(mesh: mujoco.MjsMesh) -> bytes:
     """A mesh as Wavefront OBJ; MuJoCo stores single precision, which nine digits represent exactly."""
+    vertices = np.fromiter(mesh.uservert, np.float32, len(mesh.uservert)).reshape(-1, 3)
+    faces = np.fromiter(mesh.userface, np.int64, len(mesh.userface)).reshape(-1, 3) + 1
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    if len(mesh.usertexcoord):
+        uv = np.fromiter(mesh.usertexcoord, np.float32, len(mesh.usertexcoord)).reshape(-1, 2)
+        corners = np.fromiter(mesh.userfacetexcoord, np.int64, len(mesh.userfacetexcoord)).reshape(-1, 3) + 1
+        lines += [f"vt {u:.9g} {1 - v:.9g}" for u, v in uv.tolist()]  # the format counts from below
+        lines += ["f " + " ".join(f"{v}/{t}" for v, t in zip(*pair, strict=True)) for pair in zip(faces, corners, strict=True)]
+    else:
+        lines += [f"f {a} {b} {c}" for a, b, c in faces.tolist()]
     return ("\n".join(lines) + "\n").encode()
 
 
-def _model(spec: mujoco.MjSpec, files: dict[str, str]) -> ET.Element:
+def _png(texture: mujoco.MjsTexture) -> bytes:
+    stream = io.BytesIO()
+    pixels = np.frombuffer(bytes(texture.data), np.uint8).reshape(texture.height, texture.width, texture.nchannel)
+    Image.fromarray(pixels).save(stream, "png", compress_level=9)
+    return stream.getvalue()
+
+
+def _model(spec: mujoco.MjSpec, files: dict[str, str], pictures: dict[str, str]) -> ET.Element:
     root = ET.Element("mujoco", model=spec.modelname)
-    _add(root, "compiler", angle="radian", meshdir=f"../{MESH_FOLDER}")
+    _add(root, "compiler", angle="radian", meshdir=f"../{MESH_FOLDER}", texturedir=f"../{MESH_FOLDER}")
     option = _add(root, "option", timestep=spec.option.timestep, cone="elliptic", impratio=spec.option.impratio)
     # By default versions before 4 give two meshes a single contact point, on which objects creep.
     _add(option, "flag", autoreset="disable", multiccd="enable")
@@ -99,8 +117,16 @@ def _model(spec: mujoco.MjSpec, files: dict[str, str]) -> ET.Element:
             _add(of_class, "geom", group=geom.group, **contact)
     assets = _add(root, "asset")
     for texture in spec.textures:
+        if texture.name in pictures:
+            _add(assets, "texture", name=texture.name, type="2d", file=pictures[texture.name])
+            continue
         size = {"width": texture.width, "height": texture.height}
         _add(assets, "texture", type="skybox", builtin="gradient", rgb1=texture.rgb1, rgb2=texture.rgb2, **size)
+    for material in spec.materials:
+        texture = material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB]
+        painted = {"texture": texture} if texture else {"rgba": material.rgba}
+        shine = {key: getattr(material, key) for key in ("specular", "shininess", "emission")}
+        _add(assets, "material", name=material.name, **painted, **shine)
     for mesh in spec.meshes:
         element = _add(assets, "mesh", name=mesh.name, file=files[mesh.name], inertia=_INERTIAS[int(mesh.inertia)])
         if not np.array_equal(mesh.scale, (1.0, 1.0, 1.0)):
@@ -145,6 +171,8 @@ def _add_geom(parent: ET.Element, geom: mujoco.MjsGeom) -> None:
     for key, value in {"pos": geom.pos, "quat": geom.quat, "rgba": geom.rgba, "group": geom.group}.items():
         if not np.array_equal(value, getattr(geom.classname.geom, key)):  # values of the class are not repeated
             element.set(key, _text(value))
+    if geom.material:
+        element.set("material", geom.material)
     if kind == "mesh":
         element.set("mesh", geom.meshname)
         if geom.classname.name == COLLIDER:

@@ -12,16 +12,16 @@ from stable_data.rotations import wxyz
 from stable_data.scene import TABLE
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.render import (
-    TABLE_COLOUR,
     View,
     add_camera,
     add_lights,
+    add_room,
     object_colour,
     rgba,
     scene_bounds,
     set_lighting,
-    table_boxes,
 )
+from stable_data.simulation.room import RESTRICTED_ZONE, furnish
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER, compile_spec, spec_of
 
@@ -37,7 +37,7 @@ CAMERAS: tuple[View, ...] = ("front", "top")
 COLLIDER_GROUP, VISUAL_GROUP = 3, 2
 """Groups of geoms: MuJoCo's viewer hides the first and shows the second."""
 
-_RESERVED = frozenset({TABLE, "world", "hand", "restricted_zone"})
+_RESERVED = frozenset({TABLE, "world", "hand", RESTRICTED_ZONE})
 _FLATTEST = 1e-14  # a face of less area is not visible, m²
 _PICTURE = (640, 480)  # default size of the largest picture that can be rendered off screen, pixels
 
@@ -50,8 +50,9 @@ def body_name(instance: str) -> str:
 def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
     """Describes a scene for MuJoCo.
 
-    Body k + 1 is object k; the body, its free joint and its geoms have the object's name (:func:`body_name`). Mass and inertia
-    of a body are explicit, as MuJoCo derives them from its convex parts.
+    The geom ``table`` is the collider of the verdict. What is seen of the table and its room are geoms that collide with nothing,
+    named ``table/…``, ``restricted_zone`` and ``room/…``. Body k + 1 is object k; the body, its free joint and its geoms have the
+    object's name (:func:`body_name`). Mass and inertia of a body are explicit, as MuJoCo derives them from its convex parts.
 
     Args:
         geometry: The scene with its geometry.
@@ -73,8 +74,7 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
     visual = spec.add_default(VISUAL, spec.default)
     spec.find_default(COLLIDER).geom.group, visual.geom.group = COLLIDER_GROUP, VISUAL_GROUP
     visual.geom.contype, visual.geom.conaffinity, visual.geom.mass = 0, 0, 0.0
-    table = spec.geom(TABLE)
-    table.group, table.rgba = VISUAL_GROUP, rgba(TABLE_COLOUR)
+    spec.geom(TABLE).group = COLLIDER_GROUP
     meshes: dict[object, str] = {}
     for k, o in enumerate(geometry.scene.objects):
         body, name = spec.bodies[k + 1], body_name(o.instance)
@@ -126,11 +126,9 @@ def _add_visuals(
 
 
 def _add_environment(spec: mujoco.MjSpec, geometry: SceneGeometry, picture: tuple[int, int]) -> None:
-    """Adds lights, background, cameras and the restricted zone."""
+    """Adds table, room, lights, background and cameras."""
     low, high = scene_bounds(geometry.scene, [Mesh(shape.vertices, shape.faces) for shape in geometry.shapes])
-    visual, box = spec.find_default(VISUAL), mujoco.mjtGeom.mjGEOM_BOX
-    for name, colour, centre, half in table_boxes(geometry.scene.table)[1:]:  # the table top itself is a collider already
-        spec.worldbody.add_geom(visual, name=name, type=box, pos=list(centre), size=list(half), rgba=rgba(colour))
+    add_room(spec, furnish(geometry.scene.table, low, high), spec.find_default(VISUAL))
     set_lighting(spec, picture)
     add_lights(spec, low, high)
     for view in CAMERAS:

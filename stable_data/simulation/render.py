@@ -6,7 +6,7 @@ it is nearer, by the ratio of width to height.
 """
 
 import hashlib
-import os
+import io
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Literal, TypeAlias
@@ -20,11 +20,10 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.rotations import wxyz, yaw_quat
-from stable_data.scene import TABLE, FloatArray, Scene, SceneObject, Tabletop, Vec3
+from stable_data.scene import FloatArray, Scene, SceneObject, Vec3
 from stable_data.simulation.mujoco_import import mujoco
-
-Picture: TypeAlias = npt.NDArray[np.uint8]
-"""(H, W, 3) uint8, red, green, blue."""
+from stable_data.simulation.offscreen import Picture, draw_model
+from stable_data.simulation.room import TABLE_THICKNESS, RoomPart, furnish
 
 FRONT_SIZE = (512, 512)
 """Width and height of ``front.png`` in the MesaTask-10K format, pixels."""
@@ -40,8 +39,6 @@ _DIRECTIONS: Mapping[str, Vec3] = {
 _HALF_VIEW = 18 / 50  # tangent of half the field of view: 36 mm sensor, 50 mm lens
 _FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
 _DISTANCE, _MARGIN = 1.5, 1.02
-TABLE_THICKNESS = 0.03
-SINK_RISE = 4e-4  # above the table top, so that it is visible
 _MAX_FACES = 6000  # a mesh with more faces is simplified for a picture
 _CREASE = np.cos(np.radians(35))  # edges sharper than this are not smoothed
 
@@ -58,8 +55,6 @@ OWN_COLOURS: Mapping[str, str] = {
     "candle": "#f6ecd2", "box": "#cda777", "can": "#b5484b", "toothbrush": "#3fa7a0",
 }  # fmt: skip
 """Colours of categories with a well-known colour."""
-
-TABLE_COLOUR, SINK_COLOUR = "#a8794f", "#eef0f2"
 
 
 def render_scene(
@@ -88,14 +83,14 @@ def render_scene(
     chosen: list[str | Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
     set_lighting(spec, size)
-    for _, colour, centre, half in table_boxes(scene.table):
-        _add_box(spec, centre, half, rgba(colour))
     for k, (o, mesh, paint) in enumerate(zip(scene.objects, meshes, chosen, strict=True)):
         _add_object(spec, o, mesh, paint, k)
     low, high = scene_bounds(scene, meshes)
+    add_room(spec, furnish(scene.table, low, high))
     add_lights(spec, low, high)
     add_camera(spec, low, high, view, size)
-    return _draw(spec.compile(), size)
+    spec.visual.quality.shadowsize //= 2  # each picture is the mean of several
+    return _with_soft_shadows(*draw_model(spec.compile(), "view", size))
 
 
 def category_colour(category: str) -> str:
@@ -163,20 +158,47 @@ def set_lighting(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
     # A shadow map costs a CPU as much as a picture; four of its points for each pixel of a row are enough.
     visual.quality.shadowsize, visual.quality.offsamples = min(2048, max(512, 4 * max(size))), 4
     visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.34] * 3, [0.18] * 3, [0.0] * 3
-    # The offset of shadows from surfaces is a share of the depth range: with zfar 50 some table tops had specks of shadow.
-    visual.map.znear, visual.map.zfar = 0.01, 200.0
+    # The offset of shadows from surfaces is a share of the depth range: with zfar 200 some floors had specks of shadow.
+    visual.map.znear, visual.map.zfar = 0.01, 1500.0
     visual.map.shadowclip = 0.8  # in extents: half the width of the shadow map
 
 
-def table_boxes(table: Tabletop) -> list[tuple[str, str, Vec3, Vec3]]:
-    """Returns name, colour, centre and half size of the table top and of the restricted zone, metres."""
-    x, y = table.size_xy
-    boxes = [(TABLE, TABLE_COLOUR, (x / 2, y / 2, -TABLE_THICKNESS / 2), (x / 2, y / 2, TABLE_THICKNESS / 2))]
-    if table.restricted_zone is not None:
-        x_min, x_max, y_min, y_max = table.restricted_zone
-        centre = ((x_min + x_max) / 2, (y_min + y_max) / 2, 0.0)
-        boxes.append(("restricted_zone", SINK_COLOUR, centre, ((x_max - x_min) / 2, (y_max - y_min) / 2, SINK_RISE)))
-    return boxes
+def add_room(spec: mujoco.MjSpec, parts: Sequence[RoomPart], visual: mujoco.MjsDefault | None = None) -> None:
+    """Adds a table and its room, which nothing collides with.
+
+    Args:
+        spec: The description to add them to.
+        parts: What is seen.
+        visual: The class of the geoms that are only visible, if the description has one.
+    """
+    for part in parts:
+        surface, material = part.surface, spec.add_material(name=part.name)
+        material.specular, material.shininess = part.material.gloss, 0.4 + 0.5 * part.material.gloss
+        material.emission = part.material.glow
+        corners = np.arange(surface.triangles.size // 3, dtype=np.int32)
+        mesh = spec.add_mesh(
+            name=part.name, uservert=surface.triangles.ravel(), userface=corners, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        )  # fmt: skip
+        if surface.image is None or surface.corner_uv is None:
+            material.rgba = rgba(part.material.colour)
+        else:
+            pixels = _pixels(surface.image)
+            if spec.texture(part.material.name) is None:
+                texture = spec.add_texture(name=part.material.name, type=mujoco.mjtTexture.mjTEXTURE_2D)
+                texture.height, texture.width, texture.nchannel = pixels.shape
+                texture.data = pixels.tobytes()
+            material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = part.material.name
+            mesh.usertexcoord, mesh.userfacetexcoord = surface.corner_uv.ravel(), corners
+        geom = spec.worldbody.add_geom(
+            visual or spec.default, name=part.name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part.name, material=part.name
+        )
+        geom.contype = geom.conaffinity = 0
+
+
+@lru_cache(maxsize=64)
+def _pixels(content: bytes) -> Picture:
+    with Image.open(io.BytesIO(content)) as image:
+        return np.asarray(image.convert("RGB"))
 
 
 def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], yaw: float = 0.0) -> None:
@@ -260,45 +282,11 @@ def add_camera(
     spec.worldbody.add_camera(name=name, pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
 
 
-def open_renderer(model: mujoco.MjModel, size: tuple[int, int]) -> mujoco.Renderer:
-    """Opens an off-screen renderer of a model; its OpenGL context exists until it is closed.
-
-    ``size`` is width and height, pixels.
-
-    Raises:
-        ConfigError: The machine cannot render (``no_gl``).
-    """
-    try:
-        return mujoco.Renderer(model, height=size[1], width=size[0])
-    except (ImportError, AttributeError, RuntimeError, mujoco.FatalError) as error:
-        # True if MuJoCo was imported before `stable_data.simulation.mujoco_import` chose the renderer.
-        is_late = os.environ.get("MUJOCO_GL") == "egl" and "egl" not in getattr(mujoco, "GLContext", int).__module__
-        late = "import stable_data.simulation.gym_env before mujoco, or set MUJOCO_GL=egl for both; else " if is_late else ""
-        raise ConfigError(
-            f"rendering failed: OpenGL does not start ({type(error).__name__}: {error}); {late}"
-            "install libegl1 and libgl1-mesa-dri, or set MUJOCO_GL to egl, osmesa or glfw, or continue without pictures",
-            "no_gl",
-        ) from error
-
-
-def _draw(model: mujoco.MjModel, size: tuple[int, int]) -> Picture:
-    renderer = open_renderer(model, size)
-    data = mujoco.MjData(model)
-    try:
-        mujoco.mj_forward(model, data)
-        renderer.update_scene(data, camera="view")
-        shaded = renderer.render()  # with hard shadows
-        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-        return _with_soft_shadows(renderer.render(), shaded)
-    finally:
-        renderer.close()
-
-
-def _with_soft_shadows(lit: Picture, shaded: Picture) -> Picture:
+def _with_soft_shadows(lit: Picture, shaded: FloatArray) -> Picture:
     """Darkens the picture without shadows by the other one, filtered: shadow maps leave specks at edges."""
     brightness, darkened = lit.astype(np.float32).sum(axis=2) + 1, shaded.astype(np.float32).sum(axis=2) + 1
     share = Image.fromarray((255 * np.minimum(darkened / brightness, 1)).round().astype(np.uint8))
-    soft = share.filter(ImageFilter.MedianFilter(3)).filter(ImageFilter.GaussianBlur(0.7))
+    soft = share.filter(ImageFilter.MedianFilter(3)).filter(ImageFilter.GaussianBlur(1.0))
     return np.asarray((lit * (np.asarray(soft, np.float32)[:, :, None] / 255)).round().astype(np.uint8))
 
 

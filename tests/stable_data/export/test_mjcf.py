@@ -16,9 +16,11 @@ from stable_data.export import mjcf
 from stable_data.geometry.shape import Shape
 from stable_data.scene import FloatArray, Scene
 from stable_data.simulation.mujoco_import import mujoco
-from stable_data.simulation.mujoco_model import CAMERAS, VISUAL_GROUP, body_name
+from stable_data.simulation.mujoco_model import CAMERAS, VISUAL_GROUP, body_name, engine_spec
+from stable_data.simulation.render import scene_bounds
+from stable_data.simulation.room import FLOOR, RESTRICTED_ZONE, TABLE_FRAME, TABLE_TOP, WALL, furnish
 from stable_data.simulation.scene_geometry import SceneGeometry
-from stable_data.simulation.settling import compile_bodies, hull_volume, settle
+from stable_data.simulation.settling import compile_bodies, compile_spec, hull_volume, settle
 from tests.stable_data.export.runs import EMPTY, SCENES, at_rest, falling
 
 pytestmark = pytest.mark.sim
@@ -124,6 +126,45 @@ def test_what_is_seen_is_the_mesh_where_the_object_is(store: AssetStore, tmp_pat
         corners = model.mesh_vert[start : start + count] @ turn.T + data.geom_xpos[geom.id]
         np.testing.assert_allclose(box_of(corners), box_of(shape.posed(scene.poses()[k])), atol=2e-6)
     assert [model.camera(k).name for k in range(model.ncam)] == list(CAMERAS)
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=["at rest", "falling", "empty"])
+def test_nothing_of_the_room_changes_the_physics(scene: Scene, store: AssetStore) -> None:
+    geometry = SceneGeometry.of(scene, store)
+    furnished, bare = compile_spec(engine_spec(geometry)), compile_bodies(geometry.bodies, scene.table)
+    names = [furnished.geom(k).name for k in range(furnished.ngeom)]
+    assert {FLOOR, WALL, TABLE_TOP, TABLE_FRAME} <= set(names)
+    is_room = np.array([name.startswith(("table/", "room/")) or name == RESTRICTED_ZONE for name in names])
+    assert not furnished.geom_contype[is_room].any()
+    assert not furnished.geom_conaffinity[is_room].any()
+    np.testing.assert_array_equal(furnished.body_mass[1:], bare.body_mass[1:])
+    assert furnished.body_mass[0] == bare.body_mass[0]
+    paths = []
+    for model in (furnished, bare):
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, nstep=400)
+        paths.append(np.r_[data.qpos, data.qvel])
+    np.testing.assert_array_equal(*paths)
+
+
+def test_the_file_has_the_textures_of_the_model(store: AssetStore, tmp_path: Path) -> None:
+    scene = at_rest()
+    geometry = SceneGeometry.of(scene, store)
+    mjcf.export_scene(geometry, tmp_path)
+    own, read = compile_spec(engine_spec(geometry)), mujoco.MjModel.from_xml_path(str(mjcf.scene_path(scene, tmp_path)))
+    np.testing.assert_array_equal(read.tex_data, own.tex_data)
+    np.testing.assert_array_equal(read.mat_texid, own.mat_texid)
+    for name in ("rgba", "emission", "specular", "shininess"):
+        np.testing.assert_array_equal(getattr(read, f"mat_{name}"), getattr(own, f"mat_{name}"), name)
+    np.testing.assert_array_equal(read.geom_matid, own.geom_matid)
+    np.testing.assert_array_equal(read.geom_group, own.geom_group)
+    for part in furnish(scene.table, *scene_bounds(scene, [None] * len(scene.objects))):
+        if part.surface.corner_uv is not None and part.is_of_table:
+            mesh = read.mesh(part.name)
+            assert mesh.texcoordadr[0] >= 0
+            start, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
+            uv = read.mesh_texcoord[int(mesh.texcoordadr[0]) + read.mesh_facetexcoord[start : start + count]]
+            np.testing.assert_allclose(uv, part.surface.corner_uv, atol=1e-5)
 
 
 def box_of(corners: Any) -> FloatArray:

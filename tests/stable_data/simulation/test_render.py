@@ -6,8 +6,8 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.render import (
-    Picture,
     View,
     add_camera,
     category_colour,
