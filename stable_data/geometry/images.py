@@ -77,7 +77,7 @@ def encode_texture(content: bytes, name: str, *, side: int = TEXTURE_SIDE, has_a
     if picture.mode == "RGBA" and picture.getchannel("A").getextrema() == (255, 255):
         picture = picture.convert("RGB")
     picture = _without_metadata(picture)
-    encoded, mime = _encoded(picture, "PNG", compress_level=9), "image/png"
+    encoded, mime = _encoded(picture, "PNG", compress_level=4), "image/png"
     if picture.mode == "RGB" and len(encoded) > _SMALL:
         smaller = _encoded(picture, "JPEG", quality=_QUALITY, subsampling=0)
         if len(smaller) < len(encoded):

@@ -87,12 +87,25 @@ def _face_colours(surface: Surface, texture: npt.NDArray[np.uint8] | None) -> np
 
 def _mean_texture_colours(texture: npt.NDArray[np.uint8], corner_uv: FloatArray) -> FloatArray:
     """Mean colour of a texture over each face, (F, 3), linear."""
-    height, width, _ = texture.shape
     many, one = _TRIANGLE_POINTS, _TRIANGLE_POINTS.mean(axis=0, keepdims=True)
     uv = np.einsum("kc,fcd->fkd", many if len(corner_uv) <= _MAX_SAMPLED_FACES else one, corner_uv)
-    uv = np.nan_to_num(uv) % 1.0  # textures repeat
+    return np.asarray(texture_colours(texture, uv).mean(axis=1))
+
+
+def texture_colours(texture: npt.NDArray[np.uint8], uv: FloatArray) -> FloatArray:
+    """Reads a texture at some places.
+
+    Args:
+        texture: Display colours, (H, W, 3).
+        uv: Texture coordinates (..., 2) from the upper left; the texture repeats.
+
+    Returns:
+        Linear colours of the nearest pixels, (..., 3).
+    """
+    height, width, _ = texture.shape
+    uv = np.nan_to_num(uv) % 1.0
     column, row = (uv[..., 0] * width).astype(int) % width, (uv[..., 1] * height).astype(int) % height
-    return np.asarray(_LINEAR[texture[row, column]].mean(axis=1))
+    return np.asarray(_LINEAR[texture[row, column]])
 
 
 def _triangle_points(steps: int) -> FloatArray:
