@@ -28,7 +28,7 @@ from stable_data.storage.table_rows import scene_from_row
 
 S = TypeVar("S", bound=CorrectSettings)
 
-CARRIED_TABLES = ("assets", "meshes", "sdf", "features")
+CARRIED_TABLES = ("assets", "meshes", "textures", "sdf", "features")
 """Tables of the input run that are copied to the output, so that it can be used for training and export by itself."""
 
 

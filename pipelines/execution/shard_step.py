@@ -24,6 +24,9 @@ Rows: TypeAlias = dict[str, list[schemas.Row]]
 NOT_OF_AN_ITEM = (ConfigError, OSError, MemoryError)
 """Errors of the run or the machine, not of an item: a retry may succeed."""
 
+CONTENT_ADDRESSED = {"textures": "sha256"}
+"""Tables whose rows are named by their content, with that column."""
+
 I = TypeVar("I")  # noqa: E741 - an item
 
 
@@ -135,11 +138,13 @@ class ItemStep(ShardStep[I]):
         )
 
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
-        """Computes the rows of a shard, item by item."""
+        """Computes the rows of a shard, item by item. Content that several items share is one row of the shard."""
         rows: Rows = defaultdict(list)
         for item in shard.items:
             for table, found in (self._isolated_rows(item) if isolated else self._limited_rows(item)).items():
                 rows[table] += found
+        for table in rows.keys() & CONTENT_ADDRESSED.keys():
+            rows[table] = list({row[CONTENT_ADDRESSED[table]]: row for row in rows[table]}.values())
         return ShardResult(rows)
 
     def _limited_rows(self, item: I) -> Rows:

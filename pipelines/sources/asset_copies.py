@@ -40,7 +40,7 @@ class CopyAssets(ItemStep[AssetUse]):
         decomposes: Whether meshes that come without convex parts are decomposed.
     """
 
-    TABLES: ClassVar = ("warnings", "failures", "meshes", "assets")
+    TABLES: ClassVar = ("warnings", "failures", "textures", "meshes", "assets")
     UNIT: ClassVar = "asset"
     OF_THE_RUN: ClassVar = NOT_OF_AN_ITEM
 
@@ -82,7 +82,9 @@ class CopyAssets(ItemStep[AssetUse]):
             asset = asset if has_asset else made.asset
         if has_asset:
             asset = asset | {"text_embedding": None} | use_columns(item, store.asset(item.asset_id))
-        return {"assets": [asset], "meshes": [mesh], "warnings": [notice_row(n) for n in notices]}
+        notices += store.look(item.asset_id)[1]
+        textures = list(shelf.textures(item.asset_id))
+        return {"assets": [asset], "meshes": [mesh], "textures": textures, "warnings": [notice_row(n) for n in notices]}
 
 
 @lru_cache(maxsize=1)

@@ -23,6 +23,7 @@ from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.library import embedded_library
 from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.surface import Surface
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.mesatask.library import AssetFolder
 from stable_data.mesatask.writing import LAYOUT_FOLDER
@@ -43,6 +44,8 @@ class _Place:
         contents: Content hashes of the meshes, by asset; an asset without a mesh has none.
         parts: The stored convex parts of an asset; empty if it stores none.
         rows: The rows of an asset in the tables ``assets`` and ``meshes``; None if the library is no run.
+        look: The stored surfaces that are seen of an asset; empty if it stores none.
+        textures: Their rows of the table ``textures``.
     """
 
     library: AssetLibrary | None
@@ -52,6 +55,8 @@ class _Place:
     contents: Callable[[], Mapping[str, object]]
     parts: Callable[[str], tuple[Mesh, ...]] = lambda _: ()
     rows: Callable[[str], tuple[Row, Row] | None] = lambda _: None
+    look: Callable[[str], Sequence[Surface]] = lambda _: ()
+    textures: Callable[[str], Sequence[Row]] = lambda _: ()
 
 
 class AssetLibraries:
@@ -125,6 +130,14 @@ class AssetLibraries:
         """The convex parts of an asset that a run or the embedded world stores; empty for other libraries."""
         return self._place_of(asset_id).parts(asset_id)
 
+    def look(self, asset_id: str) -> Sequence[Surface]:
+        """The surfaces that are seen of an asset, as a run stores them; empty for other libraries."""
+        return self._place_of(asset_id).look(asset_id)
+
+    def textures(self, asset_id: str) -> Sequence[Row]:
+        """The rows of the table ``textures`` that the look of an asset names; empty if its library is no run."""
+        return self._place_of(asset_id).textures(asset_id)
+
     def rows(self, asset_id: str) -> tuple[Row, Row] | None:
         """The rows of an asset in the tables ``assets`` and ``meshes`` of its run; None if its library is no run or lacks them."""
         return self._place_of(asset_id).rows(asset_id)
@@ -169,7 +182,17 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
         contents = partial(_contents_of_run, run)
         rows = partial(_rows_of_run, kept, cache(partial(RowsOfAssets, run, "assets")))
-        return _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts, rows)
+        return _Place(
+            listed,
+            annotations.keys(),
+            kept.asset_path,
+            annotations.__getitem__,
+            contents,
+            kept.parts,
+            rows,
+            kept.look,
+            kept.textures,
+        )
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, partial(library_of_folder, root, name, scenes=shown), may_be_empty=may_be_empty)
@@ -202,8 +225,8 @@ def _of_folder(root: Path, read: Callable[[], AssetLibrary], *, may_be_empty: bo
 
 
 def _contents_of_run(run: RunFolder) -> dict[str, object]:
-    """The columns of each mesh of a run except the mesh itself: its hash and the measures of its convex parts."""
-    rows = run.table("meshes", [name for name in SCHEMAS["meshes"].names if name not in ("glb", "parts")]).to_pylist()
+    """The small columns of each mesh of a run: its hash and the measures of its convex parts. No scene depends on a look."""
+    rows = run.table("meshes", [name for name in SCHEMAS["meshes"].names if name not in ("glb", "parts", "look")]).to_pylist()
     return {row["asset_id"]: row for row in rows}
 
 

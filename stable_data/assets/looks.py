@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.gltf_reader import texture_addresses
 from stable_data.geometry.gltf_writer import write_look
 from stable_data.geometry.images import TEXTURE_SIDE, TextureImage, encode_texture
 from stable_data.geometry.mesh_colors import MOST_COLOURS
@@ -123,16 +122,3 @@ def _joined(surfaces: Iterable[Surface]) -> list[Surface]:
 def texture_rows(textures: Iterable[TextureImage]) -> list[Row]:
     """Returns rows of the table ``textures``."""
     return [asdict(texture) for texture in textures]
-
-
-def distinct_textures(rows: Iterable[Row]) -> list[Row]:
-    """Returns the rows of the table ``textures`` with each image once, in the order of their first ones."""
-    return list({row["sha256"]: row for row in rows}.values())
-
-
-def look_textures(look: bytes | None, asset_id: str) -> tuple[str, ...]:
-    """Returns the SHA-256 of the images of a column ``look``; none for a look that cannot be read, which is shown nowhere."""
-    try:
-        return () if look is None else texture_addresses(look, asset_id)
-    except MeshError:
-        return ()

@@ -2,7 +2,9 @@
 
 import hashlib
 import weakref
+from collections import OrderedDict
 from collections.abc import Collection, Mapping, Set
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,11 +16,15 @@ from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, MeshError, cannot_write
+from stable_data.geometry.gltf_reader import load_surfaces, texture_addresses
 from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.surface import Surface
 from stable_data.json_text import quote_value
 from stable_data.storage.row_groups import TableFiles, rows_from_table
 from stable_data.storage.run_folder import RunFolder, Uri
 from stable_data.storage.schemas import SCHEMAS, Row
+
+_TEXTURE_BYTES = 64 * 2**20  # of recent images in memory
 
 
 class RowsOfAssets:
@@ -68,7 +74,8 @@ class RunAssets:
     The first request for a file writes the files of its row group; existing files, such as those of another process, are used.
     A file is returned only after its hash is verified, and a GLB whose hash differs from that of its row is never written, so
     runs of any origin can share the folder. At most one row group of the table is in memory. The class is also a
-    :class:`~stable_data.assets.store.PartSource` with the convex parts of the table.
+    :class:`~stable_data.assets.store.PartSource` with the convex parts of the table, and a
+    :class:`~stable_data.assets.store.LookSource` with its looks and the images of the table ``textures``.
 
     Args:
         run: The run folder.
@@ -94,6 +101,7 @@ class RunAssets:
                     )
                 self._group_of[asset_id], self._content_of[asset_id] = group, sha256
         self._rows = RowsOfAssets(run, "meshes", ("glb",), self._group_of)
+        self._textures = RunTextures(run)
         try:
             files.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -139,6 +147,27 @@ class RunAssets:
             for part in (row["parts"] if row is not None else None) or ()
         )
 
+    def look(self, asset_id: str) -> list[Surface]:
+        """Returns the surfaces that are seen of an asset, in the frame and unit of its mesh; empty if the run has no look of it.
+
+        Raises:
+            ConfigError: The table can no longer be read.
+            MeshError: The look violates the format, or the run lacks one of its textures (``texture_missing``).
+        """
+        row = self._rows.row(asset_id)
+        look = None if row is None else row["look"]
+        return [] if look is None else load_surfaces(look, asset_id, textures=self._textures.image)
+
+    def textures(self, asset_id: str) -> list[Row]:
+        """Returns the rows of the table ``textures`` that the look of an asset names, as far as the run has them.
+
+        Raises:
+            ConfigError: The table can no longer be read.
+        """
+        row = self._rows.row(asset_id)
+        names = () if row is None else texture_addresses(row["look"])
+        return [found for name in names if (found := self._textures.row(name)) is not None]
+
     def row(self, asset_id: str) -> Row | None:
         """Returns the row of an asset in the table ``meshes``; None if it has none.
 
@@ -163,6 +192,59 @@ class RunAssets:
                     write_file_atomically(self._path(sha256), content)
         except OSError as error:
             raise cannot_write(str(self._files), error) from error
+
+
+class RunTextures:
+    """The table ``textures`` of a run; at most one row group and some images are in memory. A run may lack the table.
+
+    Args:
+        run: The run folder.
+    """
+
+    def __init__(self, run: RunFolder) -> None:
+        self._run = run
+        self._recent: OrderedDict[str, Row] = OrderedDict()
+
+    @cached_property
+    def _files(self) -> TableFiles | None:
+        return TableFiles(self._run.uri, "textures", None) if self._run.files("textures") else None
+
+    @cached_property
+    def _group_of(self) -> dict[str, int]:
+        """The row group of each image; the first of those that have it."""
+        if self._files is None:
+            return {}
+        names = TableFiles(self._run.uri, "textures", ["sha256"])
+        found: dict[str, int] = {}
+        for group in range(len(names.groups)):
+            for sha256 in names.read([group])["sha256"].to_pylist():
+                found.setdefault(sha256, group)
+        return found
+
+    def row(self, sha256: str) -> Row | None:
+        """Returns the row of an image; None if the run has none, or if its image does not have the hash of the row.
+
+        Raises:
+            ConfigError: The table can no longer be read.
+        """
+        if sha256 not in self._recent:
+            if self._files is None or sha256 not in self._group_of:
+                return None
+            rows = self._files.read([self._group_of[sha256]])
+            for row in rows_from_table(rows.filter(pc.equal(rows["sha256"], sha256)).slice(0, 1)):
+                if row["image"] is None or hashlib.sha256(row["image"]).hexdigest() != sha256:
+                    return None
+                self._recent[sha256] = row
+        self._recent.move_to_end(sha256)
+        found = self._recent[sha256]
+        while len(self._recent) > 1 and sum(len(row["image"]) for row in self._recent.values()) > _TEXTURE_BYTES:
+            self._recent.popitem(last=False)
+        return found
+
+    def image(self, sha256: str) -> bytes | None:
+        """Returns the content of an image file; None as :meth:`row`."""
+        row = self.row(sha256)
+        return None if row is None else bytes(row["image"])
 
 
 def _digest(path: Path) -> str | None:

@@ -2,7 +2,7 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar, runtime_checkable
@@ -13,12 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.gltf_reader import load_colliders, load_glb
+from stable_data.geometry.images import texture_pixels
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint, load_paint
 from stable_data.geometry.mesh_repair import MeshReport, repair_mesh
 from stable_data.geometry.sdf.build import build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface import Surface
 from stable_data.position_convention import (
     PositionConvention,
     has_size,
@@ -54,6 +56,19 @@ class PartSource(Protocol):
 
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
         """Returns the convex parts in the frame and unit of the asset's mesh; empty if there are none."""
+        ...
+
+
+@runtime_checkable
+class LookSource(Protocol):
+    """A source that also stores the looks of its assets, such as the tables of a run."""
+
+    def look(self, asset_id: str) -> Sequence[Surface]:
+        """Returns the surfaces that are seen of an asset, in the frame and unit of its mesh; empty if it has no look.
+
+        Raises:
+            MeshError: The look or one of its textures cannot be used.
+        """
         ...
 
 
@@ -93,7 +108,7 @@ class _Cache(Generic[K, V]):
 
 
 class AssetStore:
-    """Meshes, shapes, colours and grids of assets: computed on the first request and cached.
+    """Meshes, shapes, colours, looks and grids of assets: computed on the first request and cached.
 
     Args:
         source: The source of the meshes.
@@ -106,6 +121,7 @@ class AssetStore:
         self._shapes: _Cache[Hashable, Shape] = _Cache(max_bytes)
         self._grids: _Cache[Hashable, SdfGrid] = _Cache(max_bytes)
         self._paints: _Cache[str, tuple[Paint, tuple[Notice, ...]]] = _Cache(max_bytes)
+        self._looks: _Cache[str, tuple[tuple[Surface, ...] | None, tuple[Notice, ...]]] = _Cache(max_bytes)
         self._faults: dict[str, str | None] = {}
 
     def asset(self, asset_id: str) -> AssetMesh:
@@ -258,6 +274,33 @@ class AssetStore:
         except MeshError:
             return ()
 
+    def look(self, asset_id: str) -> tuple[tuple[Surface, ...] | None, tuple[Notice, ...]]:
+        """Returns the surfaces that are seen of an asset, with their textures, from a :class:`LookSource`.
+
+        Returns:
+            The surfaces, in the frame and unit of the asset's mesh, or None if the source has no usable ones: then its face
+            colours (:meth:`paint`) are its look. All images can be decoded. And a notice if a stored look cannot be used.
+        """
+        return self._looks.get(asset_id, lambda: self._load_look(asset_id), lambda look: _look_bytes(look[0]))
+
+    def _load_look(self, asset_id: str) -> tuple[tuple[Surface, ...] | None, tuple[Notice, ...]]:
+        if not isinstance(self._source, LookSource):
+            return None, ()
+        try:
+            found = tuple(self._source.look(asset_id))
+            for surface in found:
+                _check_surface(surface, asset_id)
+        except MeshError as error:
+            if error.code in _TRANSIENT:
+                raise
+            message = f"{error}; its face colours are shown"
+            return None, (Notice(asset_id, "look", error.code, message),)
+        return found or None, ()
+
+    def look_of(self, o: SceneObject) -> tuple[Surface, ...] | None:
+        """Returns the surfaces that are seen of an object, mesh units; None if its face colours are its look."""
+        return None if o.asset_id is None else self.look(o.asset_id)[0]
+
     def grid(self, asset_id: str, scale: Vec3) -> SdfGrid:
         """Returns the signed-distance grid of an asset at the aspect of a scale.
 
@@ -318,6 +361,27 @@ def _in_cm(size: Iterable[float]) -> str:
 
 def _mesh_bytes(found: AssetMesh | MeshError) -> int:
     return 256 if isinstance(found, MeshError) else found.mesh.vertices.nbytes + found.mesh.faces.nbytes
+
+
+def _check_surface(surface: Surface, asset_id: str) -> None:
+    """Refuses a surface of a look that cannot be shown.
+
+    Raises:
+        MeshError: A corner is not finite, or the image cannot be decoded.
+    """
+    arrays = (surface.triangles, surface.corner_uv, surface.corner_colours)
+    if not all(np.isfinite(array).all() for array in arrays if array is not None):
+        message = f"asset {asset_id}: its look has a corner that is not finite, expected finite numbers; import the asset again"
+        raise MeshError(message, "look_invalid")
+    if surface.image is not None:
+        texture_pixels(surface.image, has_alpha=surface.has_alpha)
+
+
+def _look_bytes(look: tuple[Surface, ...] | None) -> int:
+    """The size of a look; an image that several surfaces share counts once."""
+    images = {id(s.image): len(s.image) for s in look or () if s.image is not None}
+    arrays = (a for s in look or () for a in (s.triangles, s.corner_colours, s.corner_uv) if a is not None)
+    return 256 + sum(images.values()) + sum(a.nbytes for a in arrays)
 
 
 def aspect_steps(scale: Vec3) -> tuple[int, int, int]:

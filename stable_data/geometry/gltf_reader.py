@@ -132,13 +132,16 @@ def load_surfaces(
     return _read(data, _GlbReader(asset_id, limits, textures), _GlbReader.surfaces)
 
 
-def texture_addresses(data: bytes, asset_id: str) -> tuple[str, ...]:
-    """Returns the SHA-256 of each image of the table ``textures`` that a file names, each once, sorted.
+def texture_addresses(look: bytes | None) -> tuple[str, ...]:
+    """Returns the SHA-256 of each image of the table ``textures`` that a look names, each once, sorted.
 
-    Raises:
-        MeshError: The file violates the format; the codes are those of :func:`load_glb`.
+    Args:
+        look: A value of the column ``look``. One that cannot be read, which is shown nowhere, has no images.
     """
-    return _read(data, _GlbReader(asset_id, MeshLimits()), _GlbReader.addresses)
+    try:
+        return () if look is None else _read(look, _GlbReader("", MeshLimits()), _GlbReader.addresses)
+    except MeshError:
+        return ()
 
 
 def _read(data: bytes | Path, reader: "_GlbReader", extract: Callable[["_GlbReader"], _Result]) -> _Result:

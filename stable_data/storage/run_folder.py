@@ -42,6 +42,7 @@ MAX_DECODED = 2**30
 """Maximum memory for the decoded content of one file, bytes: ten times the content of a file that this module writes."""
 
 _ROW_GROUP = 1024
+_GROUP_BYTES = {"meshes": 8 * 10**6, "textures": 8 * 10**6}  # of a row group: a reader of one row reads its group
 _FILES_AT_ONCE = 32  # files of one dataset: their footers are in memory together, and are read concurrently
 _AHEAD = 8  # files of an object store that are fetched while another one is processed
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
@@ -180,7 +181,7 @@ class RunFolder:
             sink = pa.BufferOutputStream()
             with pq.ParquetWriter(sink, piece.schema, compression="zstd") as writer:
                 if piece.num_rows:  # Hugging Face datasets fails on a row group without rows
-                    writer.write_table(piece, row_group_size=_ROW_GROUP)
+                    writer.write_table(piece, row_group_size=_rows_of_group(table, piece))
             suffix = f"-{number}" if number else ""
             self.write_bytes(f"{table}/part-{shard_id}{suffix}.parquet", sink.getvalue().to_pybytes())
 
@@ -420,6 +421,13 @@ def _write_local(path: Path, content: bytes) -> None:
         stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())  # after a crash, the renamed file must not exist without its content
+
+
+def _rows_of_group(table: str, piece: pa.Table) -> int:
+    """The number of rows of a row group of a table."""
+    if table not in _GROUP_BYTES:
+        return _ROW_GROUP
+    return max(1, min(_ROW_GROUP, _GROUP_BYTES[table] * int(piece.num_rows) // max(1, int(piece.nbytes))))
 
 
 def _pieces(table: pa.Table) -> Iterator[pa.Table]:

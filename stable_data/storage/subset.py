@@ -11,6 +11,7 @@ from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.geometry.gltf_reader import texture_addresses
 from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
@@ -77,6 +78,8 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
             _write(run, table, query.expression, target)
         elif table in _ASSET_TABLES:
             _write(run, table, pc.field("asset_id").isin(_texts(asset_ids)), target)
+        elif table == "textures":
+            _write(run, table, pc.field("sha256").isin(_texts(_images_of(run, asset_ids))), target)
         elif "scene_id" in SCHEMAS[table].names:
             _write(run, table, pc.field("scene_id").isin(_texts(scene_ids)), target)
         else:
@@ -84,6 +87,17 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     counts = {table: target.num_rows(table) for table in read}
     _write_manifest(target, manifest | {"status": "complete", "counts": counts})
     return counts
+
+
+def _images_of(run: RunFolder, asset_ids: set[str]) -> set[str]:
+    """The images that the looks of some assets name."""
+    found = set[str]()
+    if not run.files("meshes"):
+        return found
+    for batch in run.batches("meshes", ["look"], pc.field("asset_id").isin(_texts(asset_ids))):
+        for look in batch["look"]:
+            found.update(texture_addresses(look.as_py()))
+    return found
 
 
 def _texts(values: set[str]) -> pa.Array:

@@ -2,21 +2,28 @@
 
 import hashlib
 import io
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 
-from stable_data.assets.looks import LookRows, distinct_textures, look_rows, look_textures, texture_rows
-from stable_data.geometry.gltf_reader import load_surfaces
+from stable_data.assets import run_assets
+from stable_data.assets.looks import LookRows, look_rows, texture_rows
+from stable_data.assets.run_assets import RunAssets
+from stable_data.assets.store import AssetStore
+from stable_data.geometry.gltf_reader import load_surfaces, texture_addresses
+from stable_data.geometry.gltf_writer import write_look
 from stable_data.geometry.images import texture_pixels
 from stable_data.geometry.mesh_colors import texture_colours
 from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.table_rows import arrow_table
+from tests.textured_assets import picture_box, rows_of, textured, write_run
 
 pytestmark = pytest.mark.sim
 ORIGIN = np.zeros(3)
@@ -45,7 +52,7 @@ def ball(subdivisions: int = 2, image: bytes | None = None) -> Surface:
 
 def read(rows: LookRows) -> list[Surface]:
     assert rows.glb is not None
-    assert look_textures(rows.glb, "a") == tuple(texture.sha256 for texture in rows.textures)
+    assert texture_addresses(rows.glb) == tuple(texture.sha256 for texture in rows.textures)
     return load_surfaces(rows.glb, "a", textures={t.sha256: t.image for t in rows.textures}.get)
 
 
@@ -101,7 +108,6 @@ def test_one_image_of_many_surfaces_is_stored_once() -> None:
     rows = look_rows([ball(), ball(), replace(ball(), colour=(0.5, 0.5, 0.5))], ORIGIN)
     assert len(rows.textures) == 1
     assert len(read(rows)) == 2
-    assert distinct_textures([*texture_rows(rows.textures), *texture_rows(rows.textures)]) == texture_rows(rows.textures)
 
 
 def seen(surfaces: list[Surface], points: FloatArray) -> FloatArray:
@@ -166,11 +172,80 @@ def test_a_million_triangles_are_clustered_first() -> None:
 
 
 def test_a_row_that_is_no_look_names_no_textures() -> None:
-    assert look_textures(None, "a") == ()
-    assert look_textures(b"junk", "a") == ()
+    assert texture_addresses(None) == ()
+    assert texture_addresses(b"junk") == ()
 
 
 def test_the_table_is_the_one_that_is_described() -> None:
     (texture,) = look_rows([ball()], ORIGIN).textures
     assert set(SCHEMAS["textures"].names) == {"sha256", "image", "mime", "width", "height"}
     assert (texture.width, texture.height, texture.mime) == (128, 128, "image/png")
+
+
+def test_a_run_gives_the_looks_of_its_assets(tmp_path: Path) -> None:
+    given = picture_box()
+    run = write_run(tmp_path / "run", [textured("a"), textured("b"), rows_of("plain", LookRows(None))])
+    assets = RunAssets(run, tmp_path / "files")
+    store = AssetStore(assets)
+    for asset_id in ("a", "b"):
+        surfaces, notices = store.look(asset_id)
+        assert surfaces is not None
+        assert notices == ()
+        np.testing.assert_allclose(surfaces[0].triangles, given.triangles, atol=1e-7)
+        assert surfaces[0].image == assets.textures(asset_id)[0]["image"]
+    assert store.look("plain") == store.look("none") == (None, ())
+    assert run.num_rows("textures") == 1
+
+
+def test_without_its_image_an_asset_is_shown_in_its_face_colours(tmp_path: Path) -> None:
+    asset, mesh, rows = textured("a")
+    (texture,) = rows
+    broken = b"no picture"
+    cases = {
+        "texture_missing": [],
+        "texture_invalid": [texture | {"image": broken, "sha256": hashlib.sha256(broken).hexdigest()}],
+    }
+    for code, found in cases.items():
+        if found:  # a look that names the broken image
+            content = mesh["look"].replace(texture["sha256"].encode(), found[0]["sha256"].encode())
+            mesh = mesh | {"look": content}
+        run = write_run(tmp_path / code, [(asset, mesh, found)])
+        surfaces, (notice,) = AssetStore(RunAssets(run, tmp_path / "files")).look("a")
+        assert surfaces is None
+        assert (notice.item_id, notice.step, notice.code) == ("a", "look", code)
+        assert notice.message.endswith("its face colours are shown")
+
+
+def test_an_image_without_the_hash_of_its_row_is_not_shown(tmp_path: Path) -> None:
+    asset, mesh, (texture,) = textured("a")
+    run = write_run(tmp_path / "run", [(asset, mesh, [texture | {"image": png(gradient())}])])
+    assert AssetStore(RunAssets(run, tmp_path / "files")).look("a")[1][0].code == "texture_missing"
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_look_that_is_not_finite_is_not_shown(number: float, tmp_path: Path) -> None:
+    given = picture_box()
+    given.triangles[0, 0, 0] = number
+    asset, mesh, rows = textured("a")
+    run = write_run(tmp_path / "run", [(asset, mesh | {"look": write_look([replace(given, image=rows[0]["image"])])}, rows)])
+    assert AssetStore(RunAssets(run, tmp_path / "files")).look("a")[1][0].code == "look_invalid"
+
+
+def test_a_run_without_the_table_has_no_looks(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", [rows_of("a", LookRows(None))])
+    shutil.rmtree(tmp_path / "run" / "textures")
+    assets = RunAssets(run, tmp_path / "files")
+    assert (assets.look("a"), assets.textures("a")) == ([], [])
+
+
+def test_few_images_are_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures = [png(Image.new("RGB", (64, 64), (k, 0, 0))) for k in range(6)]
+    looks = [look_rows([ball(image=picture)], ORIGIN) for picture in pictures]
+    run = write_run(tmp_path / "run", [rows_of(f"a{k}", look) for k, look in enumerate(looks)])
+    images = [look.textures[0] for look in looks]
+    monkeypatch.setattr(run_assets, "_TEXTURE_BYTES", sum(len(t.image) for t in images[:2]) + 10)
+    table = run_assets.RunTextures(run)
+    for _ in range(2):
+        for texture in images:
+            assert table.image(texture.sha256) == texture.image
+            assert len(table._recent) <= 2

@@ -98,7 +98,7 @@ def test_of_addresses_only_those_of_the_table_are_opened() -> None:
     image = picture()
     content = write_look([random_surface(rng, image=image, corner_uv=rng.random((5, 3, 2)))])
     (sha256,) = table_of(image)
-    assert texture_addresses(content, "a") == (sha256,)
+    assert texture_addresses(content) == (sha256,)
     assert load_surfaces(content, "a")[0].image is None  # without a table
     asked = list[str]()
 
@@ -113,7 +113,7 @@ def test_of_addresses_only_those_of_the_table_are_opened() -> None:
     for uri in ("file:///etc/passwd", "../texture.png", "texture:../x", f"texture:{sha256}/..", f"TEXTURE:{sha256}", 7, None):
         other = edited(content, lambda document, uri=uri: document["images"].__setitem__(0, {"uri": uri}))  # type: ignore[misc]
         assert load_surfaces(other, "a", textures=lookup)[0].image is None
-        assert texture_addresses(other, "a") == ()
+        assert texture_addresses(other) == ()
     assert asked == [sha256]
 
 
