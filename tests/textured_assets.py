@@ -42,8 +42,8 @@ def picture_box(image: bytes | None = None, **rest: object) -> Surface:
     half, sides = np.array(SIZE) / 2, []
     for axis in range(3):
         for sign in (-1, 1):
-            right = np.roll([0.0, 1.0, 0.0], axis) * (sign if axis != 1 else -sign) if axis < 2 else np.array([1.0, 0.0, 0.0])
-            normal = np.roll([1.0, 0.0, 0.0], axis) * sign
+            normal = sign * np.eye(3)[axis]
+            right = np.array([[0.0, sign, 0.0], [-sign, 0.0, 0.0], [1.0, 0.0, 0.0]][axis])
             up = np.cross(normal, right)
             sides.append([(normal + u * right + v * up) * half for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     corners = np.array(sides)  # (6, 4, 3)

@@ -10,6 +10,7 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import Scene
 from stable_data.simulation.render import object_colour, render_scene
+from stable_data.simulation.scene_geometry import SceneGeometry
 
 Shown: TypeAlias = Sequence[tuple[Any, str]]
 """Pictures, (H, W, 3) uint8, each with its caption in HTML."""
@@ -18,7 +19,7 @@ _SIZE = (512, 320)  # of pictures on a page, pixels; wide, because tables are wi
 
 
 def draw_scene(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -> Any:
-    """A picture of a scene, (H, W, 3) uint8, in the colours of its assets if they are known.
+    """A picture of a scene, (H, W, 3) uint8, with the looks or the colours of its assets if they are known.
 
     Args:
         scene: The scene.
@@ -28,9 +29,11 @@ def draw_scene(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -
     Raises:
         ConfigError: The machine cannot render (``no_gl``).
     """
-    shapes, _ = store.shapes(scene)
-    meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in shapes]
-    return render_scene(scene, meshes, size=size, colors=[store.paint_of(o) or object_colour(o) for o in scene.objects])
+    geometry = SceneGeometry.of(scene, store)
+    meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in geometry.shapes]
+    colors = [store.paint_of(o) or object_colour(o) for o in geometry.scene.objects]
+    looks = [None if mesh is None else geometry.look(k) for k, mesh in enumerate(geometry.meshes)]
+    return render_scene(geometry.scene, meshes, size=size, colors=colors, looks=looks)
 
 
 def picture_grid(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:

@@ -56,7 +56,8 @@ def scene_glb(geometry: SceneGeometry) -> bytes:
             document.add(o.instance, number, o.position, quat_of(turn), o.size, extras)
             continue
         x, y, z = (o.position + turn.apply(geometry.offset(k))).tolist()
-        number = document.mesh(str(o.asset_id), mesh, geometry.paint(k))
+        asset_id, look = str(o.asset_id), geometry.look(k)
+        number = document.mesh(asset_id, mesh, geometry.paint(k), None if look is None else look.surfaces)
         document.add(o.instance, number, (x, y, z), quat_of(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
     return document.content(geometry.scene.scene_id)
 
@@ -65,19 +66,25 @@ class _Document:
     """A glTF document under construction."""
 
     def __init__(self, table: Mapping[str, Sequence[Surface]]) -> None:
-        self._table = SurfaceParts()
-        self._meshes: list[dict[str, Any]] = [
-            {"name": name, "primitives": [self._table.primitive(surface) for surface in surfaces]}
-            for name, surfaces in table.items()
+        self._parts = SurfaceParts()
+        self._meshes: list[dict[str, Any]] = []
+        self._nodes: list[dict[str, Any]] = [
+            {"name": name, "mesh": self.look(name, surfaces)} for name, surfaces in table.items()
         ]
-        self._nodes: list[dict[str, Any]] = [{"name": name, "mesh": number} for number, name in enumerate(table)]
-        self._materials: list[dict[str, Any]] = self._table.document(())["materials"]
-        self._arrays = self._table.arrays
+        self._materials: list[dict[str, Any]] = self._parts.document(())["materials"]
+        self._arrays = self._parts.arrays
         self._numbers: dict[tuple[str, ...], int] = {}
 
-    def mesh(self, name: str, mesh: Mesh, paint: Paint) -> int:
-        """Number of a mesh in its colours; an equal mesh is added only once."""
+    def look(self, name: str, surfaces: Sequence[Surface]) -> int:
+        """Number of a mesh with colours and textures, which is added."""
+        self._meshes.append({"name": name, "primitives": [self._parts.primitive(surface) for surface in surfaces]})
+        return len(self._meshes) - 1
+
+    def mesh(self, name: str, mesh: Mesh, paint: Paint, look: Sequence[Surface] | None = None) -> int:
+        """Number of a mesh with its look, or in its colours; an equal mesh is added only once."""
         key = (name, *(colour for colour, _ in paint))
+        if key not in self._numbers and look is not None:
+            self._numbers[key] = self.look(name, look)
         if key not in self._numbers:
             self._numbers[key] = len(self._meshes)
             corners, first = len(self._arrays), len(self._materials)
@@ -99,17 +106,14 @@ class _Document:
 
     def content(self, name: str) -> bytes:
         root = {"name": "scene", "rotation": _Y_UP, "children": list(range(1, len(self._nodes) + 1))}
-        files = self._table.images
-        images = [{"bufferView": len(self._arrays) + k, "mimeType": "image/png"} for k in range(len(files))]
         document = {
             "scene": 0,
             "scenes": [{"name": name, "nodes": [0]}],
             "nodes": [root, *self._nodes],
             "meshes": self._meshes,
-            **self._table.document(images),
-            "materials": self._materials,
+            **self._parts.document(self._parts.embedded_images()),
         }
-        return pack(document, self._arrays, files)
+        return pack(document, self._arrays, self._parts.images)
 
 
 def _all_of(mesh: Mesh, colour: str) -> Paint:

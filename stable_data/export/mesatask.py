@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from stable_data.geometry.gltf_writer import write_glb
+from stable_data.geometry.surface_matching import surfaces_on_mesh
 from stable_data.mesatask.layout import LAYOUT_FILE
 from stable_data.mesatask.library import LIBRARY_FOLDER
 from stable_data.mesatask.writing import scene_folder, write_asset, write_scene
@@ -11,7 +12,8 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """A dataset in the MesaTask-10K format: `Layout_info/<table type>/<scene>/layout.json` with its `task_info.json`, centimetres,
 quaternions xyzw; `Assets_library/<uid>.glb`, y up, with the convex parts as a second mesh that no node shows. `stable-data lint`
-and `python -m pipelines preprocess` read it. Meshes are the repaired ones of the run, in up to eight colours each."""
+and `python -m pipelines preprocess` read it. Meshes are the repaired ones of the run; their faces have the textures of the
+asset where the repair left them as they were, else one of up to eight colours."""
 
 
 def scene_path(scene: Scene, out: Path) -> Path:
@@ -38,5 +40,7 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
         x, y, z = mesh.extents.tolist()
         extents[o.asset_id] = (x, y, z)
         if not (out / LIBRARY_FOLDER / f"{o.asset_id}.glb").exists():
-            write_asset(out, o.asset_id, write_glb(mesh, paint=geometry.paint(k), parts=geometry.parts(k)))
+            look, paint = geometry.look(k), geometry.paint(k)
+            surfaces = () if look is None else surfaces_on_mesh(mesh, look.surfaces, paint)
+            write_asset(out, o.asset_id, write_glb(mesh, paint=paint, parts=geometry.parts(k), surfaces=surfaces))
     write_scene(out, geometry.scene, extents=extents)

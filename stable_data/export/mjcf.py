@@ -12,6 +12,7 @@ from the file. MuJoCo's own writer is not used, because it rounds to six digits.
 
 import hashlib
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -23,6 +24,7 @@ from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.scene import Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import VISUAL, engine_spec
+from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER
 
@@ -56,8 +58,8 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
     """
     spec = engine_spec(geometry)
     folder = out / MESH_FOLDER
-    files = {mesh.name: _put(_obj(mesh), ".obj", folder) for mesh in spec.meshes}
-    pictures = {t.name: _put(_png(t), ".png", folder) for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_2D}
+    files = {mesh.name: _put_mesh(mesh, folder) for mesh in spec.meshes}
+    pictures = {t.name: _put_texture(t, folder) for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_2D}
     path = scene_path(geometry.scene, out)
     path.parent.mkdir(parents=True, exist_ok=True)
     tree = _model(spec, files, pictures)
@@ -65,35 +67,50 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
     write_file_atomically(path, ET.tostring(tree, encoding="utf-8") + b"\n")
 
 
-def _put(content: bytes, suffix: str, folder: Path) -> str:
-    """Writes a file under a hash of its content and returns its name in the folder."""
-    digest = hashlib.sha256(content).hexdigest()[:24]
+def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
+    """Writes a mesh under a hash of its numbers, which takes less time than its file, and returns its name in the folder."""
+    vertices = np.fromiter(mesh.uservert, np.float32, len(mesh.uservert)).reshape(-1, 3)
+    faces = np.fromiter(mesh.userface, np.int64, len(mesh.userface)).reshape(-1, 3)
+    uv = np.fromiter(mesh.usertexcoord, np.float32, len(mesh.usertexcoord)).reshape(-1, 2)
+    corners = np.fromiter(mesh.userfacetexcoord, np.int64, len(mesh.userfacetexcoord)).reshape(-1, 3)
+    named = hashlib.sha256(repr((vertices.shape, faces.shape, uv.shape)).encode())
+    for array in (vertices, faces, uv, corners):
+        named.update(array.tobytes())
+    return _put(named, ".obj", folder, lambda: _obj(vertices, faces, uv, corners))
+
+
+def _put_texture(texture: mujoco.MjsTexture, folder: Path) -> str:
+    """Writes an image under a hash of its pixels, which takes less time than its file, and returns its name in the folder."""
+    pixels = np.frombuffer(bytes(texture.data), np.uint8).reshape(texture.height, texture.width, texture.nchannel)
+    return _put(hashlib.sha256(repr(pixels.shape).encode() + pixels.tobytes()), ".png", folder, lambda: _png(pixels))
+
+
+def _put(named: "hashlib._Hash", suffix: str, folder: Path, content: Callable[[], bytes]) -> str:
+    """Writes a file under a hash, if it does not exist, and returns its name in the folder."""
+    digest = named.hexdigest()[:24]
     path = folder / digest[:2] / f"{digest}{suffix}"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file_atomically(path, content)
+        write_file_atomically(path, content())
     return f"{digest[:2]}/{digest}{suffix}"
 
 
-def _obj(mesh: mujoco.MjsMesh) -> bytes:
+def _obj(vertices: Any, faces: Any, uv: Any, corners: Any) -> bytes:
     """A mesh as Wavefront OBJ; MuJoCo stores single precision, which nine digits represent exactly."""
-    vertices = np.fromiter(mesh.uservert, np.float32, len(mesh.uservert)).reshape(-1, 3)
-    faces = np.fromiter(mesh.userface, np.int64, len(mesh.userface)).reshape(-1, 3) + 1
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
-    if len(mesh.usertexcoord):
-        uv = np.fromiter(mesh.usertexcoord, np.float32, len(mesh.usertexcoord)).reshape(-1, 2)
-        corners = np.fromiter(mesh.userfacetexcoord, np.int64, len(mesh.userfacetexcoord)).reshape(-1, 3) + 1
+    if len(uv):
         lines += [f"vt {u:.9g} {1 - v:.9g}" for u, v in uv.tolist()]  # the format counts from below
-        lines += ["f " + " ".join(f"{v}/{t}" for v, t in zip(*pair, strict=True)) for pair in zip(faces, corners, strict=True)]
+        pairs = np.stack([faces + 1, corners + 1], axis=2).reshape(-1, 6)
+        lines += [f"f {a}/{i} {b}/{j} {c}/{k}" for a, i, b, j, c, k in pairs.tolist()]
     else:
-        lines += [f"f {a} {b} {c}" for a, b, c in faces.tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
     return ("\n".join(lines) + "\n").encode()
 
 
-def _png(texture: mujoco.MjsTexture) -> bytes:
+def _png(pixels: Picture) -> bytes:
+    """An image as PNG; MuJoCo reads no JPEG."""
     stream = io.BytesIO()
-    pixels = np.frombuffer(bytes(texture.data), np.uint8).reshape(texture.height, texture.width, texture.nchannel)
-    Image.fromarray(pixels).save(stream, "png", compress_level=9)
+    Image.fromarray(pixels).save(stream, "png")
     return stream.getvalue()
 
 
@@ -124,7 +141,7 @@ def _model(spec: mujoco.MjSpec, files: dict[str, str], pictures: dict[str, str])
         _add(assets, "texture", type="skybox", builtin="gradient", rgb1=texture.rgb1, rgb2=texture.rgb2, **size)
     for material in spec.materials:
         texture = material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB]
-        painted = {"texture": texture} if texture else {"rgba": material.rgba}
+        painted = {"rgba": material.rgba} | ({"texture": texture} if texture else {})
         shine = {key: getattr(material, key) for key in ("specular", "shininess", "emission")}
         _add(assets, "material", name=material.name, **painted, **shine)
     for mesh in spec.meshes:

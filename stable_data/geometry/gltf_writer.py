@@ -16,9 +16,8 @@ from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray
 
 # Constants of the glTF 2.0 specification.
-_FLOAT, _UINT, _USHORT, _VERTICES, _INDICES = 5126, 5125, 5123, 34962, 34963
-_FULL = 65535  # a full colour channel
-GltfArray: TypeAlias = FloatArray | IntArray | npt.NDArray[np.float32] | npt.NDArray[np.uint16]
+_FLOAT, _UINT, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
+GltfArray: TypeAlias = FloatArray | IntArray | npt.NDArray[np.float32]
 """An array that an accessor describes, see :func:`pack`."""
 
 
@@ -29,6 +28,7 @@ def write_glb(
     is_z_up: bool = False,
     paint: Sequence[tuple[str, IntArray]] = (),
     parts: Sequence[Mesh] = (),
+    surfaces: Sequence[Surface] = (),
 ) -> bytes:
     """Writes a mesh as binary glTF; the same input gives the same bytes.
 
@@ -39,6 +39,8 @@ def write_glb(
         paint: Display colours and the faces that have them, each face once: (``#rrggbb``, indices).
         parts: Convex parts whose union is the mesh, in its frame. They become a second mesh, ``colliders``, that no node shows;
             its ``extras.part_faces`` lists the number of faces of each part.
+        surfaces: The faces of the mesh with materials and textures, each once; they take the place of ``paint``. Their images, PNG
+            or JPEG, are in the file.
 
     Returns:
         The content of the file. The scene is y up, as glTF demands.
@@ -54,20 +56,24 @@ def write_glb(
             return vertices / unit / 2
         return y_up(vertices) / unit
 
-    face_groups = [mesh.faces[rows] for _, rows in paint] or [mesh.faces]
-    primitives = [{"attributes": {"POSITION": 0}, "indices": 1 + k} for k in range(len(face_groups))]
-    meshes: list[dict[str, Any]] = [{"primitives": primitives}]
+    shown = SurfaceParts()
+    arrays = shown.arrays
+    meshes: list[dict[str, Any]] = [{"primitives": [shown.primitive(surface, stored) for surface in surfaces]}]
     document: dict[str, Any] = {"scene": 0, "scenes": [{"nodes": [0]}], "nodes": [node], "meshes": meshes}
-    arrays: list[FloatArray | IntArray] = [stored(mesh.vertices), *face_groups]
-    if paint:
-        document["materials"] = [material(color) for color, _ in paint]
-        meshes[0]["primitives"] = [{**primitive, "material": k} for k, primitive in enumerate(primitives)]
+    if not surfaces:
+        face_groups = [mesh.faces[rows] for _, rows in paint] or [mesh.faces]
+        primitives = [{"attributes": {"POSITION": 0}, "indices": 1 + k} for k in range(len(face_groups))]
+        meshes[0]["primitives"] = primitives
+        arrays += [stored(mesh.vertices), *face_groups]
+        if paint:
+            document["materials"] = [material(color) for color, _ in paint]
+            meshes[0]["primitives"] = [{**primitive, "material": k} for k, primitive in enumerate(primitives)]
     if parts:
         primitive = {"attributes": {"POSITION": len(arrays)}, "indices": len(arrays) + 1}
         meshes.append({"name": COLLIDERS, "primitives": [primitive], "extras": {PART_FACES: [len(p.faces) for p in parts]}})
         joined = join_meshes(parts)
         arrays += [stored(joined.vertices), joined.faces]
-    return pack(document, arrays)
+    return pack(document | shown.document(shown.embedded_images()), arrays, shown.images)
 
 
 def material(color: str) -> dict[str, Any]:
@@ -103,16 +109,13 @@ def y_up(vertices: FloatArray) -> FloatArray:
 class SurfaceParts:
     """Arrays, materials and images of the surfaces in a glTF document under construction.
 
-    Args:
-        arrays: Arrays that the document has already.
-
     Attributes:
         arrays: The accessors of the document, see :func:`pack`.
         images: Contents of the images, each once.
     """
 
-    def __init__(self, arrays: Sequence[GltfArray] = ()) -> None:
-        self.arrays: list[GltfArray] = list(arrays)
+    def __init__(self) -> None:
+        self.arrays: list[GltfArray] = []
         self.images: list[bytes] = []
         self._materials: list[dict[str, Any]] = []
 
@@ -131,7 +134,7 @@ class SurfaceParts:
             columns["TEXCOORD_0"] = np.nan_to_num(surface.corner_uv.reshape(-1, 2)).astype(np.float32) + 0.0
         if surface.corner_colours is not None:
             colours = np.clip(np.nan_to_num(surface.corner_colours.reshape(-1, 3)), 0.0, 1.0)
-            columns["COLOR_0"] = np.pad(np.rint(_FULL * colours), ((0, 0), (0, 1)), constant_values=_FULL).astype(np.uint16)
+            columns["COLOR_0"] = colours.astype(np.float32) + 0.0
         first, corner = _distinct_rows(list(columns.values()))
         attributes = {name: len(self.arrays) + k for k, name in enumerate(columns)}
         self.arrays += [column[first] for column in columns.values()]
@@ -159,6 +162,11 @@ class SurfaceParts:
             self._materials.append(material)
         return self._materials.index(material)
 
+    def embedded_images(self) -> list[dict[str, Any]]:
+        """Returns the glTF image of each of ``images`` if :func:`pack` stores them behind all arrays that were added until now."""
+        kinds = ["image/png" if image.startswith(b"\x89PNG") else "image/jpeg" for image in self.images]
+        return [{"bufferView": len(self.arrays) + k, "mimeType": kind} for k, kind in enumerate(kinds)]
+
     def document(self, images: Sequence[dict[str, Any]]) -> dict[str, Any]:
         """Returns the entries ``materials``, ``textures`` and ``images`` of the document, as far as there are any.
 
@@ -185,8 +193,8 @@ def pack(document: dict[str, Any], arrays: Sequence[GltfArray], images: Sequence
 
     Args:
         document: The document without accessors and buffers.
-        arrays: Accessor k is ``arrays[k]``: positions (V, 3) if it holds floats, or texture coordinates (V, 2); colours (V, 4) if
-            it holds unsigned integers of 16 bits; else faces.
+        arrays: Accessor k is ``arrays[k]``: positions or colours (V, 3), or texture coordinates (V, 2), if it holds floats; else
+            faces.
         images: Image files; their buffer views follow those of the arrays.
 
     Returns:
@@ -204,12 +212,7 @@ def pack(document: dict[str, Any], arrays: Sequence[GltfArray], images: Sequence
         start += len(chunks[-1])
 
     for k, array in enumerate(arrays):
-        if array.dtype == np.uint16:
-            add(array.astype("<u2").tobytes(), target=_VERTICES)
-            accessors.append(
-                {"bufferView": k, "componentType": _USHORT, "normalized": True, "count": len(array), "type": "VEC4"}
-            )
-        elif array.dtype.kind == "f":
+        if array.dtype.kind == "f":
             stored = array.astype("<f4")
             add(stored.tobytes(), target=_VERTICES)
             accessor: dict[str, Any] = {"bufferView": k, "componentType": _FLOAT, "count": len(stored)}

@@ -19,12 +19,9 @@ if TYPE_CHECKING:
 TEXTURE_SIDE = 1024
 """Largest side of a stored texture, pixels."""
 
-GLTF_FORMATS = ("PNG", "JPEG", "WEBP")
-"""Formats of the images in a glTF file, as Pillow names them. For some of the others Pillow may start Ghostscript."""
-
-MESH_FORMATS = (*GLTF_FORMATS, "BMP", "TGA")
-"""Formats of the images beside mesh files of other kinds."""
-
+# Formats of textures, as Pillow names them: those of glTF, and two that are usual beside other mesh files. For some of the others
+# Pillow may start Ghostscript.
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA")
 _MAX_BYTES = 64 * 2**20  # of one file that is encoded again
 _MAX_SCANS = 100  # of a progressive JPEG; encoders write about 10
 _MOST_PIXELS = 2**27  # of all images that are decoded together, before they are reduced
@@ -73,7 +70,7 @@ def encode_texture(content: bytes, name: str, *, side: int = TEXTURE_SIDE, has_a
     if len(content) > _MAX_BYTES:
         found = f"has {len(content)} bytes, expected at most {_MAX_BYTES}"
         raise MeshError(f"{name}: a texture {found}; reduce it", "texture_too_large")
-    (picture,) = decode_images({0: content}, name, side=side, formats=MESH_FORMATS, has_alpha=has_alpha).values()
+    (picture,) = decode_images({0: content}, name, side=side, has_alpha=has_alpha).values()
     if picture.mode == "RGBA" and picture.getchannel("A").getextrema() == (255, 255):
         picture = picture.convert("RGB")
     picture = _without_metadata(picture)
@@ -92,22 +89,19 @@ def texture_pixels(content: bytes, *, has_alpha: bool = False) -> npt.NDArray[np
     Raises:
         MeshError: As :func:`encode_texture`.
     """
-    images = decode_images({0: content}, "table textures", side=TEXTURE_SIDE, formats=MESH_FORMATS, has_alpha=has_alpha)
+    images = decode_images({0: content}, "table textures", side=TEXTURE_SIDE, has_alpha=has_alpha)
     pixels = np.asarray(images[0])
     pixels.setflags(write=False)  # shared by all who ask for it
     return pixels
 
 
-def decode_images(
-    images: Mapping[K, bytes], name: str, *, side: int, formats: tuple[str, ...] = GLTF_FORMATS, has_alpha: bool = False
-) -> dict[K, "Image.Image"]:
+def decode_images(images: Mapping[K, bytes], name: str, *, side: int, has_alpha: bool = False) -> dict[K, "Image.Image"]:
     """Decodes image files within bounds.
 
     Args:
-        images: The files by any key; not trusted. All of them together have at most 2^27 pixels.
+        images: The files, PNG, JPEG, WEBP, BMP or TGA, by any key; not trusted. All of them together have at most 2^27 pixels.
         name: What they belong to, in messages.
         side: Larger images are reduced to this, pixels.
-        formats: The formats that are opened.
         has_alpha: Whether transparency is kept.
 
     Returns:
@@ -128,7 +122,7 @@ def decode_images(
                 # Each scan of a progressive JPEG decodes the whole picture again. The marker cannot occur in coded data.
                 if content.startswith(b"\xff\xd8") and content.count(b"\xff\xda") > _MAX_SCANS:
                     raise ValueError(f"a JPEG with more than {_MAX_SCANS} scans")
-                with Image.open(io.BytesIO(content), formats=formats) as picture:  # reads only the header
+                with Image.open(io.BytesIO(content), formats=_FORMATS) as picture:  # reads only the header
                     num_pixels += picture.width * picture.height
                     if num_pixels > _MOST_PIXELS:
                         raise Image.DecompressionBombError(f"{num_pixels} pixels in all textures, of at most {_MOST_PIXELS}")
@@ -138,7 +132,7 @@ def decode_images(
         raise MeshError(message, "texture_too_large") from error
     except Exception as error:  # each decoder of Pillow raises its own exceptions
         found = "another format" if isinstance(error, UnidentifiedImageError) else f"{type(error).__name__}: {error}"
-        expected = f"{', '.join(formats[:-1])} or {formats[-1]}"
+        expected = f"{', '.join(_FORMATS[:-1])} or {_FORMATS[-1]}"
         message = f"{name}: a texture cannot be read ({found:.200}), expected {expected}; export it again"
         raise MeshError(message, "texture_invalid") from error
     return decoded

@@ -70,6 +70,12 @@ def to_linear(on_screen: FloatArray) -> FloatArray:
     return np.asarray(np.where(on_screen <= 0.04045, on_screen / 12.92, ((on_screen + 0.055) / 1.055) ** 2.4))
 
 
+def to_display(linear: FloatArray) -> FloatArray:
+    """Converts linear colours to display colours, see :func:`to_linear`; they are clipped to 0 to 1."""
+    clipped = np.clip(np.nan_to_num(linear), 0.0, 1.0)
+    return np.asarray(np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055))
+
+
 _LINEAR = to_linear(np.arange(256) / 255)
 
 
@@ -80,9 +86,7 @@ def _face_colours(surface: Surface, texture: npt.NDArray[np.uint8] | None) -> np
         linear *= surface.corner_colours.mean(axis=1)
     if texture is not None and surface.corner_uv is not None:
         linear *= _mean_texture_colours(texture, surface.corner_uv)
-    clipped = np.clip(np.nan_to_num(linear), 0.0, 1.0)
-    on_screen = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)  # undoes `to_linear`
-    return np.asarray(np.rint(255 * on_screen), np.uint8)
+    return np.asarray(np.rint(255 * to_display(linear)), np.uint8)
 
 
 def _mean_texture_colours(texture: npt.NDArray[np.uint8], corner_uv: FloatArray) -> FloatArray:

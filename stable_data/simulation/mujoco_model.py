@@ -10,6 +10,7 @@ from stable_data.atomic_files import safe_file_name
 from stable_data.geometry.mesh import Mesh, double_areas, drop_unused_vertices
 from stable_data.rotations import wxyz
 from stable_data.scene import TABLE
+from stable_data.simulation.look_meshes import add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.render import (
     View,
@@ -83,10 +84,53 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
         body.name = body.joints[0].name = name
         for number, geom in enumerate(body.geoms):
             geom.name, geom.group = f"{name}/part_{number}", COLLIDER_GROUP
-        _add_visuals(spec, body, visual, geometry, k, meshes)
+        if not _add_look(spec, body, visual, geometry, k, meshes):
+            _add_visuals(spec, body, visual, geometry, k, meshes)
     _add_environment(spec, geometry, picture)
     spec.add_key(name=HOME, qpos=model.qpos0)
     return spec
+
+
+def _add_look(
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    visual: mujoco.MjsDefault,
+    geometry: SceneGeometry,
+    index: int,
+    meshes: dict[object, str],
+) -> bool:
+    """Adds the look of an object with its textures; returns whether it has one."""
+    o = geometry.scene.objects[index]
+    look = None if geometry.meshes[index] is None else geometry.look(index)
+    found = () if look is None else look_meshes(look.surfaces)
+    for number, mesh in enumerate(found):
+        assert look is not None
+        name = f"{body.name}/visual_{number}" if number else f"{body.name}/visual"
+        key = (o.asset_id, look.scale, number)
+        if key not in meshes:  # objects of one asset share its look
+            meshes[key] = name
+            corners = np.arange(3 * len(mesh.faces), dtype=np.int32)
+            uv = {} if mesh.corner_uv is None else {"usertexcoord": mesh.corner_uv.ravel(), "userfacetexcoord": corners}
+            spec.add_mesh(
+                name=name,
+                uservert=mesh.vertices.ravel(),
+                userface=mesh.faces.ravel(),
+                scale=list(look.scale),
+                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+                **uv,
+            )
+            if mesh.pixels is not None:
+                add_look_material(spec, mesh, name)
+        body.add_geom(
+            visual,
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=meshes[key],
+            pos=list(look.offset),
+            quat=wxyz(look.tilt_quat_xyzw),
+            **({"rgba": list(mesh.rgba)} if mesh.pixels is None else {"material": meshes[key]}),
+        )
+    return bool(found)
 
 
 def _add_visuals(

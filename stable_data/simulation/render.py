@@ -15,12 +15,14 @@ import fast_simplification
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFilter, ImageFont
+from scipy.spatial.transform import Rotation
 
 from stable_data.errors import ConfigError
-from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh import Mesh, area_vectors
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import FloatArray, Scene, SceneObject, Vec3
+from stable_data.simulation.look_meshes import ObjectLook, add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import Picture, draw_model
 from stable_data.simulation.room import TABLE_THICKNESS, RoomPart, furnish
@@ -64,6 +66,7 @@ def render_scene(
     size: tuple[int, int] = FRONT_SIZE,
     view: View = "front",
     colors: Sequence[str | Paint] | None = None,
+    looks: Sequence[ObjectLook | None] | None = None,
 ) -> Picture:
     """Renders a picture of a scene.
 
@@ -74,6 +77,7 @@ def render_scene(
         view: The side from which the camera looks.
         colors: Colour of each object, or of its faces; by default the category's colour, a little lighter or darker for each
             asset.
+        looks: What is seen of each object with a mesh, with its textures; for None its colour.
 
     Raises:
         ConfigError: The machine cannot render (``no_gl``), or the view is not known (``unknown_view``).
@@ -83,8 +87,10 @@ def render_scene(
     chosen: list[str | Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
     set_lighting(spec, size)
-    for k, (o, mesh, paint) in enumerate(zip(scene.objects, meshes, chosen, strict=True)):
-        _add_object(spec, o, mesh, paint, k)
+    seen = [None] * len(scene.objects) if looks is None else looks
+    for k, (o, mesh, paint, look) in enumerate(zip(scene.objects, meshes, chosen, seen, strict=True)):
+        if mesh is None or look is None or not _add_look(spec, o, look, k):
+            _add_object(spec, o, mesh, paint, k)
     low, high = scene_bounds(scene, meshes)
     add_room(spec, furnish(scene.table, low, high))
     add_lights(spec, low, high)
@@ -229,6 +235,27 @@ def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: s
             type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=wxyz(yaw_quat(o.yaw)), rgba=rgba(colour),
             contype=0, conaffinity=0,
         )  # fmt: skip
+
+
+def _add_look(spec: mujoco.MjSpec, o: SceneObject, look: ObjectLook, index: int) -> bool:
+    """Adds what is seen of an object; returns whether there is anything."""
+    turn = Rotation.from_quat(look.tilt_quat_xyzw).as_matrix() * look.scale
+    found = look_meshes(look.surfaces)
+    for k, mesh in enumerate(found):
+        name, corners = f"object_{index}_{k}", np.arange(3 * len(mesh.faces), dtype=np.int32)
+        triangles = (mesh.vertices @ turn.T + look.offset)[mesh.faces]
+        uv = {} if mesh.corner_uv is None else {"usertexcoord": mesh.corner_uv.ravel(), "userfacetexcoord": corners}
+        spec.add_mesh(
+            name=name, uservert=triangles.ravel(), userface=corners,
+            usernormal=_corner_normals(mesh.faces, area_vectors(triangles)).ravel(), userfacenormal=corners,
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL, **uv,
+        )  # fmt: skip
+        dress = {"rgba": list(mesh.rgba)} if mesh.pixels is None else {"material": add_look_material(spec, mesh, name)}
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=wxyz(yaw_quat(o.yaw)), contype=0,
+            conaffinity=0, **dress,
+        )  # fmt: skip
+    return bool(found)
 
 
 def _coloured_parts(mesh: Mesh, paint: str | Paint) -> list[tuple[str, FloatArray, FloatArray]]:

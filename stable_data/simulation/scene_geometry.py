@@ -17,6 +17,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.rotations import heading, quat_of, tilt_of, yaw_frame_box
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.simulation.collision_bodies import asset_parts, bodies_of
+from stable_data.simulation.look_meshes import ObjectLook
 from stable_data.simulation.render import object_colour
 from stable_data.simulation.settling import RigidBody
 
@@ -83,6 +84,15 @@ class SceneGeometry:
         o, mesh = self.scene.objects[index], self.meshes[index]
         assert mesh is not None
         return self.store.paint_of(o) or ((object_colour(o), np.arange(len(mesh.faces))),)
+
+    def look(self, index: int) -> ObjectLook | None:
+        """What is seen of an object with a mesh; None if the colours of its faces (:meth:`paint`) are its look."""
+        o = self.scene.objects[index]
+        surfaces = self.store.look_of(o)
+        if surfaces is None or o.scale is None:
+            return None
+        x, y, z = self.offset(index).tolist()
+        return ObjectLook(surfaces, o.scale, o.tilt_quat_xyzw, (x, y, z))
 
     def parts(self, index: int) -> Sequence[Mesh]:
         """Convex parts of an object's asset, in the frame and unit of its mesh."""
