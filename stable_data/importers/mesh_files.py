@@ -62,6 +62,12 @@ class _FilesBeside:
         found = [self._asked(name, "material", "its materials are left out", _MOST_LIBRARY) for name in names]
         return b"\n".join(content for content in found if content is not None) or None
 
+    def note_lost_look(self, reason: str) -> None:
+        message = (
+            f"asset {self.asset_id}: the materials of {self.path} cannot be read ({reason:.200}); it is drawn without them"
+        )
+        self.notices.append(Notice(self.asset_id, "read", "material_invalid", message))
+
     def part(self, reference: str) -> bytes:
         try:
             return self.root.read_bytes(self.root.resolve(reference, self.folder))

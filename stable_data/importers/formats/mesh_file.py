@@ -47,6 +47,10 @@ class Companions(Protocol):
         """Returns the content of a file of materials; None if it is missing or refused, which is noted."""
         ...
 
+    def note_lost_look(self, reason: str) -> None:
+        """Notes that the materials of the file are broken."""
+        ...
+
     def part(self, reference: str) -> bytes:
         """Returns the content of a file without which there is no mesh.
 

@@ -15,6 +15,7 @@ from stable_data.scene import FloatArray, IntArray
 
 _TEXTURE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+([^\r\n]{1,1000})", re.IGNORECASE | re.MULTILINE)
 _COORDINATES = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))  # names of texture coordinates of vertices
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 _MOST_HEADER = 65_536  # bytes of a PLY header
 _MOST_TEXT = 128 * 2**20  # bytes of an ASCII file, which takes many times its size in memory
 
@@ -30,20 +31,24 @@ def read_stl(content: bytes, path: str, *, max_faces: int) -> MeshFile:
     Raises:
         MeshError: ``model_unreadable`` or ``mesh_too_large``.
     """
-    from trimesh.exchange.stl import load_stl
+    from trimesh.exchange.stl import load_stl_ascii
 
-    is_binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
-    _check_text(content, path, is_text=not is_binary)
-    with parsing(path, "a binary or ASCII STL"), warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy warns where a number cannot be read, and goes on
-        loaded: dict[str, Any] = load_stl(io.BytesIO(content))
-        solids = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]  # several solids, or none
-        check_face_count(path, sum(len(solid["faces"]) for solid in solids), max_faces)
-        surfaces = [
-            Surface(taken(np.asarray(solid["vertices"], np.float64), np.asarray(solid["faces"]), path, "vertex"))
-            for solid in solids
-        ]
-    return MeshFile(tuple(surfaces))
+    count = int.from_bytes(content[80:84], "little") if len(content) >= 84 else 0
+    if b"facet" in content[:1000] and len(content) != 84 + 50 * count:
+        _check_text(content, path, is_text=True)
+        with parsing(path, "a binary or ASCII STL"), warnings.catch_warnings():
+            warnings.simplefilter("error")  # numpy warns where a number cannot be read, and goes on
+            loaded: dict[str, Any] = load_stl_ascii(io.BytesIO(content))
+            solids = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]  # several solids, or none
+            found = [taken(np.asarray(s["vertices"], np.float64), np.asarray(s["faces"]), path, "vertex") for s in solids]
+        check_face_count(path, sum(map(len, found)), max_faces)
+        return MeshFile(tuple(map(Surface, found)))
+    if len(content) < 84 + 50 * count or len(content) < 84:  # some programs write more bytes behind the triangles
+        found_text = f"{path}: says {count} triangles and has {len(content)} bytes"
+        raise MeshError(f"{found_text}, expected a whole binary or ASCII STL; copy it again", "model_unreadable")
+    check_face_count(path, count, max_faces)
+    triangles = np.frombuffer(content, _STL_TRIANGLE, count, 84)["corners"].astype(np.float64)
+    return MeshFile((Surface(triangles),))
 
 
 def read_ply(content: bytes, path: str, companions: Companions, *, max_faces: int) -> MeshFile:
