@@ -14,7 +14,7 @@ from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.collada_dae import read_dae
 from stable_data.importers.formats.gltf import read_gltf
 from stable_data.importers.formats.mesh_file import MeshFile
-from stable_data.importers.formats.obj import read_obj
+from stable_data.importers.formats.obj import read_obj, texture_name
 from stable_data.importers.formats.scans import read_ply, read_stl
 from stable_data.importers.source import Axis
 from stable_data.scene import FloatArray
@@ -24,6 +24,7 @@ SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".ply", ".stl")
 
 _MOST_IMAGE = 64 * 2**20  # bytes of an image file
 _MOST_LIBRARY = 8 * 2**20  # bytes of a file of materials
+_MOST_BYTES = {".dae": 64 * 2**20, ".gltf": 64 * 2**20}  # of formats that are read as text of nested parts
 _ARCHIVES = {
     b"\x1f\x8b": "gzip",
     b"PK\x03\x04": "zip",
@@ -60,6 +61,12 @@ class _FilesBeside:
             names = reference.split()  # a line may name several files, or one with spaces
         found = [self._asked(name, "material", "its materials are left out", _MOST_LIBRARY) for name in names]
         return b"\n".join(content for content in found if content is not None) or None
+
+    def note_lost_look(self, reason: str) -> None:
+        message = (
+            f"asset {self.asset_id}: the materials of {self.path} cannot be read ({reason:.200}); it is drawn without them"
+        )
+        self.notices.append(Notice(self.asset_id, "read", "material_invalid", message))
 
     def part(self, reference: str) -> bytes:
         try:
@@ -113,7 +120,7 @@ def read_mesh_file(
             f"{path}: the format {suffix or 'without a suffix'} is not read, expected one of {', '.join(SUFFIXES)}; convert it"
         )
         raise MeshError(message, "model_unreadable")
-    content = root.read_bytes(path)
+    content = root.read_bytes(path, most=_MOST_BYTES.get(suffix))
     _refuse_archives(content, path)
     beside = _FilesBeside(root, path, asset_id, image)
     if suffix in (".glb", ".gltf"):
@@ -127,7 +134,7 @@ def read_mesh_file(
     else:
         found = read_stl(content, path, max_faces=max_faces)
     used = [index for index, surface in enumerate(found.surfaces) if len(surface.triangles)]
-    surfaces = tuple(found.surfaces[index] for index in used)
+    surfaces = tuple(_with_valid_look(found.surfaces[index]) for index in used)
     _check(surfaces, path)
     names = tuple(found.names[index] for index in used) if found.names else ()
     return replace(found, surfaces=surfaces, names=names), tuple(beside.notices)
@@ -135,12 +142,12 @@ def read_mesh_file(
 
 _SCANNED = 4 * 2**20  # bytes at the start of a file where names of others are looked for
 _NAMES = {
-    ".obj": re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE),
-    ".mtl": re.compile(rb"^\s*map_Kd\s+(?:-\w+\s+(?:[-+.\d]+\s+|on\s+|off\s+)*)*(.+?)\s*$", re.MULTILINE | re.IGNORECASE),
-    ".dae": re.compile(rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<"),
-    ".ply": re.compile(rb"^comment\s+TextureFile\s+(.+?)\s*$", re.MULTILINE | re.IGNORECASE),
-    ".gltf": re.compile(rb'"uri"\s*:\s*"([^"]{1,1000})"'),
-    ".glb": re.compile(rb'"uri"\s*:\s*"([^"]{1,1000})"'),
+    ".obj": re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]{1,1000})", re.MULTILINE),
+    ".mtl": re.compile(rb"^[ \t]*map_Kd[ \t]+([^\r\n]{1,1000})", re.MULTILINE | re.IGNORECASE),
+    ".dae": re.compile(rb"<init_from>(?:\s{0,99}<ref>)?([^<]{1,1000})<"),
+    ".ply": re.compile(rb"^comment[ \t]+TextureFile[ \t]+([^\r\n]{1,1000})", re.MULTILINE | re.IGNORECASE),
+    ".gltf": re.compile(rb'"uri"\s{0,99}:\s{0,99}"([^"]{1,1000})"'),
+    ".glb": re.compile(rb'"uri"\s{0,99}:\s{0,99}"([^"]{1,1000})"'),
 }
 
 
@@ -157,17 +164,19 @@ def files_beside(root: Boundary, path: str) -> tuple[str, ...]:
     waiting = [path]
     while waiting and len(found) < root.limits.max_files:
         current = waiting.pop(0)
-        pattern = _NAMES.get(PurePosixPath(current).suffix.lower())
-        head = root.read_head(current, _SCANNED) if pattern is not None else b""
-        for name in dict.fromkeys(pattern.findall(head)) if pattern is not None else ():
-            if not name.startswith(b"data:"):
-                with suppress(MeshError):
-                    beside = root.resolve(
-                        html.unescape(name.decode("utf-8", "replace")), PurePosixPath(current).parent.as_posix()
-                    )
-                    if beside not in found and beside != path:
-                        found[beside] = None
-                        waiting.append(beside)
+        suffix = PurePosixPath(current).suffix.lower()
+        if suffix not in _NAMES:
+            continue
+        for name in dict.fromkeys(_NAMES[suffix].findall(root.read_head(current, _SCANNED))):
+            text = html.unescape(name.decode("utf-8", "replace")).strip()
+            if text.startswith("data:"):
+                continue
+            with suppress(MeshError):
+                reference = texture_name(text) if suffix == ".mtl" else text
+                beside = root.resolve(reference, PurePosixPath(current).parent.as_posix())
+                if beside not in found and beside != path:
+                    found[beside] = None
+                    waiting.append(beside)
     return tuple(found)
 
 
@@ -175,6 +184,19 @@ def _refuse_archives(content: bytes, path: str) -> None:
     for magic, name in _ARCHIVES.items():
         if content.startswith(magic):
             raise MeshError(f"{path}: is compressed ({name}), expected a plain mesh file; unpack it", "model_unreadable")
+
+
+def _with_valid_look(surface: Surface) -> Surface:
+    """A surface whose colours are from 0 to 1 and whose texture coordinates are numbers: a look alone never refuses a mesh."""
+    colour, corners, uv = surface.colour, surface.corner_colours, surface.corner_uv
+    if colour is not None:
+        red, green, blue = np.clip(np.nan_to_num(np.array(colour)), 0.0, 1.0).tolist()
+        colour = (red, green, blue)
+    if corners is not None:
+        corners = np.clip(np.nan_to_num(corners), 0.0, 1.0)
+    if uv is not None:
+        uv = np.nan_to_num(uv, posinf=0.0, neginf=0.0)
+    return replace(surface, colour=colour, corner_colours=corners, corner_uv=uv)
 
 
 def _check(surfaces: tuple[Surface, ...], path: str) -> None:

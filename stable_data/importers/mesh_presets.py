@@ -17,7 +17,9 @@ Found: TypeAlias = tuple[str, str, MeshEntry]
 """A mesh file, relative to the folder, the identifier that the set gives it (empty for none), and what is known about it."""
 
 _GENERIC = re.compile(
-    r"^(?:textured(?:_simple)?|nontextured|model(?:_normalized)?|mesh|scene|object|visual|source|poisson|tsdf)$", re.IGNORECASE
+    r"^(?:(?:non)?textured(?:_simple)?|model(?:s|_normalized)?|mesh(?:es)?|scene|objects?|visuals?|source|poisson|tsdf|google_\d+k|gltf|"
+    r"glb|obj|stl|ply|dae|assets?)$",
+    re.IGNORECASE,
 )
 _YCB_FOLDER = re.compile(r"^\d{3}(?:-[a-z])?_")
 _SCANS = ("google_16k", "google_64k", "google_512k", "tsdf", "poisson")
@@ -27,7 +29,7 @@ _MOST_METADATA = 512 * 2**20  # bytes of a file of annotations after it is unpac
 def plain_meshes(root: Boundary) -> Iterator[Found]:
     """Every mesh file of a folder; of several formats of one name in one folder the first of ``SUFFIXES``.
 
-    A name that says nothing, such as ``textured`` or ``scene``, is that of its folder.
+    Where the name says nothing, as ``textured`` or ``scene``, that of a folder counts.
     """
     for path in _best_formats(root):
         yield path, "", MeshEntry(name=_name_of(path))
@@ -52,8 +54,11 @@ def _rank(path: PurePosixPath) -> int:
 
 
 def _name_of(path: str) -> str:
+    """The first name that says something: of the file, or of a folder above it."""
     place = PurePosixPath(path)
-    return place.parent.name if _GENERIC.match(place.stem) and place.parent.name else place.stem
+    return next(
+        (name for name in (place.stem, *(p.name for p in place.parents)) if name and not _GENERIC.match(name)), place.stem
+    )
 
 
 def _objaverse(root: Boundary) -> Iterator[Found]:

@@ -1,6 +1,8 @@
 """Reads COLLADA (DAE) by pycollada: unit, upward axis, transforms of nodes, polygons, materials."""
 
 import io
+import re
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -15,6 +17,8 @@ from stable_data.importers.formats.xml_text import parse_xml
 from stable_data.scene import FloatArray
 
 _UP: dict[str, FileAxis] = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}
+_NOT_FINITE = re.compile(r"nan|inf", re.IGNORECASE)
+_LOOKS = ("bind_material", "library_materials", "library_effects", "library_images")
 _MOST_NODES = 10_000  # a node may show another one twice, which shows another one twice, ...
 _LEAST_OPACITY = 0.05  # below it the file means the opposite: many exporters write transparency the wrong way round
 
@@ -36,11 +40,10 @@ def read_dae(content: bytes, path: str, companions: Companions, *, max_faces: in
         import collada
     except ModuleNotFoundError as error:
         raise ConfigError(f"{path}: reading COLLADA {install_hint(error) or error}", "package_missing") from error
-    root = parse_xml(content, path)  # bounds first: pycollada has none
+    tree = parse_xml(content, path)  # bounds first: pycollada has none
     with parsing(path, "a COLLADA document"):
-        document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
-        if document.scene is None:
-            raise MeshError(f"{path}: has no scene, expected a COLLADA scene; export it again", "mesh_empty")
+        _check_positions(tree, path)
+        document = _opened(content, tree, path, companions)
         surfaces, names, num_faces = [], [], 0
         for node, matrix, called in _placed(document.scene.nodes, path):
             materials = {material.symbol: material.target for material in node.materials}
@@ -53,11 +56,75 @@ def read_dae(content: bytes, path: str, companions: Companions, *, max_faces: in
                     names.append(frozenset(name for name in (*called, node.geometry.name, node.geometry.id) if name))
         asset = document.assetInfo
         contributor = asset.contributors[0] if asset.contributors else None
-        states_up = any(element.tag.rpartition(":")[2] == "up_axis" for element in root.iter())
+        states_up = any(_name(element) == "up_axis" for element in document.xmlnode.getroot().iter())
     unit = asset.unitmeter if asset.unitmeter is not None and np.isfinite(asset.unitmeter) and asset.unitmeter > 0 else None
     up: FileAxis = _UP.get(asset.upaxis, "") if states_up else ""
     licence, author = ("", "") if contributor is None else (contributor.copyright or "", contributor.author or "")
     return MeshFile(tuple(surfaces), unit, up, licence.strip(), author.strip(), tuple(names))
+
+
+def _name(element: Any) -> str:
+    """The name of an element without its namespace."""
+    return str(element.tag).rpartition("}")[2]
+
+
+def _plain_name(element: ET.Element) -> str:
+    """The name of an element without its prefix."""
+    return element.tag.rpartition(":")[2]
+
+
+def _check_positions(tree: ET.Element, path: str) -> None:
+    """Refuses positions that are not finite: pycollada makes them 0.
+
+    Raises:
+        MeshError: ``mesh_not_finite``.
+    """
+    inputs = [e for e in tree.iter() if _plain_name(e) == "input" and e.get("semantic") == "POSITION"]
+    wanted = {element.get("source", "").removeprefix("#") for element in inputs}
+    for source in (e for e in tree.iter() if _plain_name(e) == "source" and e.get("id") in wanted):
+        if any(_plain_name(e) == "float_array" and _NOT_FINITE.search(e.text or "") for e in source):
+            raise MeshError(f"{path}: a vertex is not finite, expected finite coordinates; export it again", "mesh_not_finite")
+
+
+def _opened(content: bytes, tree: ET.Element, path: str, companions: Companions) -> Any:
+    """Opens a document; if a broken material would cost a part of the mesh, without its materials.
+
+    Raises:
+        MeshError: ``model_unreadable`` or ``mesh_empty``.
+    """
+    import collada
+
+    document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
+    if lost := _lost_part(document):
+        for parent in list(tree.iter()):
+            for child in [c for c in parent if _plain_name(c) in _LOOKS]:
+                parent.remove(child)
+        document = collada.Collada(io.BytesIO(ET.tostring(tree)), ignore=[collada.common.DaeError])
+        if still_lost := _lost_part(document):
+            message = f"{path}: a part cannot be read ({still_lost:.200}), expected whole geometry; export it again"
+            raise MeshError(message, "model_unreadable")
+        companions.note_lost_look(lost)
+    if document.scene is None:
+        raise MeshError(f"{path}: has no scene, expected a COLLADA scene; export it again", "mesh_empty")
+    return document
+
+
+def _lost_part(document: Any) -> str:
+    """Why pycollada left out a geometry or a node; empty if it did not."""
+    import collada
+
+    reason = " ".join(str(document.errors[0]).split()) if document.errors else "no reason is given"
+    if document.scene is None:
+        return reason if document.errors else ""
+    meshes = [g for g in document.xmlnode.getroot().iter() if _name(g) == "geometry" and any(_name(c) == "mesh" for c in g)]
+    asked = sum(_name(element) in ("instance_geometry", "instance_node") for element in document.scene.xmlnode.iter())
+    shown, stack = 0, list(document.scene.nodes)
+    while stack:
+        node = stack.pop()
+        shown += isinstance(node, (collada.scene.GeometryNode, collada.scene.NodeNode))
+        if isinstance(node, collada.scene.Node) and not isinstance(node, collada.scene.NodeNode):
+            stack += node.children or []
+    return reason if len(document.geometries) < len(meshes) or shown < asked else ""
 
 
 def _placed(nodes: list[Any], path: str) -> Iterator[tuple[Any, FloatArray, tuple[str | None, ...]]]:

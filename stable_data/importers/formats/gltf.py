@@ -14,7 +14,6 @@ from stable_data.json_text import json_value
 
 _MAGIC = b"glTF"
 _JSON_CHUNK, _BIN_CHUNK = 0x4E4F534A, 0x004E4942
-_MOST_TEXT = 64 * 2**20  # bytes of a .gltf, which may hold its buffers as text
 _CODES = {"glb_no_faces": "mesh_empty", "glb_nan_vertices": "mesh_not_finite", "glb_too_large": "mesh_too_large"}
 
 
@@ -33,7 +32,7 @@ def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: i
             :func:`stable_data.geometry.gltf_reader.load_glb`, or that of a buffer which cannot be read.
     """
     with parsing(path, "glTF 2.0"):
-        document, binary = _opened(content, path)
+        document, binary = _opened(content)
         packed = _Packing(path, companions, document, binary, max_bytes)
         packed.check_nodes()
         whole = packed.glb()
@@ -57,13 +56,9 @@ def _as_in_the_file(surface: Surface) -> Surface:
     return Surface(turned, surface.colour, surface.corner_colours, image, surface.corner_uv, surface.opacity)
 
 
-def _opened(content: bytes, path: str) -> tuple[dict[str, Any], bytes | None]:
+def _opened(content: bytes) -> tuple[dict[str, Any], bytes | None]:
     """The JSON of a file, and the binary chunk of a GLB."""
     if not content.startswith(_MAGIC):
-        if len(content) > _MOST_TEXT:
-            raise MeshError(
-                f"{path}: the JSON has {len(content)} bytes, expected at most {_MOST_TEXT}; export it as GLB", "mesh_too_large"
-            )
         return _object(content), None
     version, _, length, kind = struct.unpack_from("<4I", content, 4)
     if version != 2 or kind != _JSON_CHUNK or length > min(MeshLimits().max_json_bytes, len(content) - 20):

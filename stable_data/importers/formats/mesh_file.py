@@ -7,23 +7,11 @@ from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 
-from stable_data.errors import MeshError
+from stable_data.errors import MeshError, StableDataError
 from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray
 
 FileAxis: TypeAlias = Literal["", "x", "y", "z"]
-
-# The exceptions of parsers and of indexing on invalid content.
-_PARSE_ERRORS = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    MemoryError,
-    RecursionError,
-    TypeError,
-    ValueError,
-    AssertionError,
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +47,10 @@ class Companions(Protocol):
         """Returns the content of a file of materials; None if it is missing or refused, which is noted."""
         ...
 
+    def note_lost_look(self, reason: str) -> None:
+        """Notes that the materials of the file are broken."""
+        ...
+
     def part(self, reference: str) -> bytes:
         """Returns the content of a file without which there is no mesh.
 
@@ -82,9 +74,9 @@ def parsing(path: str, expected: str) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):
             yield
-    except MeshError:
+    except StableDataError:
         raise
-    except _PARSE_ERRORS as error:
+    except Exception as error:  # each library has exceptions of its own, and lets those of numpy through
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise MeshError(
             f"{path}: cannot be parsed ({reason:.200}), expected {expected}; export it again", "model_unreadable"

@@ -4,8 +4,9 @@ trimesh reads this format too, but it takes relative (negative) indices from the
 material file only and keeps no opacity.
 """
 
+import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +17,8 @@ from stable_data.geometry.surface import Surface
 from stable_data.importers.formats.mesh_file import Companions, MeshFile, check_face_count, fan, parsing, taken
 from stable_data.scene import FloatArray, IntArray
 
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?$")
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?$")
+_CHUNK = 65_536  # lines
 _WORD_OPTIONS = ("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type")  # of a texture; they take one word, not numbers
 
 
@@ -28,13 +30,54 @@ class _Material:
 
 
 @dataclass(slots=True)
-class _Faces:
-    """The faces of one material: corners one after the other, 0 where a corner has no texture coordinate."""
+class _Rows:
+    """Numbers of lines of one kind, kept as arrays: as text they would take ten times the memory."""
 
-    corners: list[str] = field(default_factory=list)
-    coordinates: list[str] = field(default_factory=list)
-    counts: list[int] = field(default_factory=list)
-    known: list[tuple[int, int]] = field(default_factory=list)  # vertices and coordinates before each face
+    width: int
+    waiting: list[list[str]] = field(default_factory=list)
+    chunks: list[FloatArray] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, text: str) -> None:
+        row = text.split()[: self.width]
+        self.waiting.append(row + ["nan"] * (self.width - len(row)))
+        self.count += 1
+        if len(self.waiting) >= _CHUNK:
+            self.flush()
+
+    def flush(self) -> None:
+        self.chunks.append(np.array(self.waiting, np.float64).reshape(-1, self.width))
+        self.waiting = []
+
+    def array(self) -> FloatArray:
+        """All rows, (N, width); NaN where a line has fewer numbers."""
+        self.flush()
+        return np.concatenate(self.chunks)
+
+
+@dataclass(slots=True)
+class _Faces:
+    """The faces of one material: corners one after the other, as indices from 0; -1 where a texture coordinate is not given."""
+
+    corners: list[IntArray] = field(default_factory=list)
+    coordinates: list[IntArray] = field(default_factory=list)
+    counts: list[IntArray] = field(default_factory=list)
+    waiting: list[tuple[list[str], int, int]] = field(default_factory=list)  # words, vertices and coordinates before the line
+
+    def add(self, words: list[str], num_vertices: int, num_coordinates: int, path: str) -> None:
+        self.waiting.append((words, num_vertices, num_coordinates))
+        if len(self.waiting) >= _CHUNK:
+            self.flush(path)
+
+    def flush(self, path: str) -> None:
+        counts = np.array([len(words) for words, _, _ in self.waiting], np.int64)
+        known = np.repeat(np.array([numbers[1:] for numbers in self.waiting], np.int64).reshape(-1, 2), counts, axis=0)
+        parts = [word.split("/") for words, _, _ in self.waiting for word in words]
+        self.waiting = []
+        self.counts.append(counts)
+        self.corners.append(_indices([part[0] for part in parts], known[:, 0], path))
+        coordinates = [part[1] if len(part) > 1 and part[1] else "0" for part in parts]
+        self.coordinates.append(_indices(coordinates, known[:, 1], path, may_lack=True))
 
 
 def read_obj(content: bytes, path: str, companions: Companions, *, max_faces: int) -> MeshFile:
@@ -50,56 +93,55 @@ def read_obj(content: bytes, path: str, companions: Companions, *, max_faces: in
         MeshError: ``model_unreadable`` or ``mesh_too_large``.
     """
     with parsing(path, "a Wavefront OBJ"):
-        text = content.decode("utf-8", "replace").replace("\\\r\n", " ").replace("\\\n", " ")
-        vertices: list[list[str]] = []
-        coordinates: list[list[str]] = []
+        vertices, coordinates = _Rows(6), _Rows(2)
         groups: dict[str, _Faces] = {}
         libraries: list[str] = []
         material, num_triangles = "", 0
-        for line in text.splitlines():
+        for line in _lines(content):
             word, *rest = line.split(None, 1) or [""]
             if not rest:
                 continue
             if word == "v":
-                vertices.append(rest[0].split())
+                vertices.add(rest[0])
             elif word == "vt":
-                coordinates.append(rest[0].split())
+                coordinates.add(rest[0])
             elif word == "f":
-                num_triangles += _add_face(groups.setdefault(material, _Faces()), rest[0], len(vertices), len(coordinates))
+                words = rest[0].partition("#")[0].split()
+                num_triangles += max(len(words) - 2, 0)
                 check_face_count(path, num_triangles, max_faces)
+                groups.setdefault(material, _Faces()).add(words, vertices.count, coordinates.count, path)
             elif word == "usemtl":
                 material = rest[0].strip()
             elif word == "mtllib":
                 libraries.append(rest[0].strip())
-        positions, colours = _vertices(vertices)
-        uv = np.array([(*row[:2], "0")[:2] for row in coordinates], np.float64).reshape(-1, 2)
+        rows, uv = vertices.array(), coordinates.array()
         materials = _materials(libraries, companions)
         surfaces = [
-            _surface(faces, positions, colours, uv, materials.get(name), path, companions) for name, faces in groups.items()
+            _surface(faces, rows[:, :3], _vertex_colours(rows), uv, materials.get(name), path, companions)
+            for name, faces in groups.items()
         ]
     return MeshFile(tuple(surfaces))
 
 
-def _add_face(faces: _Faces, text: str, num_vertices: int, num_coordinates: int) -> int:
-    """Adds a face; returns its number of triangles."""
-    tokens = text.partition("#")[0].split()
-    for token in tokens:
-        parts = token.split("/")
-        faces.corners.append(parts[0])
-        faces.coordinates.append(parts[1] if len(parts) > 1 and parts[1] else "0")
-    faces.counts.append(len(tokens))
-    faces.known.append((num_vertices, num_coordinates))
-    return max(len(tokens) - 2, 0)
+def _lines(content: bytes) -> Iterator[str]:
+    """The lines of a file; those that end with a backslash are joined with the next."""
+    begun = ""
+    for line in io.TextIOWrapper(io.BytesIO(content), "utf-8", "replace"):
+        if line.endswith("\\\n"):
+            begun += line[:-2] + " "
+        else:
+            yield begun + line
+            begun = ""
+    yield begun
 
 
-def _vertices(rows: Sequence[list[str]]) -> tuple[FloatArray, FloatArray | None]:
-    """Positions (V, 3), and linear colours (V, 3) if every vertex has one."""
-    positions = np.array([row[:3] for row in rows], np.float64).reshape(-1, 3)
-    if not rows or min(map(len, rows)) < 6:
-        return positions, None
-    colours = np.array([row[3:6] for row in rows], np.float64)
+def _vertex_colours(rows: FloatArray) -> FloatArray | None:
+    """Linear colours (V, 3) if every vertex has one."""
+    colours = rows[:, 3:]
+    if not len(colours) or not np.isfinite(colours).all():
+        return None
     scale = 255.0 if colours.max() > 1.0 else 1.0  # some programs write bytes
-    return positions, to_linear(np.clip(colours / scale, 0.0, 1.0))
+    return to_linear(np.clip(colours / scale, 0.0, 1.0))
 
 
 def _surface(
@@ -111,17 +153,17 @@ def _surface(
     path: str,
     companions: Companions,
 ) -> Surface:
-    counts = np.array(faces.counts, np.int64)
-    known = np.repeat(np.array(faces.known, np.int64), counts, axis=0)
-    rows = fan(counts)
-    corners = _indices(faces.corners, known[:, 0], path)[rows]
+    faces.flush(path)
+    rows = fan(np.concatenate(faces.counts))
+    corners = np.concatenate(faces.corners)[rows]
     triangles = taken(positions, corners, path, "vertex")
     colour, image, corner_uv = None if material is None else material.colour, None, None
-    places = _indices(faces.coordinates, known[:, 1], path, may_lack=True)[rows]
+    places = np.concatenate(faces.coordinates)[rows]
     if len(places) and (places >= 0).all():
         image = companions.image("" if material is None else material.texture)
     if image is not None:
         corner_uv = taken(uv, places, path, "texture coordinate") * (1.0, -1.0) + (0.0, 1.0)  # its origin is lower left
+        corner_uv = np.nan_to_num(corner_uv)  # a line with one number
         colour = (1.0, 1.0, 1.0)  # programs show the image alone, and files often say black beside it
     corner_colours = None if colours is None or image is not None else colours[corners]
     return Surface(triangles, colour, corner_colours, image, corner_uv, 1.0 if material is None else material.opacity)
@@ -163,7 +205,7 @@ def _parse_library(content: bytes) -> dict[str, _Material]:
         if key == "newmtl":
             current = materials.setdefault(value, _Material())
         elif key == "map_kd":
-            current.texture = _texture_name(value)
+            current.texture = texture_name(value)
         elif key == "kd" and (colour := _floats(value, 3)):
             red, green, blue = to_linear(np.clip(colour, 0.0, 1.0)).tolist()
             current.colour = (red, green, blue)
@@ -179,8 +221,8 @@ def _floats(text: str, count: int) -> list[float]:
     return [float(word) for word in words] if len(words) == count and all(map(_NUMBER.match, words)) else []
 
 
-def _texture_name(text: str) -> str:
-    """The file name behind the options of a texture; it may contain spaces."""
+def texture_name(text: str) -> str:
+    """Returns the file name behind the options of a texture, such as ``-s 1 1 1``; it may contain spaces."""
     rest = text
     while rest.startswith("-"):
         option, _, rest = rest.partition(" ")

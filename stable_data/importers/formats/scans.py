@@ -7,14 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from stable_data.errors import MeshError
 from stable_data.geometry.mesh_colors import to_linear
 from stable_data.geometry.surface import Surface
 from stable_data.importers.formats.mesh_file import Companions, MeshFile, check_face_count, fan, parsing, taken
 from stable_data.scene import FloatArray, IntArray
 
-_TEXTURE = re.compile(rb"^comment\s+TextureFile\s+(.+?)\s*$", re.IGNORECASE | re.MULTILINE)
+_TEXTURE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+([^\r\n]{1,1000})", re.IGNORECASE | re.MULTILINE)
 _COORDINATES = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))  # names of texture coordinates of vertices
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 _MOST_HEADER = 65_536  # bytes of a PLY header
+_MOST_TEXT = 128 * 2**20  # bytes of an ASCII file, which takes many times its size in memory
 
 
 def read_stl(content: bytes, path: str, *, max_faces: int) -> MeshFile:
@@ -28,18 +31,24 @@ def read_stl(content: bytes, path: str, *, max_faces: int) -> MeshFile:
     Raises:
         MeshError: ``model_unreadable`` or ``mesh_too_large``.
     """
-    from trimesh.exchange.stl import load_stl
+    from trimesh.exchange.stl import load_stl_ascii
 
-    with parsing(path, "a binary or ASCII STL"), warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy warns where a number cannot be read, and goes on
-        loaded: dict[str, Any] = load_stl(io.BytesIO(content))
-        solids = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]  # several solids, or none
-        check_face_count(path, sum(len(solid["faces"]) for solid in solids), max_faces)
-        surfaces = [
-            Surface(taken(np.asarray(solid["vertices"], np.float64), np.asarray(solid["faces"]), path, "vertex"))
-            for solid in solids
-        ]
-    return MeshFile(tuple(surfaces))
+    count = int.from_bytes(content[80:84], "little") if len(content) >= 84 else 0
+    if b"facet" in content[:1000] and len(content) != 84 + 50 * count:
+        _check_text(content, path, is_text=True)
+        with parsing(path, "a binary or ASCII STL"), warnings.catch_warnings():
+            warnings.simplefilter("error")  # numpy warns where a number cannot be read, and goes on
+            loaded: dict[str, Any] = load_stl_ascii(io.BytesIO(content))
+            solids = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]  # several solids, or none
+            found = [taken(np.asarray(s["vertices"], np.float64), np.asarray(s["faces"]), path, "vertex") for s in solids]
+        check_face_count(path, sum(map(len, found)), max_faces)
+        return MeshFile(tuple(map(Surface, found)))
+    if len(content) < 84 + 50 * count or len(content) < 84:  # some programs write more bytes behind the triangles
+        found_text = f"{path}: says {count} triangles and has {len(content)} bytes"
+        raise MeshError(f"{found_text}, expected a whole binary or ASCII STL; copy it again", "model_unreadable")
+    check_face_count(path, count, max_faces)
+    triangles = np.frombuffer(content, _STL_TRIANGLE, count, 84)["corners"].astype(np.float64)
+    return MeshFile((Surface(triangles),))
 
 
 def read_ply(content: bytes, path: str, companions: Companions, *, max_faces: int) -> MeshFile:
@@ -56,6 +65,7 @@ def read_ply(content: bytes, path: str, companions: Companions, *, max_faces: in
     """
     from trimesh.exchange.ply import load_ply
 
+    _check_text(content, path, is_text=b"format ascii" in content[:_MOST_HEADER])
     with parsing(path, "a PLY of triangles"), warnings.catch_warnings():
         warnings.simplefilter("error")
         loaded: dict[str, Any] = load_ply(io.BytesIO(content), fix_texture=False, skip_materials=True)
@@ -72,10 +82,16 @@ def read_ply(content: bytes, path: str, companions: Companions, *, max_faces: in
         image = corner_uv = None
         if named := _TEXTURE.search(content[:_MOST_HEADER]):
             corner_uv = _corner_uv(elements, counts, rows, corners)
-            image = None if corner_uv is None else companions.image(named[1].decode("utf-8", "replace"))
+            image = None if corner_uv is None else companions.image(named[1].decode("utf-8", "replace").strip())
         colours = _colours(loaded, counts, corners) if image is None else None
     colour = (1.0, 1.0, 1.0) if image is not None else None
     return MeshFile((Surface(triangles, colour, colours, image, corner_uv if image is not None else None),))
+
+
+def _check_text(content: bytes, path: str, *, is_text: bool) -> None:
+    if is_text and len(content) > _MOST_TEXT:
+        found = f"{path}: an ASCII file of {len(content)} bytes"
+        raise MeshError(f"{found}, expected at most {_MOST_TEXT}; export it as binary", "mesh_too_large")
 
 
 def _corner_uv(elements: dict[str, Any], counts: IntArray, rows: IntArray, corners: IntArray) -> FloatArray | None:
