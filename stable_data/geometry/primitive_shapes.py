@@ -1,5 +1,6 @@
 """Boxes, spheres, cylinders and capsules as triangles, as simulators describe them."""
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -51,7 +52,7 @@ def _revolved(profile: Sequence[tuple[float, float]]) -> FloatArray:
     angles = 2 * math.pi * np.arange(_SEGMENTS) / _SEGMENTS
     around = np.round([np.cos(angles), np.sin(angles), np.zeros(_SEGMENTS)], 15).T  # the zeros of the cosine are exact
     triangles: list[FloatArray] = []
-    for (r0, z0), (r1, z1) in zip(profile, profile[1:], strict=False):
+    for (r0, z0), (r1, z1) in itertools.pairwise(profile):
         low, high = around * r0 + (0.0, 0.0, z0), around * r1 + (0.0, 0.0, z1)
         next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
         if r0 > 0:

@@ -12,9 +12,12 @@ from stable_data.json_text import is_unicode
 _LICENCE_FILE = re.compile(r"^(?:licen[cs]es?|copying|unlicense)(?:[._ -].*)?$", re.IGNORECASE)
 _README = re.compile(r"^read[ _-]?me(?:\..*)?$", re.IGNORECASE)
 _WORDS = re.compile(r"licen[cs]e|creative ?commons|\bcc[ -]?(?:by|0)\b|public domain", re.IGNORECASE)
+_RESTRICTED = re.compile(r"\b[al]?gpl\b|general public licen[cs]e|non[ -]?commercial", re.IGNORECASE)
 _TEXT_SUFFIXES = ("", ".txt", ".md", ".rst")
 _HEAD = 65_536  # bytes of a file that are looked at
-_MOST_LINES = 80  # lines of a licence's text that may name it
+_MOST_LINES = 80  # lines of a file that are looked at
+_TITLE_LINES = 20  # lines of a licence's text that may name it: further on, it may speak of others
+_TITLE = 60  # characters of a title
 _MOST_CHARACTERS = 1000
 
 
@@ -70,12 +73,15 @@ def licence_of_file(root: Boundary, path: str) -> GivenLicence | None:
         # The rows of a table speak of several things.
         found = [line for line in lines if _WORDS.search(line) and normalise_licence(line) and not line.startswith("|")]
         return _given(found[:1], path) if len(set(map(normalise_licence, found))) == 1 else None
-    pairs = [f"{a} {b}" for a, b in itertools.pairwise(lines)]  # Apache's name takes two lines
-    for candidates in (lines, pairs):
-        found = [line for line in candidates if _WORDS.search(line) and normalise_licence(line)]
-        if found:
-            names = {normalise_licence(line): line for line in reversed(found)}
-            return _given(list(reversed(names.values())), path)
+    restricted = [line for line in lines if _RESTRICTED.search(line)]  # with it, the words name no other licence
+    top = lines[:_TITLE_LINES]
+    if top and len(top[0]) <= _TITLE and normalise_licence(top[0]):
+        return _given([top[0], *restricted], path)
+    pairs = [f"{a} {b}" for a, b in itertools.pairwise(top)]  # Apache's name takes two lines
+    for candidates in (top, pairs):
+        named = {normalise_licence(line): line for line in candidates if _WORDS.search(line)}
+        if statements := [line for name, line in named.items() if name]:
+            return _given([*statements, *restricted], path)
     return _given(lines or ["empty file"], path)
 
 
