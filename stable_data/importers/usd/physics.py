@@ -75,10 +75,14 @@ def bodies_of(root: Any) -> list[Any]:
 
 
 def prims_of(root: Any) -> Iterator[Any]:
-    """A prim and all below it, with those of instances."""
-    from pxr import Usd
+    """A prim and all below it, with those of instances; not those that a point instancer copies, since it is not read."""
+    from pxr import Usd, UsdGeom
 
-    yield from Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+    prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    for prim in prims:
+        if prim.IsA(UsdGeom.PointInstancer):
+            prims.PruneChildren()
+        yield prim
 
 
 def joints_of(root: Any, bodies: Sequence[Any]) -> Joints:

@@ -154,6 +154,7 @@ class _StageReader:
     def asset(self) -> SourceAsset:
         from pxr import Usd, UsdGeom
 
+        self._check_composition()
         prim = self._root_prim()
         time = Usd.TimeCode.EarliestTime()
         cache = UsdGeom.XformCache(time)
@@ -206,6 +207,19 @@ class _StageReader:
             is_static=joints.is_static,
             notices=tuple(self.notices),
         )
+
+    def _check_composition(self) -> None:
+        """Refuses circles within a layer, which USD cuts somewhere, and notes what else it could not compose."""
+        from pxr import Pcp
+
+        errors = self.stage.GetCompositionErrors()
+        if any(isinstance(error, Pcp.ErrorArcCycle) for error in errors):
+            self._fail("has prims that are part of themselves", "references without circles", "cyclic_reference")
+        kinds = Counter(type(error).__name__.removeprefix("Error") for error in errors)
+        for kind, count in sorted(kinds.items()):
+            self._note(
+                "composition_incomplete", f"{count} parts of it could not be composed ({kind}); what they say is missing"
+            )
 
     def _root_prim(self) -> Any:
         prim = self.stage.GetDefaultPrim()

@@ -640,6 +640,27 @@ def test_layers_that_are_part_of_themselves(tmp_path: Path, files: dict[str, str
     assert len(found(tmp_path)) == 1, "one failure for all of them"
 
 
+@pytest.mark.parametrize(("target", "code"), [("/T", "cyclic_reference"), ("/None", "composition_incomplete")])
+def test_references_within_a_layer_that_lead_nowhere(tmp_path: Path, target: str, code: str) -> None:
+    text = f'#usda 1.0\n(defaultPrim = "T")\ndef Xform "T"\n{{\ndef Cube "c" (references = <{target}>) {{}}\n}}\n'
+    (tmp_path / "thing.usda").write_text(text)
+    if code == "cyclic_reference":
+        assert refusal(tmp_path).code == code
+    else:
+        assert [notice.code for notice in read(tmp_path).notices] == [code]
+
+
+def test_what_a_point_instancer_copies_is_left_out(tmp_path: Path) -> None:
+    stage = stage_at(tmp_path / "thing.usda")
+    add_box(stage, "/Thing/box")
+    UsdGeom.PointInstancer.Define(stage, "/Thing/many")
+    add_box(stage, "/Thing/many/proto").AddTranslateOp().Set((9, 9, 9))
+    save(stage)
+    asset = read(tmp_path)
+    assert len(asset.surfaces) == 1
+    assert [notice.code for notice in asset.notices] == ["prim_left_out"]
+
+
 def test_few_words_that_ask_for_many_prims(tmp_path: Path) -> None:
     levels = "".join(
         f'class "L{k}" {{ ' + "".join(f'def "c{i}" (references = </L{k + 1}>) {{}}\n' for i in range(10)) + "}\n"
