@@ -146,3 +146,9 @@ def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+
+def joined_corners(triangles: FloatArray) -> Mesh:
+    """Returns triangles (F, 3, 3) as a mesh whose corners at the very same place are one vertex; nothing else is merged."""
+    vertices, corners = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    return Mesh(vertices, corners.reshape(-1, 3))

@@ -7,6 +7,7 @@ replaced by keys. The stage that USD then composes names no file at all.
 
 import io
 import posixpath
+import re
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import Any
 
-from stable_data.errors import ConfigError, MeshError
+from stable_data.errors import ConfigError, MeshError, StableDataError
 from stable_data.extras import install_hint
 from stable_data.importers.boundary import Boundary
 from stable_data.json_text import quote_value
@@ -22,6 +23,8 @@ from stable_data.json_text import quote_value
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 """Files that are read."""
 
+# The exceptions of reading values of other types than the schemas demand.
+_PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 _MOST_LEVELS = 16  # layers within layers
 _MOST_LAYERS = 200
 _MOST_MEMBERS = 2_000  # of a package
@@ -44,13 +47,23 @@ def quiet_usd(path: str) -> Iterator[None]:
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
-    except (Tf.ErrorException, Tf.CppException) as error:
-        found = " ".join(str(error).split())[:300]
-        message = f"{quote_value(path)}: USD cannot read it ({found}), expected a valid layer; export it again"
+    except StableDataError:
+        raise
+    except (Tf.ErrorException, Tf.CppException, *_PARSE_ERRORS) as error:
+        message = f"{quote_value(path)}: USD cannot read it ({_reason(error)}), expected a valid layer; export it again"
         raise MeshError(message, "model_unreadable") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
         del delegate
+
+
+def _reason(error: Exception) -> str:
+    """What USD says, without places in its code and on this machine."""
+    try:
+        text = " ".join(str(error).split())
+    except UnicodeDecodeError:  # it quotes the file
+        text = "no text"
+    return re.sub(r"(?<=')/\S*/", "", text.rpartition(" : ")[2])[:300]
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -120,10 +133,10 @@ class LayerLoader:
         """Where a name of a layer points to.
 
         Raises:
-            MeshError: ``path_outside``, ``file_missing``, or ``model_unsupported`` for a name that is computed.
+            MeshError: ``path_outside``, ``file_missing``, or ``model_unsupported`` for a pattern of names.
         """
-        if name.startswith("`") or "<UDIM>" in name:
-            raise _refusal(name, "is no name of a file but a pattern", "the name of a file", "model_unsupported")
+        if "<UDIM>" in name:
+            raise _refusal(name, "is a pattern for several images", "the name of a file", "model_unsupported")
         file, _, member = name.removesuffix("]").partition("[") if name.endswith("]") else (name, "", "")
         if place.member:
             return self._within(name, place)
@@ -162,13 +175,14 @@ class LayerLoader:
         layer = self.opened(place)
         parts, others = layer_names(layer)
         anonymous = {name: self._load(self.resolve(name, place), (*trail, place)).identifier for name in parts}
+        identifiers = {"", *anonymous.values()}
         for name in others:
             key = f"held-{len(self.names)}{PurePosixPath(name).suffix.lower()}"
             self.names[key] = name, place
             anonymous[name] = key
         with quiet_usd(str(place)):
             UsdUtils.ModifyAssetPaths(layer, lambda name: anonymous.get(name, ""))
-        left = set(layer.GetCompositionAssetDependencies()) - {"", *anonymous.values()}
+        left = set(layer.GetCompositionAssetDependencies()) - identifiers
         if left:
             raise _refusal(
                 str(place), f"names a layer that is not followed, {quote_value(min(left))}", "a reference", "model_unsupported"
@@ -228,7 +242,8 @@ class LayerLoader:
 def layer_names(layer: Any) -> tuple[list[str], list[str]]:
     """Returns the names of files in a layer as they stand there: those of layers that are composed into it, and all others.
 
-    Value clips, which change over time and are found by patterns, are removed from the layer.
+    Value clips, which change over time and are found by patterns, are removed from the layer. Names that are computed are replaced by
+    what the layer's own variables make of them.
     """
     from pxr import Sdf, UsdUtils
 

@@ -22,7 +22,7 @@ class UsdMaterial:
     Attributes:
         colour: Linear base colour; multiplies the texture. None if the material states none.
         opacity: From 0 to 1.
-        texture: Key of an image (:meth:`stable_data.importers.usd_layers.LayerLoader.read_file`); empty for none.
+        texture: Key of an image (:meth:`stable_data.importers.usd.layers.LayerLoader.read_file`); empty for none.
         coordinates: Name of the primvar with its coordinates.
         placement: Matrix (2, 3) that is applied to them, from the lower left.
         corner_colours: Name of the primvar whose colours are the base colour; empty for none.

@@ -7,7 +7,7 @@
 * **Unit and axis** are those of the stage; without a stated unit it is not known, although USD calls that centimetres.
 * **Seen** are visible prims of the purposes default and render, else proxy. **Colliders** are prims with a collision API; of an
   approximation that a simulator computes (convex decomposition, simplification) the mesh itself is given, if it is closed.
-* **Mass, friction, joints**: :mod:`stable_data.importers.usd_physics`. **Layers**: :mod:`stable_data.importers.usd_layers`.
+* **Mass, friction, joints**: :mod:`stable_data.importers.usd.physics`. **Layers**: :mod:`stable_data.importers.usd.layers`.
 """
 
 import re
@@ -22,16 +22,16 @@ import numpy as np
 
 from stable_data.errors import ConfigError, MeshError, Notice
 from stable_data.extras import install_hint
+from stable_data.geometry.mesh import joined_corners
 from stable_data.geometry.surface import Surface
 from stable_data.importers.asset_ids import AssetIds
-from stable_data.importers.boundary import Boundary
-from stable_data.importers.closed_shapes import closed_mesh
-from stable_data.importers.model_names import name_of_path
+from stable_data.importers.boundary import Boundary, renamed_notice
+from stable_data.importers.model_names import name_of_path, nameless_notice
 from stable_data.importers.source import GivenLicence, ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licence_of_file
-from stable_data.importers.usd_layers import SUFFIXES, LayerLoader, quiet_usd
-from stable_data.importers.usd_materials import UsdMaterial, material_of
-from stable_data.importers.usd_physics import (
+from stable_data.importers.usd.layers import SUFFIXES, LayerLoader, quiet_usd
+from stable_data.importers.usd.materials import UsdMaterial, material_of
+from stable_data.importers.usd.physics import (
     Collider,
     StageFrame,
     bodies_of,
@@ -40,9 +40,9 @@ from stable_data.importers.usd_physics import (
     joints_of,
     prims_of,
 )
-from stable_data.importers.usd_scan import LayerFacts, LayerScanner
-from stable_data.importers.usd_shapes import Faces, collision_shape, face_subsets, faces_of, simple_shape
-from stable_data.json_text import quote_value
+from stable_data.importers.usd.scan import LayerFacts, LayerScanner
+from stable_data.importers.usd.shapes import Faces, collision_shape, face_subsets, faces_of, simple_shape
+from stable_data.json_text import is_unicode, quote_value
 from stable_data.scene import FloatArray
 
 _TURNS = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
@@ -74,6 +74,9 @@ class UsdReader:
         failures: dict[str, MeshError] = {}
         with LayerScanner(root) as scan:
             for path in root.files(SUFFIXES):
+                if not is_unicode(path):
+                    yield nameless_notice(path)
+                    continue
                 try:
                     layers[path] = scan(path)
                 except MeshError as error:
@@ -151,6 +154,7 @@ class _StageReader:
     def asset(self) -> SourceAsset:
         from pxr import Usd, UsdGeom
 
+        self._check_composition()
         prim = self._root_prim()
         time = Usd.TimeCode.EarliestTime()
         cache = UsdGeom.XformCache(time)
@@ -176,13 +180,16 @@ class _StageReader:
         for kind, count in sorted(self.left_out.items()):
             self._note("prim_left_out", f"{count} prims of the type {kind} are not read")
         words = _Statements.of(self.stage, prim)
+        name = words.name or name_of_path(self.ref.path, self.root.root.name)
+        if (renamed := renamed_notice(self.ref.asset_id, name)) is not None:
+            self.notices.append(renamed)
         licences = list(words.licences)
         licence_file = self.ref.entry.get("licence_file")
         if licence_file and (stated := licence_of_file(self.root, licence_file)) is not None:
             licences.append(stated)
         return SourceAsset(
             asset_id=self.ref.asset_id,
-            name=words.name or name_of_path(self.ref.path, self.root.root.name),
+            name=name,
             surfaces=tuple(surfaces),
             unit_m=frame.unit_m,
             is_upright=says_up,
@@ -200,6 +207,19 @@ class _StageReader:
             is_static=joints.is_static,
             notices=tuple(self.notices),
         )
+
+    def _check_composition(self) -> None:
+        """Refuses circles within a layer, which USD cuts somewhere, and notes what else it could not compose."""
+        from pxr import Pcp
+
+        errors = self.stage.GetCompositionErrors()
+        if any(isinstance(error, Pcp.ErrorArcCycle) for error in errors):
+            self._fail("has prims that are part of themselves", "references without circles", "cyclic_reference")
+        kinds = Counter(type(error).__name__.removeprefix("Error") for error in errors)
+        for kind, count in sorted(kinds.items()):
+            self._note(
+                "composition_incomplete", f"{count} parts of it could not be composed ({kind}); what they say is missing"
+            )
 
     def _root_prim(self) -> Any:
         prim = self.stage.GetDefaultPrim()
@@ -276,7 +296,7 @@ class _StageReader:
                     f"has a transform that is not finite at {prim.GetPath()}", "numbers; export it again", "mesh_not_finite"
                 )
             if collides:
-                mesh = closed_mesh(triangles) if faces is None else collision_shape(prim, triangles)
+                mesh = joined_corners(triangles) if faces is None else collision_shape(prim, triangles)
                 colliders.append(Collider(prim, mesh))
             if is_seen and len(triangles):
                 surfaces.setdefault(purpose, []).extend(self._seen(prim, faces, triangles, order, time))

@@ -75,17 +75,21 @@ def bodies_of(root: Any) -> list[Any]:
 
 
 def prims_of(root: Any) -> Iterator[Any]:
-    """A prim and all below it, with those of instances."""
-    from pxr import Usd
+    """A prim and all below it, with those of instances; not those that a point instancer copies, since it is not read."""
+    from pxr import Usd, UsdGeom
 
-    yield from Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+    prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    for prim in prims:
+        if prim.IsA(UsdGeom.PointInstancer):
+            prims.PruneChildren()
+        yield prim
 
 
 def joints_of(root: Any, bodies: Sequence[Any]) -> Joints:
     """Reads the joints at and below a prim."""
     from pxr import UsdPhysics
 
-    groups = nx.Graph()
+    groups: nx.Graph[str] = nx.Graph()
     groups.add_nodes_from(str(body.GetPath()) for body in bodies)
     num_movable, is_static = 0, False
     for body in bodies:
@@ -96,14 +100,14 @@ def joints_of(root: Any, bodies: Sequence[Any]) -> Joints:
         if not _is_fixed(prim):
             num_movable += 1
             continue
-        ends = [
+        one, other = [
             _body_of(prim, relation.GetTargets(), groups)
             for relation in (prim.GetRelationship(f"physics:body{k}") for k in (0, 1))
         ]
-        if None in ends:
+        if one is None or other is None:
             is_static = True
         else:
-            groups.add_edge(*ends)
+            groups.add_edge(one, other)
     return Joints(num_movable, nx.number_connected_components(groups), is_static)
 
 

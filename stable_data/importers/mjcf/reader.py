@@ -26,18 +26,17 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.mesh import Mesh, double_areas, drop_unused_vertices
+from stable_data.geometry.mesh import Mesh, double_areas, drop_unused_vertices, joined_corners
 from stable_data.geometry.mesh_colors import to_linear
 from stable_data.geometry.primitive_shapes import box_triangles, capsule_triangles, cylinder_triangles, sphere_triangles
 from stable_data.geometry.surface import Surface
 from stable_data.importers.asset_ids import AssetIds
-from stable_data.importers.boundary import Boundary
-from stable_data.importers.closed_shapes import closed_mesh
-from stable_data.importers.mjcf_text import IsolatedModel, MjcfText
-from stable_data.importers.model_names import name_of_path
+from stable_data.importers.boundary import Boundary, renamed_notice
+from stable_data.importers.mjcf.text import IsolatedModel, MjcfText
+from stable_data.importers.model_names import name_of_path, nameless_notice
 from stable_data.importers.source import GivenInertial, GivenLicence, ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licence_of_file
-from stable_data.json_text import quote_value
+from stable_data.json_text import is_unicode, quote_value
 from stable_data.scene import FloatArray, Vec3
 
 if TYPE_CHECKING:
@@ -63,6 +62,9 @@ class MjcfReader:
         scenes: dict[str, tuple[str, ...]] = {}
         failures: dict[str, MeshError] = {}
         for path in root.files((".xml", ".mjcf")):
+            if not is_unicode(path):
+                yield nameless_notice(path)
+                continue
             boundary = Boundary(root.root, root.limits)
             try:
                 model = MjcfText.load(boundary, path)
@@ -117,6 +119,9 @@ class _ModelReader:
     images: dict[str, bytes | None] = field(default_factory=dict)
 
     def asset(self) -> SourceAsset:
+        name = name_of_path(self.ref.path, self.root.root.name)
+        if (renamed := renamed_notice(self.ref.asset_id, name)) is not None:
+            self.notices.append(renamed)
         isolated = self.text.isolated(self.root)
         shapes = _compile(isolated, self.ref.path)
         self._check(shapes)
@@ -134,7 +139,7 @@ class _ModelReader:
             licences.append(stated)
         return SourceAsset(
             asset_id=self.ref.asset_id,
-            name=name_of_path(self.ref.path, self.root.root.name),
+            name=name,
             surfaces=surfaces,
             unit_m=1.0,
             is_upright=shapes.is_upright(),
@@ -310,15 +315,15 @@ class _Shapes:
             vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
             return Mesh(vertices, model.mesh_face[start : start + model.mesh_facenum[mesh]])
         if kind == _type("mjGEOM_BOX"):
-            return closed_mesh(box_triangles() * 2 * size)
+            return joined_corners(box_triangles() * 2 * size)
         if kind == _type("mjGEOM_SPHERE"):
-            return closed_mesh(sphere_triangles() * size[0])
+            return joined_corners(sphere_triangles() * size[0])
         if kind == _type("mjGEOM_ELLIPSOID"):
-            return closed_mesh(sphere_triangles() * size)
+            return joined_corners(sphere_triangles() * size)
         if kind == _type("mjGEOM_CYLINDER"):
-            return closed_mesh(cylinder_triangles(size[0], 2 * size[1]))
+            return joined_corners(cylinder_triangles(size[0], 2 * size[1]))
         assert kind == _type("mjGEOM_CAPSULE"), kind  # planes and height fields were refused
-        return closed_mesh(capsule_triangles(size[0], 2 * size[1]))
+        return joined_corners(capsule_triangles(size[0], 2 * size[1]))
 
     def in_world(self, geom: int, points: FloatArray) -> FloatArray:
         """Points (..., 3) of a geom's frame in the frame of the model."""

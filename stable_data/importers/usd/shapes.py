@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import MeshError
-from stable_data.geometry.mesh import Mesh, is_closed
+from stable_data.geometry.mesh import Mesh, is_closed, joined_corners
 from stable_data.geometry.primitive_shapes import box_triangles, capsule_triangles, cylinder_triangles, sphere_triangles
-from stable_data.importers.closed_shapes import closed_mesh
 from stable_data.json_text import quote_value
 from stable_data.scene import FloatArray, IntArray
 
@@ -110,7 +109,8 @@ def _fits(fans: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether no triangle of a fan (N, T, 3, 3) is turned against the others: then the fan covers its polygon once."""
     normals = np.cross(fans[:, :, 1] - fans[:, :, 0], fans[:, :, 2] - fans[:, :, 0])
     along = np.einsum("ntk,nk->nt", normals, normals.sum(axis=1))
-    return (along >= -1e-9 * np.abs(along).max(axis=1, keepdims=True)).all(axis=1)
+    fits: npt.NDArray[np.bool_] = (along >= -1e-9 * np.abs(along).max(axis=1, keepdims=True)).all(axis=1)
+    return fits
 
 
 def _ears(polygon: FloatArray) -> IntArray:
@@ -190,11 +190,11 @@ def collision_shape(prim: Any, triangles: FloatArray) -> Mesh | None:
         return convex_hull(np.unique(points, axis=0))
     low, high = points.min(axis=0), points.max(axis=0)
     if approximation == "boundingCube":
-        return closed_mesh(box_triangles() * (high - low) + (low + high) / 2)
+        return joined_corners(box_triangles() * (high - low) + (low + high) / 2)
     if approximation == "boundingSphere":
         radius = float(np.linalg.norm(points - (low + high) / 2, axis=1).max())
-        return closed_mesh(sphere_triangles() * radius + (low + high) / 2)
-    mesh = closed_mesh(triangles)
+        return joined_corners(sphere_triangles() * radius + (low + high) / 2)
+    mesh = joined_corners(triangles)
     faces = mesh.faces[(np.diff(np.sort(mesh.faces, axis=1), axis=1) > 0).all(axis=1)]
     return Mesh(mesh.vertices, faces) if len(faces) and is_closed(Mesh(mesh.vertices, faces)) else None
 

@@ -1,6 +1,7 @@
 """MJCF text made safe: includes in place, and no name of a file left that MuJoCo could open by itself."""
 
 import copy
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from stable_data.json_text import quote_value
 _MOST_LEVELS = 8  # includes within includes
 _MOST_ELEMENTS = 200_000
 _MODEL = re.compile(rb"<mujoco[\s/>]")
+_NOT_FINITE = re.compile(r"(?i)nan|inf")
 _FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 _DIRECTORIES = {"mesh": "meshdir", "texture": "texturedir"}
 # What could execute code, has files of its own, or makes much out of few words; no rigid object needs it.
@@ -131,9 +133,14 @@ class MjcfText:
         """Reads the meshes and returns the model with all names of files replaced.
 
         Raises:
-            MeshError: ``model_unsupported``: it has elements that no rigid object needs; or a code of the boundary.
+            MeshError: ``model_unsupported``: it has elements that no rigid object needs; ``model_unreadable``: a number is not
+                finite; or a code of the boundary.
         """
         for element in self.root.iter():
+            if any(map(_is_not_finite, element.attrib.values())):
+                self._fail(
+                    f"has a number that is not finite in an element {quote_value(element.tag)}", "numbers", "model_unreadable"
+                )
             if element.tag in _REFUSED or (element.tag == "mesh" and "builtin" in element.attrib):
                 self._fail(f"has an element {quote_value(element.tag)} that is not read", "a rigid object", "model_unsupported")
         model = MjcfText(self.path, copy.deepcopy(self.root), self.includes)
@@ -194,6 +201,16 @@ class MjcfText:
 
     def _fail(self, found: str, expected: str, code: str) -> NoReturn:
         raise MeshError(f"{quote_value(self.path)} {found}, expected {expected}", code)
+
+
+def _is_not_finite(value: str) -> bool:
+    """Whether an attribute has numbers of which one is not finite. MuJoCo writes a file of its own about them."""
+    if _NOT_FINITE.search(value) is None:
+        return False
+    try:
+        return not all(map(math.isfinite, map(float, value.split())))
+    except ValueError:
+        return False
 
 
 def _mean_colour(texture: Element) -> tuple[float, float, float]:

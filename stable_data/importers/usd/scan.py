@@ -11,7 +11,7 @@ from typing import Any
 
 from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary, FileLimits
-from stable_data.importers.usd_layers import LayerLoader, layer_names, quiet_usd
+from stable_data.importers.usd.layers import LayerLoader, layer_names, quiet_usd
 from stable_data.json_text import quote_value
 
 _SECONDS = 60.0  # for one layer
@@ -109,7 +109,7 @@ class LayerScanner:
 
     def _started(self) -> subprocess.Popen[bytes]:
         limits = json.dumps(asdict(self._root.limits))
-        command = [sys.executable, "-m", __name__, str(self._root.root), limits]
+        command = [sys.executable, "-c", f"from {__name__} import answer_paths; answer_paths()", str(self._root.root), limits]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         return subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
@@ -122,8 +122,9 @@ class LayerScanner:
             self._process = None
 
 
-def _answer_paths(root: Path, limits: FileLimits) -> None:
-    """Answers each path of standard input with what its layer says."""
+def answer_paths() -> None:
+    """Answers each path of standard input with what its layer says; the command's arguments are the folder and its limits."""
+    root, limits = Path(sys.argv[1]), FileLimits(**json.loads(sys.argv[2]))
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries may print
     for line in sys.stdin.buffer:
@@ -133,7 +134,3 @@ def _answer_paths(root: Path, limits: FileLimits) -> None:
             answer = {"error": str(error), "code": error.code}
         answers.write(json.dumps(answer).encode() + b"\n")
         answers.flush()
-
-
-if __name__ == "__main__":
-    _answer_paths(Path(sys.argv[1]), FileLimits(**json.loads(sys.argv[2])))
