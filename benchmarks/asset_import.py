@@ -15,7 +15,7 @@ Times are processor seconds of this process.
 import json
 import math
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -49,7 +49,7 @@ class StepTimer:
         seconds: Step -> seconds.
     """
 
-    seconds: Counter[str] = field(default_factory=Counter)
+    seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     _step: str = "read"
     _since: float = field(default_factory=time.process_time)
 

@@ -13,7 +13,7 @@ from stable_data.scene import FloatArray, IntArray
 
 _CHUNK = 1_000_000  # triangles whose corners are clustered at a time
 _MOST_EXACT = 2_000_000  # triangles beyond which vertices are clustered first
-_CLUSTERS = (1024, 768, 512, 384, 256)  # cells along the largest extent, the finest first
+_CLUSTERS = (1024, 768, 512, 384, 256, 192, 128, 64)  # cells along the largest extent, the finest first
 _SMALLEST = 1e-30  # squares and cubes of smaller extents, or of extents above its inverse, leave the range of a double
 _FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
 _NUM_PROBES = 8192
@@ -27,7 +27,7 @@ def join_triangles(soups: Sequence[FloatArray], asset_id: str) -> tuple[Mesh, fl
         asset_id: The asset, for messages.
 
     Returns:
-        The mesh, in the frame of the triangles, without unused vertices; and the largest distance that clustering moved a vertex.
+        The mesh, in the frame of the triangles, without unused vertices; and a bound of the distance by which clustering moved it.
 
     Raises:
         MeshError: ``mesh_empty``: no triangle has an area; ``mesh_not_finite``: a corner is not finite, or too far away.

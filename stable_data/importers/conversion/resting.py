@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError
@@ -19,14 +20,16 @@ from stable_data.rotations import heading, quat_of, rotation_matrix, tilt_of
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Tabletop
 
 _MOST_POSES = 8
-_LEAST_PROBABILITY = 0.02
+_LEAST_PROBABILITY = 0.005  # a bottle stands in few falls
 _SAME = math.radians(5.0)  # poses whose upward directions differ by less are one
 _EXACT = math.radians(2.0)  # a pose this near to a face of the hull lies on that face
+_SAME_HEIGHT = 0.05  # relative
+_REVERSE = -0.9  # cosine of the upward directions of a pose and its reverse, at most
 _DROP = 2e-3  # metres
 _SECONDS = 1.0
-_COARSE = 96  # steps of the hull's largest extent: a coarser hull has few faces and the same poses
+_COARSE = 192  # steps of the hull's largest extent: a coarser hull has few faces and the same poses
 _GAP = 2.0  # distance of bodies that fall at the same time, in largest extents
-_FITS = 0.4  # log of the height, against that of the category, up to which a pose is usual for it
+_FITS = (0.15, 0.4)  # log of the height, against that of the category, up to which a pose is as usual, or nearly
 _UNIT_MASS = 0.2  # kilograms; a fall does not depend on it
 _HOLDS = (0.01, 0.2, 0.2, 0.1)  # least depth (m); shares of height, footprint and box of depth, mouth and volume
 
@@ -135,7 +138,23 @@ def _quasi_static(hull: Mesh) -> list[_Candidate]:
         return []  # the search for poses would not end
     turns, shares = trimesh.poses.compute_stable_poses(solid, center, threshold=_LEAST_PROBABILITY, seed=0)
     found = [_Candidate(np.array(turn[:3, :3]), float(share)) for turn, share in zip(turns, shares, strict=True)]
-    return _merged(found)[:_MOST_POSES]
+    return _different_first(_merged(found), hull)[:_MOST_POSES]
+
+
+def _different_first(candidates: Sequence[_Candidate], hull: Mesh) -> list[_Candidate]:
+    """Puts one pose of each height, and its reverse, before further ones of the same height: a round bottle lies in many ways."""
+    first: list[_Candidate] = []
+    others: list[_Candidate] = []
+    heights: list[float] = []
+    for candidate in candidates:
+        height = float(np.ptp(hull.vertices @ candidate.matrix[2]))
+        same = [k for k, other in enumerate(heights) if abs(height - other) <= _SAME_HEIGHT * other]
+        if all(float(first[k].matrix[2] @ candidate.matrix[2]) < _REVERSE for k in same):
+            first.append(candidate)
+            heights.append(height)
+        else:
+            others.append(candidate)
+    return first + others
 
 
 def _merged(candidates: Sequence[_Candidate]) -> list[_Candidate]:
@@ -209,18 +228,25 @@ def _on_face(matrix: FloatArray, hull: Mesh) -> FloatArray:
 
 def _ranked(candidates: Sequence[_Candidate], mesh: Mesh, *, is_upright: bool, upright: float | None) -> list[_Candidate]:
     """Poses, the likeliest first: the source's true up axis, the usual height, the source's guess, the hollow upward, the share."""
-    longest = float(mesh.extents.max())
 
-    def key(candidate: _Candidate) -> tuple[bool, bool, bool, bool, float]:
+    def key(candidate: _Candidate) -> tuple[bool, int, bool, bool, float]:
         posed = Mesh(mesh.vertices @ candidate.matrix.T, mesh.faces)
-        height = float(posed.extents[2]) / longest
-        is_usual = upright is not None and abs(math.log(height / upright)) < _FITS
+        misfit = 0.0 if upright is None else abs(math.log(_share_of_height(posed) / upright))
         return (
             not (candidate.is_source and is_upright),
-            not is_usual,
+            int(np.searchsorted(_FITS, misfit)),
             not candidate.is_source,
-            not (is_usual and _holds(upward_hollow(posed), posed)),
+            not (upright is not None and misfit < _FITS[-1] and _holds(upward_hollow(posed), posed)),
             -candidate.probability,
         )
 
     return [candidate for _, candidate in sorted(((key(c), c) for c in candidates), key=lambda pair: pair[0])]
+
+
+def _share_of_height(posed: Mesh) -> float:
+    """Height of a posed mesh, divided by the longest side of the smallest upright box around it."""
+    around = shapely.minimum_rotated_rectangle(shapely.multipoints(posed.vertices[:, :2]))
+    corners = shapely.get_coordinates(around)[:3]
+    sides = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    height = max(float(posed.extents[2]), 1e-9)
+    return height / max(height, float(sides.max(initial=0.0)))
