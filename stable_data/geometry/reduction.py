@@ -13,7 +13,8 @@ from stable_data.scene import FloatArray, IntArray
 
 _CHUNK = 1_000_000  # triangles whose corners are clustered at a time
 _MOST_EXACT = 2_000_000  # triangles beyond which vertices are clustered first
-_CLUSTERS = (1024, 768, 512, 384, 256)  # cells along the largest extent, the finest first
+_SLACK = 1.2  # a reduced mesh may have this many more faces than asked for
+_CLUSTERS = (1024, 768, 512, 384, 256, 192, 128, 64)  # cells along the largest extent, the finest first
 _SMALLEST = 1e-30  # squares and cubes of smaller extents, or of extents above its inverse, leave the range of a double
 _FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
 _NUM_PROBES = 8192
@@ -27,7 +28,7 @@ def join_triangles(soups: Sequence[FloatArray], asset_id: str) -> tuple[Mesh, fl
         asset_id: The asset, for messages.
 
     Returns:
-        The mesh, in the frame of the triangles, without unused vertices; and the largest distance that clustering moved a vertex.
+        The mesh, in the frame of the triangles, without unused vertices; and a bound of the distance by which clustering moved it.
 
     Raises:
         MeshError: ``mesh_empty``: no triangle has an area; ``mesh_not_finite``: a corner is not finite, or too far away.
@@ -59,12 +60,22 @@ def join_triangles(soups: Sequence[FloatArray], asset_id: str) -> tuple[Mesh, fl
 
 
 def _clustered(soups: Sequence[FloatArray], low: FloatArray, extent: float) -> tuple[FloatArray, IntArray, float]:
-    """Vertices at the means of grid cells, and the faces between them; the finest grid that leaves few enough faces."""
+    """Clusters vertices on the finest grid that leaves few enough faces; and a bound of the distance that this moves them."""
     for cells in _CLUSTERS:
         step = extent / cells
-        keys = np.concatenate([_distinct(_keys(chunk, low, step)) for chunk in _chunks(soups)])
+        keys = _faces_of_cells(soups, low, step)
         if len(keys) <= _MOST_EXACT:
             break
+    return *_meshed(keys, soups, low, step), float(np.sqrt(3) * step)
+
+
+def _faces_of_cells(soups: Sequence[FloatArray], low: FloatArray, step: float) -> IntArray:
+    """The faces between different grid cells, (F, 3) keys of cells."""
+    return np.concatenate([_distinct(_keys(chunk, low, step)) for chunk in _chunks(soups)])
+
+
+def _meshed(keys: IntArray, soups: Sequence[FloatArray], low: FloatArray, step: float) -> tuple[FloatArray, IntArray]:
+    """Vertices at the means of the corners in each cell, and the faces (F, 3) between them."""
     labels, faces = np.unique(keys, return_inverse=True)
     sums, counts = np.zeros((len(labels), 3)), np.zeros(len(labels))
     for chunk in _chunks(soups):
@@ -74,7 +85,7 @@ def _clustered(soups: Sequence[FloatArray], low: FloatArray, extent: float) -> t
         points, place = chunk.reshape(-1, 3)[is_used], place[is_used]
         counts += np.bincount(place, minlength=len(labels))
         sums += np.stack([np.bincount(place, points[:, axis], len(labels)) for axis in range(3)], axis=1)
-    return sums / counts[:, None], faces.reshape(-1, 3).astype(np.int64), float(np.sqrt(3) * step)
+    return sums / counts[:, None], faces.reshape(-1, 3).astype(np.int64)
 
 
 def _chunks(soups: Sequence[FloatArray]) -> Iterator[FloatArray]:
@@ -103,18 +114,28 @@ def reduce_mesh(mesh: Mesh, max_faces: int) -> tuple[Mesh, float]:
 
     Args:
         mesh: Any unit.
-        max_faces: Number of triangles that the result has at most, nearly.
+        max_faces: Number of triangles, which the result may exceed by a fifth.
 
     Returns:
         The mesh itself if it is small enough, else the reduced one; and the largest distance between the two, sampled both ways.
     """
     if len(mesh.faces) <= max_faces:
         return mesh, 0.0
-    middle, extent = mesh.vertices.mean(axis=0), float(mesh.extents.max())
-    unit = ((mesh.vertices - middle) / extent).astype(np.float32)
-    vertices, faces = fast_simplification.simplify(unit, mesh.faces.astype(np.int32), target_count=max_faces)
-    reduced = Mesh(*drop_unused_vertices(vertices.astype(np.float64) * extent + middle, faces.astype(np.int64)))
+    low, extent = mesh.vertices.min(axis=0), float(mesh.extents.max())
+    reduced = mesh
+    for cells in (0, *_CLUSTERS[1:]):  # a mesh of slivers only collapses after its vertices are clustered
+        source = _clustered_mesh(mesh, low, extent / cells) if cells else mesh
+        unit = ((source.vertices - low) / extent).astype(np.float32)
+        vertices, faces = fast_simplification.simplify(unit, source.faces.astype(np.int32), target_count=max_faces)
+        reduced = Mesh(*drop_unused_vertices(vertices.astype(np.float64) * extent + low, faces.astype(np.int64)))
+        if len(reduced.faces) <= _SLACK * max_faces:
+            break
     return reduced, max(_reach(mesh, reduced), _reach(reduced, mesh))
+
+
+def _clustered_mesh(mesh: Mesh, low: FloatArray, step: float) -> Mesh:
+    soups = [mesh.triangles]
+    return Mesh(*_meshed(_faces_of_cells(soups, low, step), soups, low, step))
 
 
 def _reach(one: Mesh, other: Mesh) -> float:

@@ -215,6 +215,7 @@ def convert(
         center=made.center,
     )
     notices += odd
+    mass = _mass_columns(inertial, made)
 
     progress.step = "rest"
     known = context.sizes.find(name.category)
@@ -223,6 +224,7 @@ def convert(
         given=asset.rest_quats,
         is_upright=asset.is_upright,
         upright=None if known is None else known[0].upright,
+        center_of_mass=np.array(mass["center_of_mass"]),
         searches=settings.finds_poses,
     )
 
@@ -235,7 +237,7 @@ def convert(
         **shape_columns(asset.asset_id, made.mesh, made.report, settings.num_points),
         **scale.columns(float(made.mesh.extents.max())),
         **_rest_columns(poses, rest_source, made.mesh),
-        **_mass_columns(inertial, made),
+        **mass,
         "friction": None if asset.friction is None else list(asset.friction),
         "on_table": not asset.is_static,
         "is_static": asset.is_static,

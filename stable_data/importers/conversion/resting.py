@@ -9,24 +9,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError
-from stable_data.geometry.convex_decomposition import ConvexPart, hull_of_mesh
+from stable_data.geometry.convex_decomposition import hull_of_mesh
 from stable_data.geometry.hollow import Hollow, upward_hollow
 from stable_data.geometry.mesh import Mesh
 from stable_data.rotations import heading, quat_of, rotation_matrix, tilt_of
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Tabletop
 
 _MOST_POSES = 8
-_LEAST_PROBABILITY = 0.02
+_LEAST_PROBABILITY = 0.005  # a bottle stands in few falls
 _SAME = math.radians(5.0)  # poses whose upward directions differ by less are one
 _EXACT = math.radians(2.0)  # a pose this near to a face of the hull lies on that face
+_SAME_HEIGHT = 0.05  # relative
+_REVERSE = -0.9  # cosine of the upward directions of a pose and its reverse, at most
+_LOW = 0.4995  # height of a low centre of mass, share of the height
 _DROP = 2e-3  # metres
 _SECONDS = 1.0
-_COARSE = 96  # steps of the hull's largest extent: a coarser hull has few faces and the same poses
+_COARSE = 192  # steps of the hull's largest extent: a coarser hull has few faces and the same poses
 _GAP = 2.0  # distance of bodies that fall at the same time, in largest extents
-_FITS = 0.4  # log of the height, against that of the category, up to which a pose is usual for it
+_FITS = (0.15, 0.4)  # log of the height, against that of the category, up to which a pose is as usual, or nearly
 _UNIT_MASS = 0.2  # kilograms; a fall does not depend on it
 _HOLDS = (0.01, 0.2, 0.2, 0.1)  # least depth (m); shares of height, footprint and box of depth, mouth and volume
 
@@ -79,7 +83,7 @@ def resting_poses(
     given: Sequence[QuatXyzw] = (),
     is_upright: bool = False,
     upright: float | None = None,
-    parts: Sequence[ConvexPart] = (),
+    center_of_mass: FloatArray | None = None,
     searches: bool = True,
 ) -> tuple[tuple[RestingPose, ...], str]:
     """Finds the poses in which an object rests.
@@ -89,7 +93,8 @@ def resting_poses(
         given: Poses that the source states; they are kept.
         is_upright: Whether the source says that z is up.
         upright: Usual height of its category, divided by the longest side; None if unknown.
-        parts: Its convex parts; without them its hull falls.
+        center_of_mass: In the frame of the mesh, (3,); None: the centre of its box. Of a pose and its reverse, the one with the lower
+            centre of mass is likelier: things stand on their broad ends.
         searches: Whether poses are sought by physics; else z is up.
 
     Returns:
@@ -102,11 +107,12 @@ def resting_poses(
     if not searches:
         return (RestingPose(UPRIGHT, 1),), "up_axis"
     hull = hull_of_mesh(mesh)
-    candidates = [own, *_quasi_static(hull)]
-    rested = _dropped(candidates, hull, tuple(parts) or (hull,))
+    candidates = [own, *_quasi_static(hull, center_of_mass)]
+    rested = _dropped(candidates, hull)
     if not rested:  # a needle or a ball that rolls: the source's axis is all that is known
         return (RestingPose(UPRIGHT, 1),), "up_axis"
-    ranked = _ranked(_merged(rested), mesh, is_upright=is_upright, upright=upright)
+    center = np.zeros(3) if center_of_mass is None else center_of_mass
+    ranked = _ranked(_merged(rested), mesh, center, is_upright=is_upright, upright=upright)
     first = ranked[0]
     total = sum(c.probability for c in ranked) or 1.0
     counts = [100, *(min(99, max(1, round(100 * c.probability / total))) for c in ranked[1:])]
@@ -122,20 +128,36 @@ def _canonical(matrix: FloatArray) -> QuatXyzw:
     return tilt_of(quat, heading(quat)[0])
 
 
-def _quasi_static(hull: Mesh) -> list[_Candidate]:
+def _quasi_static(hull: Mesh, center_of_mass: FloatArray | None) -> list[_Candidate]:
     """Poses on the faces of a hull, with the shares of random falls that end there."""
     import trimesh
 
     step = float(hull.extents.max()) / _COARSE
     coarse = hull_of_mesh(Mesh(np.round(hull.vertices / step) * step, hull.faces))
     solid = trimesh.Trimesh(coarse.vertices, coarse.faces, process=False)
-    center = hull.vertices.mean(axis=0) if not solid.volume > 0 else solid.center_mass
+    center = solid.center_mass if center_of_mass is None else center_of_mass
     heights = np.einsum("ij,ij->i", center - solid.triangles_center, solid.face_normals)
     if not (np.isfinite(heights).all() and (heights < 0).all()):
         return []  # the search for poses would not end
     turns, shares = trimesh.poses.compute_stable_poses(solid, center, threshold=_LEAST_PROBABILITY, seed=0)
     found = [_Candidate(np.array(turn[:3, :3]), float(share)) for turn, share in zip(turns, shares, strict=True)]
-    return _merged(found)[:_MOST_POSES]
+    return _different_first(_merged(found), hull)[:_MOST_POSES]
+
+
+def _different_first(candidates: Sequence[_Candidate], hull: Mesh) -> list[_Candidate]:
+    """Puts one pose of each height, and its reverse, before further ones of the same height: a round bottle lies in many ways."""
+    first: list[_Candidate] = []
+    others: list[_Candidate] = []
+    heights: list[float] = []
+    for candidate in candidates:
+        height = float(np.ptp(hull.vertices @ candidate.matrix[2]))
+        same = [k for k, other in enumerate(heights) if abs(height - other) <= _SAME_HEIGHT * other]
+        if all(float(first[k].matrix[2] @ candidate.matrix[2]) < _REVERSE for k in same):
+            first.append(candidate)
+            heights.append(height)
+        else:
+            others.append(candidate)
+    return first + others
 
 
 def _merged(candidates: Sequence[_Candidate]) -> list[_Candidate]:
@@ -153,20 +175,18 @@ def _merged(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     return sorted(kept, key=lambda c: (-c.probability, not c.is_source))
 
 
-def _dropped(candidates: Sequence[_Candidate], hull: Mesh, parts: tuple[ConvexPart, ...]) -> list[_Candidate]:
-    """Lets an object fall by 2 mm in each pose, and returns the poses in which it comes to rest."""
+def _dropped(candidates: Sequence[_Candidate], hull: Mesh) -> list[_Candidate]:
+    """Lets an object fall by 2 mm in each pose, and returns the poses in which it comes to rest; on a table its hull touches."""
     from stable_data.simulation.settling import PhysicsOptions, RigidBody, settle
 
     reach = _GAP * float(np.linalg.norm(hull.extents))
     bodies = []
     for k, candidate in enumerate(candidates):
-        turned = tuple(Mesh(part.vertices @ candidate.matrix.T, part.faces) for part in parts)
         corners = hull.vertices @ candidate.matrix.T
         low, high = corners.min(axis=0), corners.max(axis=0)
-        centre = (low + high) / 2
-        turned = tuple(Mesh(part.vertices - centre, part.faces) for part in turned)
+        turned = Mesh(corners - (low + high) / 2, hull.faces)
         place = ((k + 0.5) * reach, reach / 2, float(high[2] - low[2]) / 2 + _DROP)
-        bodies.append(RigidBody(f"pose {k}", turned, _UNIT_MASS, place))
+        bodies.append(RigidBody(f"pose {k}", (turned,), _UNIT_MASS, place))
     options = PhysicsOptions(settle_seconds=_SECONDS, watch_seconds=0.1, rest_speed=5e-3)
     try:
         result = settle(bodies, Tabletop("table", (len(bodies) * reach, reach)), options)
@@ -207,20 +227,36 @@ def _on_face(matrix: FloatArray, hull: Mesh) -> FloatArray:
     return turned
 
 
-def _ranked(candidates: Sequence[_Candidate], mesh: Mesh, *, is_upright: bool, upright: float | None) -> list[_Candidate]:
-    """Poses, the likeliest first: the source's true up axis, the usual height, the source's guess, the hollow upward, the share."""
-    longest = float(mesh.extents.max())
+def _ranked(
+    candidates: Sequence[_Candidate], mesh: Mesh, center: FloatArray, *, is_upright: bool, upright: float | None
+) -> list[_Candidate]:
+    """Poses, the likeliest first.
 
-    def key(candidate: _Candidate) -> tuple[bool, bool, bool, bool, float]:
+    What counts, in this order: the true up axis of the source, the usual height, the guess of the source, a hollow that opens upward,
+    a low centre of mass, the share of random falls.
+    """
+
+    def key(candidate: _Candidate) -> tuple[bool, int, bool, bool, bool, float]:
         posed = Mesh(mesh.vertices @ candidate.matrix.T, mesh.faces)
-        height = float(posed.extents[2]) / longest
-        is_usual = upright is not None and abs(math.log(height / upright)) < _FITS
+        misfit = 0.0 if upright is None else abs(math.log(_share_of_height(posed) / upright))
+        low, high = posed.vertices[:, 2].min(), posed.vertices[:, 2].max()
+        level = float((candidate.matrix @ center)[2] - low) / max(float(high - low), 1e-9)
         return (
             not (candidate.is_source and is_upright),
-            not is_usual,
+            int(np.searchsorted(_FITS, misfit)),
             not candidate.is_source,
-            not (is_usual and _holds(upward_hollow(posed), posed)),
+            not (upright is not None and misfit < _FITS[-1] and _holds(upward_hollow(posed), posed)),
+            level > _LOW,
             -candidate.probability,
         )
 
     return [candidate for _, candidate in sorted(((key(c), c) for c in candidates), key=lambda pair: pair[0])]
+
+
+def _share_of_height(posed: Mesh) -> float:
+    """Height of a posed mesh, divided by the longest side of the smallest upright box around it."""
+    around = shapely.minimum_rotated_rectangle(shapely.multipoints(posed.vertices[:, :2]))
+    corners = shapely.get_coordinates(around)[:3]
+    sides = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    height = max(float(posed.extents[2]), 1e-9)
+    return height / max(height, float(sides.max(initial=0.0)))
