@@ -95,7 +95,6 @@ def render_scene(
     add_room(spec, furnish(scene.table, low, high))
     add_lights(spec, low, high)
     add_camera(spec, low, high, view, size)
-    spec.visual.quality.shadowsize //= 2  # each picture is the mean of several
     return _with_soft_shadows(*draw_model(spec.compile(), "view", size))
 
 
@@ -161,8 +160,8 @@ def set_lighting(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
     )  # fmt: skip
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = size
-    # A shadow map costs a CPU as much as a picture; four of its points for each pixel of a row are enough.
-    visual.quality.shadowsize, visual.quality.offsamples = min(2048, max(512, 4 * max(size))), 4
+    # A shadow map costs a CPU as much as a picture; two of its points for each pixel of a row are enough.
+    visual.quality.shadowsize, visual.quality.offsamples = min(2048, max(256, 2 * max(size))), 4
     visual.headlight.ambient, visual.headlight.diffuse, visual.headlight.specular = [0.34] * 3, [0.18] * 3, [0.0] * 3
     # The offset of shadows from surfaces is a share of the depth range: with zfar 200 some floors had specks of shadow.
     visual.map.znear, visual.map.zfar = 0.01, 1500.0
