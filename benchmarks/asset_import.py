@@ -23,7 +23,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from stable_data.importers.readers import reader_of
 from tqdm import tqdm
 
 from benchmarks.text_table import align_columns
@@ -32,6 +31,7 @@ from stable_data.errors import MeshError, Notice
 from stable_data.geometry.gltf_reader import load_surfaces
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.conversion import ConversionContext, ConversionSettings, SetScale, convert, extents_of
+from stable_data.importers.readers import reader_of
 from stable_data.importers.source import ReaderOptions, SourceAsset
 
 _RIGHT = math.log(1.5)
