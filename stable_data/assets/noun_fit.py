@@ -16,7 +16,7 @@ class NounFit(IntEnum):
     """The last words are equal, as for a ``knife`` and a ``kitchen_knife``, or one of the categories is unknown."""
 
     KIND = 2
-    """One is a name of the other: a ``soup_can`` is a ``can``."""
+    """It is a name of the wanted one or a kind of it: a ``soup_can`` is a ``can``."""
 
     EQUAL = 3
     """The same words."""
