@@ -160,7 +160,7 @@ def test_an_asset_of_the_wanted_noun_needs_no_similar_words() -> None:
     ("wanted", "served"),
     [
         ("pot", "second/cooking_pot"),  # a lid is no pot, however similar its words are
-        ("kitchen_knife", "first/knife"),  # may be one
+        ("kitchen_knife", "second/kitchen_knife"),  # the knife of the first may be another one
         ("plum", "second/plum"),
         ("peach", "first/"),  # no library has one
     ],
