@@ -60,6 +60,11 @@ def scale_factor(ratio: FloatArray, cosine: FloatArray) -> FloatArray:
     return factor
 
 
+def turned_box(box: Vec3) -> Vec3:
+    """Returns a box that is turned by 90 degrees about z."""
+    return box[1], box[0], box[2]
+
+
 def stretched_scale(wanted: Vec3, box: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[Vec3 | None, float]:
     """Computes the scale along the mesh axes that gives the tilted mesh a requested box, and its distortion.
 

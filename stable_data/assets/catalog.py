@@ -208,7 +208,10 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
     boxes = _slanted_tilts(run, slanted, {asset.asset_id: asset.extents for asset in assets})
     assets = [replace(a, tilts=boxes[a.asset_id]) if a.asset_id in boxes else a for a in assets]
     library = build_library(name, assets, features if own_features else None, {})
-    return library if own_features else _with_stored_features(library, run)
+    library = library if own_features else _with_stored_features(library, run)
+    del table
+    pa.default_memory_pool().release_unused()  # of a large table this is much more than what the library needs
+    return library
 
 
 def _asset_of_row(row: Row, extents: Vec3, tilts: tuple[RestingTilt, ...]) -> Asset:

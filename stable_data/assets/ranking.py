@@ -8,6 +8,7 @@ import hashlib
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,9 @@ _MAX_EXCESS = math.radians(10.0)  # a tilt whose misfit exceeds the least one by
 LARGEST_MISFIT = 2.0
 """Factor between the size of an asset and that of the requested box above which it is no match while there are others."""
 
+TURNED_FIT = 0.2
+"""An asset is turned by 90 degrees about z if its box then fits better by this cosine."""
+
 _FREE_MISFIT = 1.25  # a factor between the sizes that costs nothing
 _MISFIT_LOSS = 2.0  # of the size score, for a factor of e beyond that: 0.2 of the score
 _FEW = 8  # the rows of up to an eighth of the assets are copied to multiply them alone
@@ -47,12 +51,14 @@ class RankedAssets:
         asset: Index of the asset, (B,) int64; -1 if there is no match.
         tilt: Index of its resting tilt, (B,) int64.
         text: Its text score, (B,) float64; that of the nearest asset if there is no match.
+        is_turned: Whether it is turned by 90 degrees about z, (B,).
         size: Its size score at the tilt that fits best, (B,) float64; 0 if there is no match.
         nearest: The asset with the highest text score if there is no match and it was searched for, (B,) int64; else -1.
     """
 
     asset: IntArray
     tilt: IntArray
+    is_turned: BoolArray
     text: FloatArray
     size: FloatArray
     nearest: IntArray
@@ -61,12 +67,15 @@ class RankedAssets:
     def empty(cls, num: int) -> "RankedAssets":
         """The answers to queries without a match."""
         none = np.full(num, -1)
-        return cls(none, np.zeros(num, np.int64), np.zeros(num), np.zeros(num), none.copy())
+        return cls(none, np.zeros(num, np.int64), np.zeros(num, np.bool_), np.zeros(num), np.zeros(num), none.copy())
 
     def put(self, rows: IntArray, other: "RankedAssets") -> None:
         """Replaces the answers to some queries."""
-        for name in ("asset", "tilt", "text", "size", "nearest"):
-            getattr(self, name)[rows] = getattr(other, name)
+        for own, new in zip(self._columns(), other._columns(), strict=True):
+            own[rows] = new
+
+    def _columns(self) -> tuple[npt.NDArray[Any], ...]:
+        return self.asset, self.tilt, self.is_turned, self.text, self.size, self.nearest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +95,23 @@ class WantedBoxes:
     def of(self, rows: IntArray | slice) -> "WantedBoxes":
         """Returns the boxes of some queries, in the given order."""
         return WantedBoxes(self.shapes[rows], self.lengths[rows], self.leans[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ComparedPoses:
+    """P pairs of a requested box and an asset, at each tilt of the asset, concatenated to (T,).
+
+    Attributes:
+        cosines: Cosine of the proportions, (T,); 0 where the tilt cannot be used.
+        misfits: By how much the asset is larger or smaller than the nearest box, as the logarithm of the ratio, (T,).
+        starts: Start of each pair, (P,).
+        is_turned: Whether the asset is turned by 90 degrees about z, (P,).
+    """
+
+    cosines: FloatArray
+    misfits: FloatArray
+    starts: IntArray
+    is_turned: BoolArray
 
 
 class AssetScores:
@@ -256,7 +282,7 @@ class AssetScores:
         lost = np.flatnonzero(found.asset < 0)
         if nearest and len(lost):
             found.nearest[lost], found.text[lost] = self._nearest(rough, features, lost, cols)
-        found.tilt[rows[last]] = self._tilt(chosen[last], boxes.of(rows[last]))
+        found.tilt[rows[last]], found.is_turned[rows[last]] = self._tilt(chosen[last], boxes.of(rows[last]))
         return found
 
     def _is_misfit(self, cols: IntArray, boxes: WantedBoxes) -> BoolArray:
@@ -265,8 +291,8 @@ class AssetScores:
         limited = np.flatnonzero(np.isfinite(self._limits[cols, 1]))
         if len(limited):
             rows, places = (g.ravel() for g in np.meshgrid(np.arange(len(found)), limited, indexing="ij"))
-            cosines, misfits, starts = self._tilt_scores(cols[places], boxes.of(rows))
-            least = np.minimum.reduceat(np.where(cosines > 0, misfits, np.inf), starts)
+            poses = self._poses(cols[places], boxes.of(rows))
+            least = np.minimum.reduceat(np.where(poses.cosines > 0, poses.misfits, np.inf), poses.starts)
             found[rows, places] = least > math.log(LARGEST_MISFIT)
         return found
 
@@ -346,43 +372,42 @@ class AssetScores:
         """Computes size scores of pairs at the tilt that fits best, (P,) float64."""
         if not len(cols):
             return np.zeros(0)
-        cosines, misfits, starts = self._tilt_scores(cols, boxes)
-        scores = cosines - _MISFIT_LOSS * np.maximum(0.0, misfits - math.log(_FREE_MISFIT))
-        best: FloatArray = np.maximum.reduceat(scores, starts)
+        poses = self._poses(cols, boxes)
+        scores = poses.cosines - _MISFIT_LOSS * np.maximum(0.0, poses.misfits - math.log(_FREE_MISFIT))
+        best: FloatArray = np.maximum.reduceat(scores, poses.starts)
         return best
 
-    def _tilt(self, cols: IntArray, boxes: WantedBoxes) -> IntArray:
-        """Returns the resting tilt of each pair, the most frequent one whose fit is close to the best, (P,) int64."""
+    def _tilt(self, cols: IntArray, boxes: WantedBoxes) -> tuple[IntArray, BoolArray]:
+        """Returns the resting tilt of each pair, the most frequent one whose fit is close to the best, and whether it is turned, (P,)."""
         if not len(cols):
-            return np.zeros(0, np.int64)
-        cosines, _, starts = self._tilt_scores(cols, boxes)
+            return np.zeros(0, np.int64), np.zeros(0, np.bool_)
+        poses = self._poses(cols, boxes)
         counts = self._num_tilts[cols]
-        misfits = np.arccos(cosines)
-        least = np.minimum.reduceat(misfits, starts)
+        angles = np.arccos(poses.cosines)
+        least = np.minimum.reduceat(angles, poses.starts)
         most = np.maximum(np.minimum(self._settings.tilt_patience * least, least + _MAX_EXCESS), _FITTING)
-        fits = misfits <= np.repeat(most, counts)
-        number = np.arange(len(cosines)) - np.repeat(starts, counts)  # tilts are sorted, the most frequent first
-        chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(cosines)), starts)
-        return chosen
+        fits = angles <= np.repeat(most, counts)
+        number = np.arange(len(angles)) - np.repeat(poses.starts, counts)  # tilts are sorted, the most frequent first
+        chosen: IntArray = np.minimum.reduceat(np.where(fits, number, len(angles)), poses.starts)
+        return chosen, poses.is_turned
 
-    def _tilt_scores(self, cols: IntArray, boxes: WantedBoxes) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Compares pairs at each tilt of the asset, concatenated.
-
-        Returns:
-            The cosine of the proportions; by how much the size of the asset is larger or smaller than that of the nearest box, as the
-            logarithm of the ratio; and the start of each pair, (P,) int64.
-        """
+    def _poses(self, cols: IntArray, boxes: WantedBoxes) -> "_ComparedPoses":
+        """Compares pairs at each tilt of the asset, turned by 90 degrees if it fits only then."""
         counts = self._num_tilts[cols]
         starts = np.cumsum(counts) - counts
         tilts = np.arange(counts.sum()) + np.repeat(self._first_tilt[cols] - starts, counts)
-        cosines = size_score(self._boxes[tilts], np.repeat(boxes.shapes, counts, axis=0))
+        own, shapes = self._boxes[tilts], np.repeat(boxes.shapes, counts, axis=0)
+        cannot = self._only_leaning[tilts] & ~np.repeat(boxes.leans, counts)
+        straight, crossed = size_score(own, shapes), size_score(own, shapes[:, [1, 0, 2]])
+        best, best_crossed = (np.maximum.reduceat(np.where(cannot, 0.0, c), starts) for c in (straight, crossed))
+        is_turned = best_crossed > best + TURNED_FIT
+        cosines = np.where(np.repeat(is_turned, counts), crossed, straight)
+        misfits = np.zeros(len(cosines))
         if self.has_sizes:
             nearest = scale_factor(np.repeat(boxes.lengths, counts) / self._lengths[tilts], cosines)
             low, high = np.repeat(self._limits[cols], counts, axis=0).T
             misfits = np.abs(np.log(nearest / np.clip(nearest, low, high)))
-        else:
-            misfits = np.zeros(len(cosines))
-        return np.where(self._only_leaning[tilts] & ~np.repeat(boxes.leans, counts), 0.0, cosines), misfits, starts
+        return _ComparedPoses(np.where(cannot, 0.0, cosines), misfits, starts, is_turned)
 
     def scales(self, assets: IntArray, tilts: IntArray, wanted: npt.ArrayLike) -> FloatArray:
         """Computes the uniform scale of assets at a tilt that is nearest to requested boxes and within their limits, (B,) float64.

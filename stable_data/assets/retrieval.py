@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.assets.box_fitting import stretched_scale
+from stable_data.assets.box_fitting import stretched_scale, turned_box
 from stable_data.assets.catalog import Asset, AssetLibrary, asset_sentence
 from stable_data.assets.licences import is_licence_allowed
 from stable_data.assets.noun_fit import NounFit
@@ -99,6 +99,8 @@ class AssetMatch:
         tilt_quat_xyzw: The chosen resting tilt.
         scale: Metres per mesh unit along the axes of the mesh.
         size: Box at that tilt and scale, metres, yaw frame.
+        is_turned: Whether the asset is modelled along the other side of the requested box, as a knife that lies along x and not along
+            y: the object with this asset is turned by 90 degrees.
         note: Why the scale is uniform although the settings require stretching; else empty.
         barred: A better match whose licence is not allowed; None if there is none.
     """
@@ -112,6 +114,7 @@ class AssetMatch:
     tilt_quat_xyzw: QuatXyzw
     scale: Vec3
     size: Vec3
+    is_turned: bool = False
     note: str = ""
     barred: "BarredAsset | None" = None
 
@@ -269,14 +272,18 @@ class Retriever:
         self, name: str, scores: AssetScores, choices: RankedAssets, queries: Sequence[AssetQuery]
     ) -> list[Answer | None]:
         """Converts the choices of one library to answers; None where it has no match and no nearest asset was searched for."""
-        columns = zip(
-            *(c.tolist() for c in (choices.asset, choices.tilt, choices.text, choices.size, choices.nearest)), strict=True
-        )
-        factors = scores.scales(choices.asset, choices.tilt, [query.size for query in queries]).tolist()
+        wanted = [turned_box(q.size) if turned else q.size for q, turned in zip(queries, choices.is_turned, strict=True)]
+        scales = scores.scales(choices.asset, choices.tilt, wanted).tolist()
         answers: list[Answer | None] = []
-        for query, factor, (index, tilt, text, size, nearest) in zip(queries, factors, columns, strict=True):
+        for k, (query, index, nearest) in enumerate(
+            zip(queries, choices.asset.tolist(), choices.nearest.tolist(), strict=True)
+        ):
+            text, size = float(choices.text[k]), float(choices.size[k])
             if index >= 0:
-                answers.append(self._match(name, scores.assets[index], tilt, factor, (text, size), query))
+                match = self._match(scores.assets[index], int(choices.tilt[k]), scales[k], wanted[k])
+                score = self.settings.text_weight * text + self.settings.size_weight * size
+                found = replace(match, library=name, score=score, text_score=text, size_score=size)
+                answers.append(replace(found, is_turned=bool(choices.is_turned[k])))
             elif nearest < 0:
                 answers.append(None)
             elif scores.assets[nearest].asset_id in query.without:
@@ -285,36 +292,23 @@ class Retriever:
                 answers.append(self._unmatched(name, scores.assets[nearest], text, query))
         return answers
 
-    def _match(
-        self, name: str, asset: Asset, tilt: int, factor: float, scored: tuple[float, float], query: AssetQuery
-    ) -> AssetMatch:
-        text, size = scored
+    def _match(self, asset: Asset, tilt: int, factor: float, wanted: Vec3) -> AssetMatch:
+        """The match without its scores."""
         rest, note = asset.tilts[tilt], ""
         x, y, z = rest.extents
         scale, box = (factor, factor, factor), (factor * x, factor * y, factor * z)
         if self.settings.stretch:
-            stretched, distortion = stretched_scale(query.size, rest.extents, rest.quat_xyzw)
+            stretched, distortion = stretched_scale(wanted, rest.extents, rest.quat_xyzw)
             if asset.size_range is not None:
                 note = "is scaled uniformly: its size is known"
             elif stretched is not None and distortion <= self.settings.max_distortion:
-                scale, box = stretched, query.size
+                scale, box = stretched, wanted
             elif stretched is None:
                 note = "is scaled uniformly: it is flat or leans, so it cannot be stretched to a box"
             else:
                 allowed = f"expected at most {self.settings.max_distortion:g}"
                 note = f"is scaled uniformly: stretching would distort it by a factor of {distortion:.2g}, {allowed}"
-        return AssetMatch(
-            asset.asset_id,
-            name,
-            asset.category,
-            self.settings.text_weight * text + self.settings.size_weight * size,
-            text,
-            size,
-            rest.quat_xyzw,
-            scale,
-            box,
-            note,
-        )
+        return AssetMatch(asset.asset_id, "", asset.category, 0.0, 0.0, 0.0, rest.quat_xyzw, scale, box, note=note)
 
     def _unmatched(self, name: str, nearest: Asset, text: float, query: AssetQuery) -> UnmatchedQuery:
         found = f"{quote_value(nearest.words)} of library {name} at {text:.2f}"

@@ -14,7 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.assets import retrieval
+from stable_data.assets.box_fitting import turned_box
 from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
+from stable_data.assets.ranking import TURNED_FIT
 from stable_data.assets.retrieval import Answer, AssetMatch, AssetQuery, Retriever, UnmatchedQuery
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows
@@ -332,10 +334,14 @@ def test_the_best_is_what_a_plain_loop_finds(top_k: int | None) -> None:
         text = CROWD.features.astype(np.float64) @ Noise()([query.sentence()])[0]
         fitting = [k for k, a in enumerate(CROWD.assets) if a.category == query.category] or range(len(text))
         allowed = sorted(fitting, key=lambda k: -text[k])[: top_k or len(text)]
-        cosines = [
-            max(np.dot(query.size, t.extents) / np.linalg.norm(query.size) / np.linalg.norm(t.extents) for t in a.tilts)
-            for a in CROWD.assets
-        ]
+        x, y, z = query.size
+        cosines = []
+        for a in CROWD.assets:
+            straight, crossed = (
+                max(np.dot(box, t.extents) / np.linalg.norm(box) / np.linalg.norm(t.extents) for t in a.tilts)
+                for box in ((x, y, z), (y, x, z))
+            )
+            cosines.append(crossed if crossed > straight + TURNED_FIT else straight)
         score = 0.9 * text + 0.1 * np.array(cosines)
         assert isinstance(answer, AssetMatch)
         assert answer.score == pytest.approx(score[allowed].max(), abs=1e-6)
@@ -370,6 +376,8 @@ def test_scaling_is_even_unless_asked_and_never_distorts_beyond_the_limit(wanted
     assert even.size == pytest.approx([even.scale[0] * edge for edge in box])
     assert even.note == ""
     assert max(stretched.scale) <= min(stretched.scale) * limit * (1 + 1e-9)
+    assert even.is_turned == stretched.is_turned
+    wanted = turned_box(wanted) if even.is_turned else wanted
     ratios = [w / b for w, b in zip(wanted, box, strict=True)]
     if max(ratios) <= min(ratios) * limit:
         assert stretched.size == pytest.approx(wanted)
