@@ -212,7 +212,7 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         return _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts, rows)
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
-    return _of_folder(root, partial(library_of_folder, root, name, scenes=shown), may_be_empty=may_be_empty)
+    return _of_folder(root, partial(library_of_folder, root, name, scenes=shown, keeps_sizes=True), may_be_empty=may_be_empty)
 
 
 def _listed(read: Callable[[], AssetLibrary], *, may_be_empty: bool) -> AssetLibrary | None:
