@@ -10,6 +10,7 @@ from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.scenes import SceneSource
 from stable_data.assets.box_fitting import box_proportions, size_score, stretched_scale, uniform_scale_factor
 from stable_data.assets.catalog import Asset
+from stable_data.assets.noun_fit import NounFit, noun_fit
 from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
 from stable_data.assets.substitution import substitute_assets
 from stable_data.errors import Notice, SceneError
@@ -132,5 +133,5 @@ def _triple(values: FloatArray) -> Vec3:
 
 
 def _named_so(now: SceneObject, wanted: SceneObject) -> SceneObject:
-    """The object with the category of its instance name."""
-    return now if now.category == wanted.category else replace(now, category=wanted.category)
+    """The object with the category of its instance name, if its asset is such a thing."""
+    return replace(now, category=wanted.category) if noun_fit(now.category, wanted.category) >= NounFit.KIND else now

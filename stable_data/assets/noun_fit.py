@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-from stable_data.instructions.wording.vocabulary import closeness
+from stable_data.instructions.wording.vocabulary import closeness, nouns_of
 from stable_data.instructions.wording.words import singular, type_words
 
 
@@ -28,3 +28,10 @@ def noun_fit(category: str, wanted: str) -> NounFit:
     if close := closeness(category, wanted):
         return NounFit.EQUAL if close == 2 else NounFit.KIND
     return NounFit.POSSIBLE if not (own and asked) or own[-1] == asked[-1] else NounFit.OTHER
+
+
+def is_named_in(text: str, category: str) -> bool:
+    """Whether a text contains a name of a category, as whole words: ``a red coffee mug`` names a ``mug``."""
+    words = singular(type_words(text))
+    names = [singular(type_words(noun)) for noun in nouns_of(category)]
+    return any(words[k : k + len(name)] == name for name in names for k in range(len(words)))

@@ -16,7 +16,7 @@ import numpy as np
 from stable_data.assets.box_fitting import stretched_scale, turned_box
 from stable_data.assets.catalog import Asset, AssetLibrary, asset_sentence
 from stable_data.assets.licences import is_licence_allowed
-from stable_data.assets.noun_fit import NounFit
+from stable_data.assets.noun_fit import NounFit, is_named_in
 from stable_data.assets.ranking import AssetScores, RankedAssets, tie_break_number
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows, TextEncoder, check_rows
@@ -92,7 +92,7 @@ class AssetMatch:
     Attributes:
         asset_id: Identifier of the asset.
         library: Name of its library.
-        category: Category; empty if unknown.
+        category: Category of the asset. If the library does not state it, the wanted one if the words of the asset name it; else empty.
         score: Weighted sum of the two scores.
         text_score: Dot product of the text features.
         size_score: Cosine of the proportions, at the resting tilt that fits best.
@@ -280,7 +280,10 @@ class Retriever:
         ):
             text, size = float(choices.text[k]), float(choices.size[k])
             if index >= 0:
-                match = self._match(scores.assets[index], int(choices.tilt[k]), scales[k], wanted[k])
+                asset = scores.assets[index]
+                match = self._match(asset, int(choices.tilt[k]), scales[k], wanted[k])
+                if not asset.category and query.category and is_named_in(asset.words, query.category):
+                    match = replace(match, category=query.category)
                 score = self.settings.text_weight * text + self.settings.size_weight * size
                 found = replace(match, library=name, score=score, text_score=text, size_score=size)
                 answers.append(replace(found, is_turned=bool(choices.is_turned[k])))

@@ -12,12 +12,16 @@ from stable_data.assets.retrieval import AssetMatch
 from stable_data.scene import SceneObject
 from stable_data.scene_graph.support_tree import SupportTree
 
+UNKNOWN_CATEGORY = "object"
+"""Category of an object whose asset has none and does not name the wanted one."""
+
 
 def substitute_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
     """Returns an object with the asset of a match.
 
     Instance, x, y, yaw, description, stage, support and the height of the underside are those of the object; the yaw is 90 degrees
-    more if the asset is turned. Asset, category (if the asset has one), tilt, scale and size are those of the match.
+    more if the asset is turned. Asset, category, tilt, scale and size are those of the match, so that another thing than the wanted one
+    does not count as that. An asset of unknown category is :data:`UNKNOWN_CATEGORY`.
     :func:`substitute_assets` also moves supported objects.
 
     Args:
@@ -29,7 +33,7 @@ def substitute_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
         wanted,
         position=(x, y, wanted.bottom + match.size[2] / 2),
         yaw=wanted.yaw + math.pi / 2 if match.is_turned else wanted.yaw,
-        category=match.category or wanted.category,
+        category=match.category or UNKNOWN_CATEGORY,
         asset_id=match.asset_id,
         tilt_quat_xyzw=match.tilt_quat_xyzw,
         scale=match.scale,
