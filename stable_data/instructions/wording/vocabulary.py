@@ -258,9 +258,11 @@ def closeness(found: str, wanted: str) -> int:
         return 2
     if is_kind_of(found, wanted):
         return 1
-    own, *others = _names_of(found)
-    names = others if is_listed(found) and is_listed(wanted) else (own, *others)
-    is_name = any(noun[-len(wanted_words) :] == wanted_words for noun in names) or found_words in _names_of(wanted)
+    names = _names_of(found)
+    if is_listed(found) and is_listed(wanted):  # the taxonomy knows better than the last words
+        is_name = wanted_words in names or found_words in _names_of(wanted)
+    else:
+        is_name = any(noun[-len(wanted_words) :] == wanted_words for noun in names) or found_words in _names_of(wanted)
     found_classes, wanted_classes = classes_of(found), classes_of(wanted)
     # A category that the vocabulary does not know has no classes, which must not exclude it.
     return int(is_name and (bool(found_classes & wanted_classes) or not (found_classes and wanted_classes)))

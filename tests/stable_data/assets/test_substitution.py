@@ -1,5 +1,8 @@
 """Wanted objects with assets: where they end up, and what they carry."""
 
+import math
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -88,3 +91,10 @@ def test_an_upright_match_needs_no_tilt() -> None:
         substitute_asset(wanted("cup", 0.0), AssetMatch("uid", "lib", "", 1, 1, 1, UPRIGHT, (1, 1, 1), (1, 1, 1))).tilt_angle
         == 0
     )
+
+
+def test_a_turned_asset_turns_the_object() -> None:
+    before = wanted("0_cup_0", 0.05)
+    after = substitute_asset(before, replace(match(0.3), is_turned=True))
+    assert after.yaw == pytest.approx(before.yaw + math.pi / 2)
+    assert after.size == (0.2, 0.3, 0.3)
