@@ -270,7 +270,7 @@ def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> It
     """Yields all figures with their names, each as soon as it is measured."""
     with tempfile.TemporaryDirectory(prefix="stable-data-") as name:
         place, script = Path(name), scripted(Path(name))
-        tasks = [task if isinstance(task, LayoutTask) else task.sample() for task in sample_tasks(scenes).tasks]
+        tasks = [task if isinstance(task, LayoutTask) else task.sample(lambda _: True) for task in sample_tasks(scenes).tasks]
         half = -(-scenes // 2)
         size = min(half, GenerateSettings().of_tasks(scenes).scenes_per_shard)
 

@@ -1,6 +1,5 @@
 """Assets for the objects that an edit adds or resizes, from the library of the scenes or, if it has none, from further ones."""
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,6 +10,7 @@ from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.scenes import SceneSource
 from stable_data.assets.box_fitting import box_proportions, size_score, stretched_scale, uniform_scale_factor
 from stable_data.assets.catalog import Asset
+from stable_data.assets.noun_fit import NounFit, noun_fit
 from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
 from stable_data.assets.substitution import substitute_assets
 from stable_data.errors import Notice, SceneError
@@ -19,7 +19,6 @@ from stable_data.scene import UPRIGHT, FloatArray, RelationKind, Scene, SceneObj
 from stable_data.scene_graph.support_tree import SupportTree
 
 _AS_GOOD = 0.01  # a resized object keeps its tilt unless another tilt fits better by this cosine
-_TURNED_FIT = 0.2  # an asset is turned by 90 degrees if its box then fits better by this cosine
 _EVEN, _MOST_UNEVEN = 1.03, 1.6  # distortions between these are stretched; smaller and larger ones are scaled uniformly
 
 
@@ -74,18 +73,13 @@ class AssetFinder:
         without_asset = [o for o in scene.objects if o.instance in new]
         contents = {r.subject for r in edited.wanted if r.kind is RelationKind.IN}
         queries = [AssetQuery(o.description, o.size, o.category, edit_id, o.instance in contents) for o in without_asset]
-        queries += [replace(query, size=_turned(query.size)) for query in queries]
         answers = self._retriever.retrieve(queries, seed) if queries else []
         matches: dict[str, AssetMatch] = {}
-        turned = set()
         notes = []
-        for o, answer, other in zip(without_asset, answers, answers[len(without_asset) :], strict=False):
+        for o, answer in zip(without_asset, answers, strict=True):
             if not isinstance(answer, AssetMatch):
                 raise SceneError(f"{edit_id}: no asset for {o.instance}: {answer.reason}", "asset_unmatched")
             matches[o.instance] = answer
-            if isinstance(other, AssetMatch) and _fits_only_turned(answer, other):
-                matches[o.instance] = other
-                turned.add(o.instance)
             if not self._shelf.is_of_first(answer.asset_id):
                 message = (
                     f"{o.instance} has an asset of library {answer.library}, because that of the scenes has none that fits"
@@ -98,7 +92,7 @@ class AssetFinder:
             if match.note
         ]
         members = SupportTree.of(scene.objects).with_descendants(set(matches))
-        wanted = [_quarter_turned(o) if o.instance in turned else o for o in scene.objects if o.instance in members]
+        wanted = [o for o in scene.objects if o.instance in members]
         done = {o.instance: o for o in substitute_assets(wanted, matches)}
         objects = tuple(_named_so(done.get(o.instance, o), o) for o in scene.objects)
         kept = frozenset(
@@ -133,25 +127,11 @@ class AssetFinder:
         return {asset.asset_id: asset for library in self._shelf.libraries for asset in library.assets}
 
 
-def _turned(size: Vec3) -> Vec3:
-    return size[1], size[0], size[2]
-
-
-def _fits_only_turned(match: AssetMatch, turned: AssetMatch) -> bool:
-    """Whether an asset is modelled along the other side of the wanted box, as a knife that lies along x and not along y."""
-    return turned.asset_id == match.asset_id and turned.size_score > match.size_score + _TURNED_FIT
-
-
-def _quarter_turned(o: SceneObject) -> SceneObject:
-    """An object that covers the same place with its sides exchanged."""
-    return replace(o, size=_turned(o.size), yaw=o.yaw + math.pi / 2)
-
-
 def _triple(values: FloatArray) -> Vec3:
     x, y, z = values.tolist()
     return x, y, z
 
 
 def _named_so(now: SceneObject, wanted: SceneObject) -> SceneObject:
-    """The object with the category of its instance name."""
-    return now if now.category == wanted.category else replace(now, category=wanted.category)
+    """The object with the category of its instance name, if its asset is such a thing."""
+    return replace(now, category=wanted.category) if noun_fit(now.category, wanted.category) >= NounFit.KIND else now

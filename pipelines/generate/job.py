@@ -1,5 +1,6 @@
 """The generate job: Algorithm 1 turns tasks into simulation-ready scenes, in this process or on a Ray cluster."""
 
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import cached_property
@@ -17,7 +18,7 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
 from pipelines.sources.asset_copies import CopyAssets, asset_shards
 from pipelines.sources.assets import AssetLibraries, absolute_places
-from pipelines.sources.generation_tasks import TaskSource
+from pipelines.sources.generation_tasks import TaskSource, served_tasks
 from stable_data.content_id import content_id
 from stable_data.errors import Notice
 from stable_data.storage.run_folder import RunFolder
@@ -35,7 +36,10 @@ def generate(
     """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
     for name in ("engines", "correctors"):
         refuse_without_workers(name, getattr(settings, name), workers)
-    return run_job(GenerateJob(tasks, settings, assets), out, workers, report=report)
+    job = GenerateJob(tasks, settings, assets)
+    for notice in job.odd():
+        sys.stderr.write(f"{notice.message}\n")
+    return run_job(job, out, workers, report=report)
 
 
 class GenerateJob(ShardJob):
@@ -52,9 +56,15 @@ class GenerateJob(ShardJob):
     settings: GenerateSettings
 
     def __init__(self, tasks: TaskSource, settings: GenerateSettings, assets: Sequence[str] = ()) -> None:
-        self.tasks, self.dataset = tasks, tasks.name
-        self.settings = settings.of_tasks(len(tasks.tasks))
-        self.places = absolute_places(assets)
+        self.dataset, self.settings = tasks.name, settings.of_tasks(len(tasks.tasks))
+        self.places, self._asked = absolute_places(assets), tasks
+
+    @cached_property
+    def tasks(self) -> TaskSource:
+        """The tasks, of which those that are sampled may be limited to what the libraries have."""
+        if not self.settings.draws_served(self.places):
+            return self._asked
+        return served_tasks(self._asked, self._libraries.serves(self.settings.retrieval))
 
     @cached_property
     def _libraries(self) -> AssetLibraries:
@@ -98,6 +108,10 @@ class GenerateJob(ShardJob):
         """All tasks."""
         ids = [*(task.scene_id for task in self.tasks.tasks), *(notice.item_id for notice in self.tasks.lost)]
         return [ExpectedItems("scenes", "scene_id", ids, "failed_scenes")]
+
+    def odd(self) -> Sequence[Notice]:
+        """Licences of the libraries that are not allowed or unknown, and table types without tasks."""
+        return [*self._libraries.licence_notices(self.settings.retrieval), *self.tasks.odd]
 
     def lost(self) -> Sequence[Notice]:
         """The invalid tasks."""

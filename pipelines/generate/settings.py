@@ -1,7 +1,8 @@
 """Settings of the generate job: the reasoner, the retrieval, the schedule of Algorithm 1, and the rule of acceptance."""
 
+from collections.abc import Collection
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 from annotated_types import Interval
 
@@ -13,6 +14,7 @@ from models.settings import Count, NonNegative, Positive, PositiveCount
 from pipelines.correct.settings import CorrectorJobSettings
 from pipelines.execution.shard_size import shard_size
 from stable_data.assets.retrieval_settings import RetrievalSettings
+from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import ConfigError
 from stable_data.scene import Stage
 from stable_data.storage.filter_expression import FilterExpression, parse_filter
@@ -35,6 +37,11 @@ class GenerateSettings(CorrectorJobSettings):
 
     retrieval: RetrievalSettings = field(default_factory=RetrievalSettings)
     """How assets are chosen."""
+
+    only_served: Literal["auto", "always", "never"] = "auto"
+    """Whether sampled tasks ask only for objects that the libraries other than ``embedded`` have. ``auto`` does so if ``embedded``
+    is not among the libraries.
+    """
 
     schedule: str = "task,important,secondary"
     """Stages that are asked for, in order, joined by commas: task, important, secondary; or whole, the one-shot ablation."""
@@ -121,6 +128,11 @@ class GenerateSettings(CorrectorJobSettings):
     def accepting(self) -> FilterExpression | None:
         """The rule of acceptance, or None to accept all scenes."""
         return parse_filter(self.accept, SCHEMAS["scenes"]) if self.accept.strip() else None
+
+    def draws_served(self, places: Collection[str]) -> bool:
+        """Whether sampled tasks ask only for what the libraries have."""
+        is_foreign = bool(places) and EMBEDDED not in places
+        return self.only_served == "always" or (self.only_served == "auto" and is_foreign)
 
     def of_tasks(self, count: int) -> "GenerateSettings":
         """The settings with the shard size for a number of tasks."""

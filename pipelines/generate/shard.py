@@ -97,11 +97,13 @@ class GenerateWorkerState:
         answers: Proposes, retrieves and corrects.
         shelf: The asset libraries.
         interpret: Interprets instructions, or None if the engine has no statistics of categories.
+        serves: Whether the libraries have a wanted thing, by its category.
     """
 
     answers: LocalRequestHandler
     shelf: AssetLibraries
     interpret: InstructionInterpreter | None
+    serves: Callable[[str], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +179,7 @@ class GenerateWork(ShardStep[Task]):
         opened.answers.prepares = process is None
         opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, process=process))
         rows: Rows = defaultdict(list)
-        tasks = list(self._tasks(shard, rows))
+        tasks = list(self._tasks(shard, rows, opened))
         for made in self._generated(tasks, opened, tell):
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
                 raise engine_stopped(f"{made.task.scene_id}: {off.failure}")
@@ -186,11 +188,11 @@ class GenerateWork(ShardStep[Task]):
         spent = {**seconds, "judge": perf_counter() - began - sum(seconds.values()), "scenes": len(shard)}
         return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
 
-    def _tasks(self, shard: Shard[Task], rows: Rows) -> Iterator[LayoutTask]:
+    def _tasks(self, shard: Shard[Task], rows: Rows, opened: GenerateWorkerState) -> Iterator[LayoutTask]:
         """The tasks of a shard; a task that cannot be sampled is a failure."""
         for task in shard.items:
             try:
-                yield task if isinstance(task, LayoutTask) else task.sample()
+                yield task if isinstance(task, LayoutTask) else task.sample(opened.serves)
             except SceneError as error:
                 rows["failures"].append(notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 
@@ -366,7 +368,7 @@ def _opened(work: GenerateWork) -> GenerateWorkerState:
     reasoner, interpret = load_reasoner(settings.engine, settings.reasoner, work.pool)
     retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf, work.correctors)
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)
-    return GenerateWorkerState(answers, shelf, interpret)
+    return GenerateWorkerState(answers, shelf, interpret, shelf.serves(settings.retrieval))
 
 
 # --- the card -----------------------------------------------------------------------------------------------------------------

@@ -15,14 +15,18 @@ from pipelines.sources.scenes import Containers, FolderSource, mesh_cache
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.catalog import AssetLibrary, library_of_run
 from stable_data.assets.physics import IS_WEIGHED, PHYSICS_COLUMNS, AssetPhysics
+from stable_data.assets.licences import is_licence_allowed, normalise_licence
+from stable_data.assets.noun_fit import NounFit, noun_fit
+from stable_data.assets.ranking import may_be_used
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.retrieval_settings import RetrievalSettings
-from stable_data.assets.run_assets import RowsOfAssets, RunAssets, run_annotations
+from stable_data.assets.run_assets import RowsOfAssets, RunAnnotations, RunAssets
 from stable_data.assets.store import colliders_of
+from stable_data.assets.text_embeddings import share_rows
 from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.library import embedded_library
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, Notice
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.surface import Surface
 from stable_data.mesatask.asset_catalog import library_of_folder
@@ -37,6 +41,9 @@ _CONTENT_COLUMNS = (
     *("hull_distance", "sha256"),
 )
 """Columns of ``meshes`` that name the geometry of an asset. No scene depends on its look."""
+
+_MOST_LICENCES = 5  # that a notice names
+_LARGE = 1 << 25  # bytes of features that are shared by all processes: 22,000 assets
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +104,8 @@ class AssetLibraries:
         for place in self._places:
             new = {asset_id for asset_id in place.asset_ids if asset_id not in self._of}
             self._of |= dict.fromkeys(new, place)
-            own = tuple(a for a in place.library.assets if a.asset_id in new) if place.library is not None else ()
-            if place.library is not None and own:
-                libraries.append(replace(place.library, assets=own))
+            if place.library is not None and any(a.asset_id in new for a in place.library.assets):
+                libraries.append(place.library.only(new))
         self.libraries = tuple(libraries)
         self._extents = {a.asset_id: a.extents for library in libraries for a in library.assets}
 
@@ -122,7 +128,35 @@ class AssetLibraries:
         """A retriever over the libraries; words that are not yet in the cache are encoded."""
         encoder = load_default()
         cache = _cache() / "text" / f"{encoder.fingerprint}.parquet"
-        return Retriever([library.embedded(encoder, cache) for library in self.libraries], encoder, settings)
+        embedded = [_shared(library.embedded(encoder, cache)) for library in self.libraries]
+        return Retriever(embedded, encoder, settings)
+
+    def serves(self, settings: RetrievalSettings) -> Callable[[str], bool]:
+        """Returns whether a library other than the embedded world's has a wanted thing or a kind of it, by its category."""
+        libraries = [library for library in self.libraries if library.name != EMBEDDED]
+        known = {a.category for library in libraries for a in library.assets if may_be_used(a, settings)}
+        return cache(lambda wanted: any(noun_fit(category, wanted) >= NounFit.KIND for category in known))
+
+    def licence_notices(self, settings: RetrievalSettings) -> list[Notice]:
+        """Returns for each library how many assets the list of licences leaves out, or without a list how many state none."""
+        notices = []
+        for library in self.libraries:
+            offered = [asset.licence for asset in library.assets if asset.is_offered]
+            barred = Counter(text or "unknown" for text in offered if not is_licence_allowed(text, settings.licences))
+            unknown = sum(normalise_licence(text) is None for text in offered)
+            counted = f"library {library.name}: of {len(offered)} assets"
+            if barred:
+                kinds = ", ".join(f"{name} ({count})" for name, count in barred.most_common(_MOST_LICENCES))
+                message = (
+                    f"{counted} {barred.total()} are left out, because the list of licences does not allow theirs: {kinds}"
+                )
+                notices.append(Notice(library.name, "licences", "licence_barred", message))
+            elif unknown and settings.licences is None:
+                message = (
+                    f"{counted} {unknown} state no known licence; check that you may use them, or list the allowed licences"
+                )
+                notices.append(Notice(library.name, "licences", "licence_unknown", message))
+        return notices
 
     def _place_of(self, asset_id: str) -> _Place:
         """The place that lists an asset; else the first, which may have a variant of it."""
@@ -178,6 +212,12 @@ def _cache() -> Path:
     return mesh_cache().parent
 
 
+def _shared(library: AssetLibrary) -> AssetLibrary:
+    """A library whose features, if they are large, are in memory once for all processes."""
+    rows = library.features
+    return library if rows is None or rows.nbytes < _LARGE else replace(library, features=share_rows(rows, _cache() / "rows"))
+
+
 def _name(place: str) -> str:
     return Path(place).name or place
 
@@ -192,7 +232,7 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
     if "://" in place or RunFolder(place).files("assets"):
         run = RunFolder(place)
         kept = RunAssets(run, mesh_cache())
-        annotations = run_annotations(run)
+        annotations = RunAnnotations(run)
         listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
         contents = partial(_contents_of_run, run)
         rows = partial(_rows_of_run, kept, cache(partial(RowsOfAssets, run, "assets")))
@@ -210,7 +250,7 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         )
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
-    return _of_folder(root, partial(library_of_folder, root, name, scenes=shown), may_be_empty=may_be_empty)
+    return _of_folder(root, partial(library_of_folder, root, name, scenes=shown, keeps_sizes=True), may_be_empty=may_be_empty)
 
 
 def _listed(read: Callable[[], AssetLibrary], *, may_be_empty: bool) -> AssetLibrary | None:

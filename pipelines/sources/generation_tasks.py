@@ -1,12 +1,15 @@
 """The task sources of the generate job: a file, existing scenes, one instruction, or sampled tasks."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TypeAlias
 
 from models.semantic_reasoner.staged_layout import LayoutTask, task_of_scene
 from pipelines.sources.tasks import STEP, read_tasks, task_of
+from stable_data.embedded_world.plans import TABLES
 from stable_data.embedded_world.sampling import sample_task
 from stable_data.embedded_world.scenes import plan_of, scene_id_of
 from stable_data.errors import ConfigError, Notice, SceneError
@@ -15,6 +18,9 @@ from stable_data.storage import schemas
 from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
+
+_REDRAWS = 50  # of a task whose objects the libraries lack
+_FEWEST_SERVED = 3  # tasks of the first 50 of a table type that must be served; of one more task in 25 then no draw is served
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,24 +31,48 @@ class SampledTask:
         number: The index of the task.
         seed: The seed of the set.
         tables: Table types to alternate; empty uses all types.
+        is_served: Whether the task is drawn again, up to 50 times, until the libraries have its objects.
     """
 
     number: int
     seed: int
     tables: tuple[str, ...] = ()
+    is_served: bool = False
 
     @property
     def scene_id(self) -> str:
         """The id of the scene. It contains the seed, so that runs with different seeds can be joined."""
         return scene_id_of(self.number, self.tables) + (f"_seed{self.seed}" if self.seed else "")
 
-    def sample(self) -> LayoutTask:
-        """Samples the task.
+    def sample(self, serves: Callable[[str], bool]) -> LayoutTask:
+        """Samples the task; it depends on its number, the seed and what is served alone.
+
+        Args:
+            serves: Whether the libraries have a wanted thing, by its category.
 
         Raises:
-            SceneError: No task could be sampled (``synth_failed``).
+            SceneError: No task could be sampled (``synth_failed``), or the libraries lack an object of each one that was drawn
+                (``task_not_served``).
         """
-        return replace(task_of_scene(sample_task(self.number, self.seed, self.tables)), scene_id=self.scene_id)
+        lacking: Counter[str] = Counter()
+        for draw in range(_REDRAWS + 1):
+            task = task_of_scene(sample_task(self.number, self.seed, self.tables, draw))
+            missing = _missing(task, serves) if self.is_served else []
+            if not missing:
+                return replace(task, scene_id=self.scene_id)
+            lacking.update(missing)
+        names = ", ".join(name for name, _ in lacking.most_common(3))
+        raise SceneError(
+            f"task {self.number} of seed {self.seed}: the libraries lack an object of each of {_REDRAWS + 1} drawn tasks, such as "
+            f"{names}; name more libraries, or set only_served=never",
+            "task_not_served",
+        )
+
+
+def _missing(task: LayoutTask, serves: Callable[[str], bool]) -> list[str]:
+    """The required objects of a task that the libraries lack."""
+    required = task.reference.required if task.reference is not None else ()
+    return [str(r) for r in required if r.categories and not any(map(serves, r.categories))]
 
 
 Task: TypeAlias = LayoutTask | SampledTask
@@ -56,11 +86,13 @@ class TaskSource:
         name: The name of the source.
         tasks: The tasks.
         lost: One notice for each input that is not a valid task.
+        odd: Notices about the source as a whole.
     """
 
     name: str
     tasks: Sequence[Task]
     lost: Sequence[Notice] = ()
+    odd: Sequence[Notice] = ()
 
     @classmethod
     def of(cls, name: str, found: Iterable[LayoutTask | Notice]) -> "TaskSource":
@@ -73,6 +105,43 @@ class TaskSource:
         if not self.tasks:
             why = f"; {len(self.lost)} are invalid, such as {self.lost[0].message}" if self.lost else ""
             raise ConfigError(f"{self.name}: contains no usable task, expected at least one{why}", "tasks_invalid")
+
+
+def served_tasks(source: TaskSource, serves: Callable[[str], bool]) -> TaskSource:
+    """Returns a source whose sampled tasks ask only for objects that the libraries have, with its other tasks as they are.
+
+    Table types are left out of which fewer than three of 50 tasks are served, each with a notice.
+
+    Raises:
+        ConfigError: The libraries serve no table type (``tasks_not_served``).
+    """
+    sampled = [task for task in source.tasks if isinstance(task, SampledTask)]
+    if not sampled:
+        return source
+    asked, seed = sampled[0].tables or tuple(TABLES), sampled[0].seed
+    kinds = tuple(kind for kind in asked if _is_served(kind, seed, serves))
+    if not kinds:
+        raise ConfigError(
+            f"the libraries have the objects of hardly any task of {', '.join(asked)}, expected a table type with tasks that they can "
+            "serve; name more libraries, add --assets embedded, or set only_served=never",
+            "tasks_not_served",
+        )
+    notices = [
+        Notice(
+            kind, STEP, "table_not_served", f"no task of {kind} is drawn, because the libraries lack the objects of nearly all"
+        )
+        for kind in asked
+        if kind not in kinds
+    ]
+    tasks = [replace(t, tables=kinds, is_served=True) if isinstance(t, SampledTask) else t for t in source.tasks]
+    return replace(source, tasks=tasks, odd=[*source.odd, *notices])
+
+
+def _is_served(kind: str, seed: int, serves: Callable[[str], bool]) -> bool:
+    """Whether the libraries have the objects of enough tasks of a table type."""
+    drawn = (task_of_scene(sample_task(0, seed, (kind,), draw)) for draw in range(_REDRAWS))
+    served = (task for task in drawn if not _missing(task, serves))
+    return len(list(islice(served, _FEWEST_SERVED))) == _FEWEST_SERVED
 
 
 def sample_tasks(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> TaskSource:

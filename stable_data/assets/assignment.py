@@ -20,7 +20,7 @@ class AssignedLayout:
     Attributes:
         scene: The layout, without unmatched objects and the objects that they support.
         unmatched: Instance -> why it has no asset.
-        notices: Removed objects, unusable assets, and assets that could not be stretched.
+        notices: Removed objects, unusable assets, better assets whose licences are not allowed, and assets that could not be stretched.
     """
 
     scene: Scene
@@ -54,6 +54,8 @@ def assign_assets(
     notices: list[list[Notice]] = [[] for _ in scenes]
     for (k, o), answer, found in zip(requested, answers, faults, strict=True):
         name = scenes[k].scene_id
+        if answer.barred is not None:
+            notices[k].append(_licence_notice(name, o.instance, answer))
         why = found[0] + (f" (and {len(found) - 1} more assets)" if found[1:] else "") if found else ""
         if isinstance(answer, UnmatchedQuery):
             unmatched[k][o.instance] = replace(answer, reason=f"the similar assets cannot be used: {why}") if why else answer
@@ -87,6 +89,13 @@ def _retrieve_usable(
         for k, answer in zip(again, retriever.retrieve([queries[k] for k in again], seed) if again else (), strict=True):
             answers[k] = answer
     return answers, faults
+
+
+def _licence_notice(scene_id: str, instance: str, answer: Answer) -> Notice:
+    """The notice that the licence of the best match is not allowed."""
+    used = f"gets asset {answer.asset_id} of library {answer.library}" if isinstance(answer, AssetMatch) else "gets no asset"
+    text = f"{scene_id}: {instance} {used}; the best match is {answer.barred}; allow the licence or accept the substitute"
+    return Notice(scene_id, STEP, "licence_substitute", text)
 
 
 def _assigned(

@@ -24,7 +24,7 @@ def box_proportions(boxes: npt.ArrayLike) -> FloatArray:
         boxes: Edges along x, y and z, (..., 3), any unit, not all zero.
     """
     edges = np.asarray(boxes, np.float64)
-    unit: FloatArray = edges / _diagonal(edges)[..., None]
+    unit: FloatArray = edges / diagonal(edges)[..., None]
     return unit
 
 
@@ -51,9 +51,18 @@ def uniform_scale_factor(wanted: npt.ArrayLike, boxes: npt.ArrayLike) -> FloatAr
         boxes: Mesh units, (..., 3).
     """
     w, e = np.asarray(wanted, np.float64), np.asarray(boxes, np.float64)
-    cosine = size_score(box_proportions(w), box_proportions(e))
-    factor: FloatArray = _diagonal(w) / _diagonal(e) * np.where(cosine > _ORTHOGONAL, cosine, 1.0)
+    return scale_factor(diagonal(w) / diagonal(e), size_score(box_proportions(w), box_proportions(e)))
+
+
+def scale_factor(ratio: FloatArray, cosine: FloatArray) -> FloatArray:
+    """Computes the factor of :func:`uniform_scale_factor` from the ratio of the diagonals, requested by own, and the cosine, (...)."""
+    factor: FloatArray = ratio * np.where(cosine > _ORTHOGONAL, cosine, 1.0)
     return factor
+
+
+def turned_box(box: Vec3) -> Vec3:
+    """Returns a box that is turned by 90 degrees about z."""
+    return box[1], box[0], box[2]
 
 
 def stretched_scale(wanted: Vec3, box: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[Vec3 | None, float]:
@@ -76,8 +85,8 @@ def stretched_scale(wanted: Vec3, box: Vec3, tilt_quat_xyzw: QuatXyzw) -> tuple[
     return (x, y, z), float(factors.max() / factors.min())
 
 
-def _diagonal(boxes: FloatArray) -> FloatArray:
-    """Computes the lengths of the diagonals, (...)."""
+def diagonal(boxes: FloatArray) -> FloatArray:
+    """Computes the lengths of the diagonals of boxes (..., 3), (...) float64."""
     largest = boxes.max(axis=-1)
     edges = boxes / largest[..., None]  # so that the squares neither underflow nor overflow
     lengths: FloatArray = largest * np.sqrt((edges * edges).sum(axis=-1))

@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-from stable_data.instructions.wording.vocabulary import closeness
+from stable_data.instructions.wording.vocabulary import closeness, nouns_of
 from stable_data.instructions.wording.words import singular, type_words
 
 
@@ -16,7 +16,7 @@ class NounFit(IntEnum):
     """The last words are equal, as for a ``knife`` and a ``kitchen_knife``, or one of the categories is unknown."""
 
     KIND = 2
-    """One is a name of the other: a ``soup_can`` is a ``can``."""
+    """It is a name of the wanted one or a kind of it: a ``soup_can`` is a ``can``."""
 
     EQUAL = 3
     """The same words."""
@@ -28,3 +28,10 @@ def noun_fit(category: str, wanted: str) -> NounFit:
     if close := closeness(category, wanted):
         return NounFit.EQUAL if close == 2 else NounFit.KIND
     return NounFit.POSSIBLE if not (own and asked) or own[-1] == asked[-1] else NounFit.OTHER
+
+
+def is_named_in(text: str, category: str) -> bool:
+    """Whether a text contains a name of a category, as whole words: ``a red coffee mug`` names a ``mug``."""
+    words = singular(type_words(text))
+    names = [singular(type_words(noun)) for noun in nouns_of(category)]
+    return any(words[k : k + len(name)] == name for name in names for k in range(len(words)))

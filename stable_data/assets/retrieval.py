@@ -1,21 +1,22 @@
 """Retrieval: from words and a requested box to an asset, its resting tilt and its scale.
 
 ``score = 0.9 · text + 0.1 · size``: the dot product of unit text features, and the cosine of the proportions of the requested
-box and the asset's box at the resting tilt that fits best. An asset of the wanted category always matches, another one only if
-its text score reaches the floor. If there is no match, the answer names the nearest asset. A choice depends on the query, the
-seed and the libraries, never on other queries of the call.
+box and the asset's box at the resting tilt that fits best, less a loss where the asset may not be so large or so small. An asset of
+the wanted category always matches, another one only if its text score reaches the floor. If there is no match, the answer names the
+nearest asset. A choice depends on the query, the seed and the libraries, never on other queries of the call.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.assets.box_fitting import stretched_scale, uniform_scale_factor
+from stable_data.assets.box_fitting import stretched_scale, turned_box
 from stable_data.assets.catalog import Asset, AssetLibrary, asset_sentence
+from stable_data.assets.licences import is_licence_allowed
+from stable_data.assets.noun_fit import NounFit, is_named_in
 from stable_data.assets.ranking import AssetScores, RankedAssets, tie_break_number
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows, TextEncoder, check_rows
@@ -25,6 +26,9 @@ from stable_data.scene import QuatXyzw, Vec3
 
 _PROBED = 32  # assets whose words are encoded again to check whether features of unknown origin are from this encoder
 _MOST_TEXTS = 20_000  # texts whose features are cached: 31 MB with 384 numbers each
+_PASSES = ((NounFit.KIND, True), (NounFit.KIND, False), (NounFit.POSSIBLE, False), (NounFit.OTHER, False))
+"""Searches of all libraries, in order: how well the noun must fit at least, and whether the size must fit too."""
+
 _RELATED = 0.5  # minimum mean cosine in this check; with another encoder it is about 0
 
 
@@ -63,20 +67,42 @@ class AssetQuery:
 
 
 @dataclass(frozen=True, slots=True)
+class BarredAsset:
+    """An asset that would serve if its licence were allowed.
+
+    Attributes:
+        asset_id: Identifier of the asset.
+        library: Name of its library.
+        licence: Its licence as it is stated; None if unknown.
+    """
+
+    asset_id: str
+    library: str
+    licence: str | None
+
+    def __str__(self) -> str:
+        licence = "is unknown" if self.licence is None else f"{quote_value(self.licence)} is not allowed"
+        return f"asset {self.asset_id} of library {self.library}, whose licence {licence}"
+
+
+@dataclass(frozen=True, slots=True)
 class AssetMatch:
     """The asset for a query.
 
     Attributes:
         asset_id: Identifier of the asset.
         library: Name of its library.
-        category: Category; empty if unknown.
+        category: Category of the asset. If the library does not state it, the wanted one if the words of the asset name it; else empty.
         score: Weighted sum of the two scores.
         text_score: Dot product of the text features.
         size_score: Cosine of the proportions, at the resting tilt that fits best.
         tilt_quat_xyzw: The chosen resting tilt.
         scale: Metres per mesh unit along the axes of the mesh.
         size: Box at that tilt and scale, metres, yaw frame.
+        is_turned: Whether the asset is modelled along the other side of the requested box, as a knife that lies along x and not along
+            y: the object with this asset is turned by 90 degrees.
         note: Why the scale is uniform although the settings require stretching; else empty.
+        barred: A better match whose licence is not allowed; None if there is none.
     """
 
     asset_id: str
@@ -88,7 +114,9 @@ class AssetMatch:
     tilt_quat_xyzw: QuatXyzw
     scale: Vec3
     size: Vec3
+    is_turned: bool = False
     note: str = ""
+    barred: "BarredAsset | None" = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +128,14 @@ class UnmatchedQuery:
         nearest: Id of the asset with the highest text score; empty if the query has no words.
         library: Name of the library of the nearest asset.
         text_score: Text score of the nearest asset.
+        barred: A match whose licence is not allowed; None if there is none.
     """
 
     reason: str
     nearest: str = ""
     library: str = ""
     text_score: float = 0.0
+    barred: "BarredAsset | None" = None
 
 
 Answer: TypeAlias = AssetMatch | UnmatchedQuery
@@ -114,7 +144,8 @@ Answer: TypeAlias = AssetMatch | UnmatchedQuery
 class Retriever:
     """Finds assets in libraries, which are searched in order; the first match is used.
 
-    An asset of another category than the wanted one is used only if no library has a match that fits the category.
+    All libraries are searched for the wanted thing or a kind of it whose size is near the requested one; then for one of any size;
+    then for what may be the thing; and only then for another thing.
 
     Args:
         libraries: In order of preference, with features of the same encoder.
@@ -138,13 +169,20 @@ class Retriever:
             raise ConfigError(f"libraries are named {', '.join(names)}, expected different names; pass name=", "library_name")
         for library in libraries:
             _check_encoder(library, encoder)
-        found = ((library.name, AssetScores(library, self.settings)) for library in libraries)
-        self._libraries = [(name, scores) for name, scores in found if scores.assets]
+        self._libraries = _scores(libraries, self.settings)
         if not self._libraries:
             licences = "any" if self.settings.licences is None else ", ".join(sorted(self.settings.licences)) or "none"
             message = f"libraries {', '.join(names)} offer no asset under the licences {licences}"
             raise ConfigError(f"{message}, expected at least one; allow more licences or add a library", "library_unusable")
         self._known: dict[str, Rows] = {}
+        self._licence_of = {
+            (library.name, a.asset_id): a.licence
+            for library in libraries
+            for a in library.assets
+            if a.is_offered and not is_licence_allowed(a.licence, self.settings.licences)
+        }
+        # Where the licences exclude assets, the same search among all assets tells which match they exclude.
+        self._all = _scores(libraries, replace(self.settings, licences=None)) if self._licence_of else []
 
     def retrieve(self, queries: Sequence[AssetQuery], seed: int = 0) -> list[Answer]:
         """Finds an asset for each query, or the reason why there is none.
@@ -163,14 +201,19 @@ class Retriever:
         texts = list(dict.fromkeys(q.sentence(names_category=kind) for kind in sorted(kinds) for q in queries if q.sentence()))
         if not texts:
             return [_wordless() for _ in queries]
-        return self._answers(queries, self._encoded(texts), seed)
+        rows = self._encoded(texts)
+        found = self._answers(queries, rows, seed, self._libraries)
+        if self._all:
+            every = self._answers(queries, rows, seed, self._all)
+            return [self._with_barred(one, other) for one, other in zip(found, every, strict=True)]
+        return [answer for answer, _ in found]
 
     def _encoded(self, texts: Sequence[str]) -> dict[str, Rows]:
         """Returns the row (D,) of each text, from a cache, since scenes repeat the same descriptions."""
         found = {text: self._known[text] for text in texts if text in self._known}
         if unknown := [text for text in texts if text not in found]:
             rows = check_rows(self._encoder(unknown), len(unknown), "the text encoder")
-            if rows.shape[1] != (wanted := self._libraries[0][1].features.shape[1]):
+            if rows.shape[1] != (wanted := self._libraries[0][1].width):
                 message = f"the text encoder returns {rows.shape[1]} numbers per text, expected {wanted} as in the libraries"
                 raise ConfigError(f"{message}; embed the libraries with this encoder", "features_of_another_encoder")
             new = {text: row.copy() for text, row in zip(unknown, rows, strict=True)}
@@ -180,82 +223,107 @@ class Retriever:
                 del self._known[text]
         return found
 
-    def _answers(self, queries: Sequence[AssetQuery], rows: dict[str, Rows], seed: int) -> list[Answer]:
-        answers: list[Answer] = [_wordless() for _ in queries]
+    def _answers(
+        self, queries: Sequence[AssetQuery], rows: dict[str, Rows], seed: int, libraries: Sequence[tuple[str, AssetScores]]
+    ) -> list[tuple[Answer, int]]:
+        """Returns the answers, and after how many searches of a library each was found."""
+        answers: list[tuple[Answer, int]] = [(_wordless(), 0) for _ in queries]
         waiting = [k for k, query in enumerate(queries) if query.sentence()]
-        # First all libraries are searched for assets whose noun fits, then for assets of any noun.
-        for any_noun, (name, scores) in product((False, True), self._libraries):
-            waiting = [k for k in waiting if isinstance(answers[k], UnmatchedQuery) and (queries[k].category or not any_noun)]
-            if not waiting:
-                break
-            waiting_queries = [queries[k] for k in waiting]
-            choices = scores.choose(
-                np.stack([rows[query.sentence(names_category=scores.names_category)] for query in waiting_queries]),
-                np.array([query.size for query in waiting_queries], np.float64),
-                [query.category for query in waiting_queries],
-                np.array([tie_break_number(seed, query.key, query.sentence()) for query in waiting_queries], np.uint64),
-                np.array([query.leans for query in waiting_queries], np.bool_),
-                [query.without for query in waiting_queries],
-                any_noun=any_noun,
-            )
-            for k, answer in zip(waiting, self._read(name, scores, choices, waiting_queries), strict=True):
-                previous = answers[k]
-                is_nearer = not isinstance(previous, UnmatchedQuery) or not previous.nearest
-                if isinstance(answer, AssetMatch) or is_nearer or answer.text_score > previous.text_score:
-                    answers[k] = answer
+        for number, (least, fits_size) in enumerate(_PASSES):
+            for place, (name, scores) in enumerate(libraries):
+                # Without a category any noun fits, so that one search is enough. Where no size is limited, all sizes fit.
+                asked = [k for k in waiting if queries[k].category or least is NounFit.OTHER]
+                if not asked or (number == 1 and not scores.has_sizes):
+                    continue
+                asked_queries = [queries[k] for k in asked]
+                choices = scores.choose(
+                    np.stack([rows[query.sentence(names_category=scores.names_category)] for query in asked_queries]),
+                    np.array([query.size for query in asked_queries], np.float64),
+                    [query.category for query in asked_queries],
+                    np.array([tie_break_number(seed, query.key, query.sentence()) for query in asked_queries], np.uint64),
+                    np.array([query.leans for query in asked_queries], np.bool_),
+                    [query.without for query in asked_queries],
+                    least=least,
+                    fits_size=fits_size,
+                )
+                order = number * len(libraries) + place
+                for k, answer in zip(asked, self._read(name, scores, choices, asked_queries), strict=True):
+                    previous = answers[k][0]
+                    if answer is not None and (
+                        isinstance(answer, AssetMatch)
+                        or not isinstance(previous, UnmatchedQuery)
+                        or not previous.nearest
+                        or answer.text_score > previous.text_score
+                    ):
+                        answers[k] = answer, order
+                waiting = [k for k in waiting if not isinstance(answers[k][0], AssetMatch)]
         return answers
 
-    def _read(self, name: str, scores: AssetScores, choices: RankedAssets, queries: Sequence[AssetQuery]) -> list[Answer]:
-        """Converts the choices of one library to answers."""
-        columns = zip(
-            *(c.tolist() for c in (choices.asset, choices.tilt, choices.text, choices.size, choices.nearest)), strict=True
-        )
-        boxes = np.array([scores.assets[a].tilts[t].extents for a, t in zip(choices.asset, choices.tilt, strict=True)])
-        factors = uniform_scale_factor([query.size for query in queries], boxes).tolist()
-        answers: list[Answer] = []
-        for query, factor, (index, tilt, text, size, nearest) in zip(queries, factors, columns, strict=True):
-            if index < 0 and scores.assets[nearest].asset_id in query.without:
+    def _with_barred(self, found: tuple[Answer, int], every: tuple[Answer, int]) -> Answer:
+        """Returns an answer with the better match among all assets, if its licence excludes it."""
+        (answer, order), (best, earlier) = found, every
+        if not isinstance(best, AssetMatch) or (best.library, best.asset_id) not in self._licence_of:
+            return answer
+        if isinstance(answer, AssetMatch) and earlier == order and best.score <= answer.score + self.settings.margin:
+            return answer  # as good as the barred one
+        return replace(answer, barred=BarredAsset(best.asset_id, best.library, self._licence_of[best.library, best.asset_id]))
+
+    def _read(
+        self, name: str, scores: AssetScores, choices: RankedAssets, queries: Sequence[AssetQuery]
+    ) -> list[Answer | None]:
+        """Converts the choices of one library to answers; None where it has no match and no nearest asset was searched for."""
+        wanted = [turned_box(q.size) if turned else q.size for q, turned in zip(queries, choices.is_turned, strict=True)]
+        scales = scores.scales(choices.asset, choices.tilt, wanted).tolist()
+        answers: list[Answer | None] = []
+        for k, (query, index, nearest) in enumerate(
+            zip(queries, choices.asset.tolist(), choices.nearest.tolist(), strict=True)
+        ):
+            text, size = float(choices.text[k]), float(choices.size[k])
+            if index >= 0:
+                asset = scores.assets[index]
+                match = self._match(asset, int(choices.tilt[k]), scales[k], wanted[k])
+                if not asset.category and query.category and is_named_in(asset.words, query.category):
+                    match = replace(match, category=query.category)
+                score = self.settings.text_weight * text + self.settings.size_weight * size
+                found = replace(match, library=name, score=score, text_score=text, size_score=size)
+                answers.append(replace(found, is_turned=bool(choices.is_turned[k])))
+            elif nearest < 0:
+                answers.append(None)
+            elif scores.assets[nearest].asset_id in query.without:
                 answers.append(UnmatchedQuery("the query excludes all assets of the libraries"))
-            elif index < 0:
-                answers.append(self._unmatched(name, scores.assets[nearest], text, query))
             else:
-                answers.append(self._match(name, scores.assets[index], tilt, factor, (text, size), query))
+                answers.append(self._unmatched(name, scores.assets[nearest], text, query))
         return answers
 
-    def _match(
-        self, name: str, asset: Asset, tilt: int, factor: float, scored: tuple[float, float], query: AssetQuery
-    ) -> AssetMatch:
-        text, size = scored
+    def _match(self, asset: Asset, tilt: int, factor: float, wanted: Vec3) -> AssetMatch:
+        """The match without its scores."""
         rest, note = asset.tilts[tilt], ""
         x, y, z = rest.extents
         scale, box = (factor, factor, factor), (factor * x, factor * y, factor * z)
         if self.settings.stretch:
-            stretched, distortion = stretched_scale(query.size, rest.extents, rest.quat_xyzw)
-            if stretched is not None and distortion <= self.settings.max_distortion:
-                scale, box = stretched, query.size
+            stretched, distortion = stretched_scale(wanted, rest.extents, rest.quat_xyzw)
+            if asset.size_range is not None:
+                note = "is scaled uniformly: its size is known"
+            elif stretched is not None and distortion <= self.settings.max_distortion:
+                scale, box = stretched, wanted
             elif stretched is None:
                 note = "is scaled uniformly: it is flat or leans, so it cannot be stretched to a box"
             else:
                 allowed = f"expected at most {self.settings.max_distortion:g}"
                 note = f"is scaled uniformly: stretching would distort it by a factor of {distortion:.2g}, {allowed}"
-        return AssetMatch(
-            asset.asset_id,
-            name,
-            asset.category,
-            self.settings.text_weight * text + self.settings.size_weight * size,
-            text,
-            size,
-            rest.quat_xyzw,
-            scale,
-            box,
-            note,
-        )
+        return AssetMatch(asset.asset_id, "", asset.category, 0.0, 0.0, 0.0, rest.quat_xyzw, scale, box, note=note)
 
     def _unmatched(self, name: str, nearest: Asset, text: float, query: AssetQuery) -> UnmatchedQuery:
         found = f"{quote_value(nearest.words)} of library {name} at {text:.2f}"
         wanted = quote_value(query.sentence())
         reason = f"no asset is similar to {wanted}: the nearest is {found}, expected at least {self.settings.floor:g}"
         return UnmatchedQuery(reason, nearest.asset_id, name, text)
+
+
+def _scores(libraries: Sequence[AssetLibrary], settings: RetrievalSettings) -> list[tuple[str, AssetScores]]:
+    """The libraries that offer an asset, with their names."""
+    found = ((library.name, AssetScores(library, settings)) for library in libraries)
+    return [(name, scores) for name, scores in found if scores.assets]
 
 
 def _wordless() -> UnmatchedQuery:

@@ -36,6 +36,9 @@ class RetrievalSettings:
     times the least misfit and at most ten degrees above it, or is at most five degrees.
     """
 
+    metric_slack: float = 1.0
+    """Factor by which an asset may be smaller or larger than the sizes that it has, if these are known; 1 keeps them exactly."""
+
     licences: frozenset[str] | None = None
     """Allowed licences, or None for all. Known ones may be spelled in any usual way; one without a version allows all versions. A list
     excludes assets whose licence is unknown.
@@ -56,6 +59,7 @@ class RetrievalSettings:
             "margin": (self.margin, 0.0, math.inf),
             "top_k_text": (1 if self.top_k_text is None else self.top_k_text, 1, math.inf),
             "tilt_patience": (self.tilt_patience, 1.0, math.inf),
+            "metric_slack": (self.metric_slack, 1.0, math.inf),
             "max_distortion": (self.max_distortion, 1.0, math.inf),
         }
         for name, (value, low, high) in bounds.items():

@@ -3,7 +3,7 @@
 import hashlib
 import weakref
 from collections import OrderedDict
-from collections.abc import Collection, Mapping, Set
+from collections.abc import Collection, Iterator, Mapping, Set
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -293,14 +293,28 @@ def run_store(run: Uri) -> AssetStore:
     return store
 
 
-def run_annotations(run: RunFolder) -> dict[str, AssetAnnotation]:
-    """Returns asset id -> annotation from the table ``assets`` of a run.
+class RunAnnotations(Mapping[str, AssetAnnotation]):
+    """Asset id -> annotation, from the table ``assets`` of a run. An annotation is made when it is asked for.
 
     Raises:
         ConfigError: The run has no such table, or the table cannot be read.
     """
-    columns = ["asset_id", "category", "description", "caption", "licence", "source", "extents", "mass", "is_container"]
-    return {row["asset_id"]: _annotation(row) for row in run.table("assets", columns).to_pylist()}
+
+    def __init__(self, run: RunFolder) -> None:
+        columns = ["asset_id", "category", "description", "caption", "licence", "source", "extents", "mass", "is_container"]
+        table = run.table("assets", columns)
+        self._columns = {name: table[name].to_pylist() for name in columns}
+        self._place = {asset_id: k for k, asset_id in enumerate(self._columns["asset_id"])}
+
+    def __getitem__(self, asset_id: str) -> AssetAnnotation:
+        place = self._place[asset_id]
+        return _annotation({name: values[place] for name, values in self._columns.items()})
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._place)
+
+    def __len__(self) -> int:
+        return len(self._place)
 
 
 def _annotation(row: dict[str, object]) -> AssetAnnotation:

@@ -1,9 +1,10 @@
-"""Replaces requested objects by objects with assets, with the same instance, x, y, yaw and support.
+"""Replaces requested objects by objects with assets, with the same instance, x, y and support.
 
 An asset is seldom as high as the requested box, so the height of the underside is preserved: in the world frame, or relative to
 the support if the support changes.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -11,12 +12,17 @@ from stable_data.assets.retrieval import AssetMatch
 from stable_data.scene import SceneObject
 from stable_data.scene_graph.support_tree import SupportTree
 
+UNKNOWN_CATEGORY = "object"
+"""Category of an object whose asset has none and does not name the wanted one."""
+
 
 def substitute_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
     """Returns an object with the asset of a match.
 
-    Instance, x, y, yaw, description, stage, support and the height of the underside are those of the object. Asset, category
-    (if the asset has one), tilt, scale and size are those of the match. :func:`substitute_assets` also moves supported objects.
+    Instance, x, y, yaw, description, stage, support and the height of the underside are those of the object; the yaw is 90 degrees
+    more if the asset is turned. Asset, category, tilt, scale and size are those of the match, so that another thing than the wanted one
+    does not count as that. An asset of unknown category is :data:`UNKNOWN_CATEGORY`.
+    :func:`substitute_assets` also moves supported objects.
 
     Args:
         wanted: The object; ``position`` is the centre of its box in the yaw frame, metres, world frame.
@@ -26,7 +32,8 @@ def substitute_asset(wanted: SceneObject, match: AssetMatch) -> SceneObject:
     return replace(
         wanted,
         position=(x, y, wanted.bottom + match.size[2] / 2),
-        category=match.category or wanted.category,
+        yaw=wanted.yaw + math.pi / 2 if match.is_turned else wanted.yaw,
+        category=match.category or UNKNOWN_CATEGORY,
         asset_id=match.asset_id,
         tilt_quat_xyzw=match.tilt_quat_xyzw,
         scale=match.scale,

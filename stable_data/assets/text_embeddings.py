@@ -4,6 +4,8 @@ The library contains no model; the caller passes one. Rows of different encoders
 fingerprint of its weights.
 """
 
+import hashlib
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -51,7 +53,7 @@ def check_rows(rows: npt.ArrayLike, num: int, where: str) -> Rows:
     if found.ndim != 2 or len(found) != num or (num > 0 and found.shape[1] == 0) or not np.isfinite(found).all():
         message = f"{where}: features have shape {found.shape} or are not finite, expected finite ({num}, D)"
         raise ConfigError(f"{message}; encode the texts again", "features_invalid")
-    norms = np.sqrt((found.astype(np.float64) ** 2).sum(axis=1))
+    norms = np.sqrt(np.einsum("nd,nd->n", found, found, dtype=np.float64))
     if num and np.abs(norms - 1).max() > _UNIT_TOLERANCE:
         worst = norms[np.abs(norms - 1).argmax()]
         raise ConfigError(f"{where}: a feature has length {worst:.4g}, expected unit rows; normalise them", "features_invalid")
@@ -91,6 +93,26 @@ def embed_texts(texts: Sequence[str], encoder: TextEncoder, cache: Path | None =
         if cache is not None:
             _write(cache, encoded, known, encoder.fingerprint)
     return np.ascontiguousarray(known[[place[text] for text in texts]])
+
+
+def share_rows(rows: Rows, folder: Path) -> Rows:
+    """Returns the same rows from a file that all processes of a user map into memory; the rows themselves if that is impossible.
+
+    Args:
+        rows: (N, D) float32.
+        folder: The folder of such files, which are named by their content.
+    """
+    path = folder / f"{hashlib.sha256(rows.data).hexdigest()[:32]}-{rows.shape[1]}.npy"
+    try:
+        if not path.exists():
+            content = io.BytesIO()
+            np.save(content, rows, allow_pickle=False)
+            folder.mkdir(parents=True, exist_ok=True)
+            write_file_atomically(path, content.getvalue())
+        shared = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return rows
+    return shared if shared.dtype == rows.dtype and np.array_equal(shared, rows) else rows
 
 
 def _read(cache: Path, fingerprint: str) -> tuple[list[str], Rows]:

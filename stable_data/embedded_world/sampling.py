@@ -22,13 +22,14 @@ _STREAM = 7  # makes the random stream differ from that of the scene with the sa
 _ATTEMPTS = 30
 
 
-def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> Scene:
+def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = (), draw: int = 0) -> Scene:
     """Samples a task and its table.
 
     Args:
         number: Number of the task; kinds of table take turns as for scenes.
         seed: Seed of the set.
         tables: Kinds of table to use in turn; all kinds if empty.
+        draw: Which of the tasks that may be drawn for this number.
 
     Returns:
         The composition for which the task was made, with the task, the same for the same arguments; no composition of a scene is
@@ -40,8 +41,9 @@ def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = ()) -> Sce
     """
     table_type = table_type_of(number, tables)
     plan = plan_of(table_type)
+    stream = (_STREAM, draw) if draw else (_STREAM,)
     for attempt in range(_ATTEMPTS):
-        rng = np.random.default_rng([seed, number, attempt, _STREAM])
+        rng = np.random.default_rng([seed, number, attempt, *stream])
         table = draw_table(table_type, plan, rng)
         placed = compose(plan, table, GroupSampler(rng), draw_scene_number(plan, table, rng), MOST)
         if len(placed) < FEWEST:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import cache, lru_cache
 from types import MappingProxyType
 
+from stable_data.instructions.wording.taxonomy import is_kind_of, is_listed
 from stable_data.instructions.wording.words import singular, singular_noun, type_words
 
 _CLASSES: Mapping[str, str] = MappingProxyType(
@@ -252,13 +253,23 @@ def answers_to(category: str, noun: str) -> bool:
 
 @lru_cache(maxsize=65536)
 def closeness(found: str, wanted: str) -> int:
-    """How well a category fits a wanted one: 2 the same words, 1 one is a name of the other, 0 not at all."""
+    """How well a category fits a wanted one: 2 the same words, 1 a name of the wanted one or a kind of it, 0 something else.
+
+    What is a kind of what follows from the :mod:`~stable_data.instructions.wording.taxonomy`; for a category that it does not list,
+    from the last words. A name that the vocabulary has for the wanted category fits too: a ``cup`` for a ``mug``.
+    """
     found_words, wanted_words = singular(type_words(found)), singular(type_words(wanted))
     if not found_words or not wanted_words:
         return 0
     if found_words == wanted_words:
         return 2
-    is_name = any(noun[-len(wanted_words) :] == wanted_words for noun in _names_of(found)) or found_words in _names_of(wanted)
+    if is_kind_of(found, wanted):
+        return 1
+    names = _names_of(found)
+    if is_listed(found) and is_listed(wanted):  # the taxonomy knows better than the last words
+        is_name = wanted_words in names or found_words in _names_of(wanted)
+    else:
+        is_name = any(noun[-len(wanted_words) :] == wanted_words for noun in names) or found_words in _names_of(wanted)
     found_classes, wanted_classes = classes_of(found), classes_of(wanted)
     # A category that the vocabulary does not know has no classes, which must not exclude it.
     return int(is_name and (bool(found_classes & wanted_classes) or not (found_classes and wanted_classes)))

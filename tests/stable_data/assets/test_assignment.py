@@ -2,6 +2,7 @@
 
 from stable_data.assets.assignment import assign_assets
 from stable_data.assets.retrieval import Retriever
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop
 from tests.stable_data.assets.bag_of_words import BagOfWords, library, thing
 
@@ -23,3 +24,16 @@ def test_what_rests_on_a_thing_without_an_asset_is_left_out_too() -> None:
     assert set(found.unmatched) == {"elephant"}
     assert [n.code for n in found.notices] == ["carrier_left_out", "asset_unmatched"]
     assert not assign_assets([Scene("two", scene.table, ())], retriever)[0].notices
+
+
+def test_a_barred_licence_is_a_notice() -> None:
+    assets = [thing("best", "a red mug", licence="CC BY-NC 4.0"), thing("other", "a mug", licence="CC0")]
+    retriever = Retriever([library(*assets)], BagOfWords(), RetrievalSettings(licences=frozenset({"CC0"})))
+    mug = SceneObject("mug_0", "mug", (0.5, 0.3, 0.05), 0.0, (0.1, 0.1, 0.1), description="a red mug", support="table")
+    (found,) = assign_assets([Scene("one", Tabletop("office_table", (1.2, 0.6)), (mug,))], retriever)
+    (notice,) = found.notices
+    assert notice.code == "licence_substitute"
+    assert notice.message == (
+        "one: mug_0 gets asset other of library first; the best match is asset best of library first, whose licence 'CC BY-NC 4.0' is "
+        "not allowed; allow the licence or accept the substitute"
+    )

@@ -14,8 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.assets import retrieval
+from stable_data.assets.box_fitting import turned_box
 from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
-from stable_data.assets.retrieval import Answer, AssetMatch, AssetQuery, Retriever, UnmatchedQuery
+from stable_data.assets.ranking import TURNED_FIT
+from stable_data.assets.retrieval import Answer, AssetMatch, AssetQuery, BarredAsset, Retriever, UnmatchedQuery
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError, SceneError
@@ -160,7 +162,7 @@ def test_an_asset_of_the_wanted_noun_needs_no_similar_words() -> None:
     ("wanted", "served"),
     [
         ("pot", "second/cooking_pot"),  # a lid is no pot, however similar its words are
-        ("kitchen_knife", "first/knife"),  # may be one
+        ("kitchen_knife", "second/kitchen_knife"),  # the knife of the first may be another one
         ("plum", "second/plum"),
         ("peach", "first/"),  # no library has one
     ],
@@ -172,6 +174,110 @@ def test_another_noun_serves_only_where_no_library_has_the_wanted_one(wanted: st
     tool = Retriever([library(*first), library(*second, name="second")], BagOfWords())
     answer = ask(tool, f"one {words}", category=wanted)
     assert found(answer).startswith(served)
+
+
+def test_a_kind_in_a_later_library_comes_before_anything_alike_in_the_first() -> None:
+    first = library(thing("1/spice_jar", "a small white teapot of clay", category="spice_jar"))
+    second = library(thing("2/teapot", "something round", category="teapot"), name="second")
+    answer = ask(Retriever([first, second], BagOfWords()), "a small white teapot of clay", category="teapot")
+    assert found(answer) == "2/teapot"
+    alone = ask(Retriever([first], BagOfWords()), "a small white teapot of clay", category="teapot")
+    assert isinstance(alone, AssetMatch)
+    assert alone.category == "spice_jar"  # and it does not count as a teapot
+
+
+@pytest.mark.parametrize(
+    ("wanted", "served"), [("fruit", "apple"), ("skillet", "frying_pan"), ("bread", "baguette"), ("apple", "other/apple")]
+)
+def test_kinds_and_synonyms_of_the_first_library_serve_and_wider_nouns_do_not(wanted: str, served: str) -> None:
+    own = [
+        thing(kind, "a thing", category=kind) for kind in ("frying_pan", "baguette", "fruit" if wanted == "apple" else "apple")
+    ]
+    others = [thing(f"other/{kind}", "a thing", category=kind) for kind in ("fruit", "skillet", "bread", "apple")]
+    tool = Retriever([library(*own), library(*others, name="other")], BagOfWords())
+    assert found(ask(tool, "a thing", category=wanted)) == served
+
+
+def test_sizes_are_exact_or_in_their_range() -> None:
+    exact = thing("exact", "a mug", (2.0, 1.0, 1.0), "mug", size_range=(0.12, 0.12))
+    ranged = thing("ranged", "a bowl", (2.0, 1.0, 1.0), "bowl", size_range=(0.1, 0.2))
+    free = thing("free", "a fork", (2.0, 1.0, 1.0), "fork")
+    for wanted, bowl in ((0.05, 0.1), (0.15, 0.15), (0.9, 0.2)):
+        size = (wanted, wanted / 2, wanted / 2)
+        for slack in (1.0, 1.3):
+            tool = retriever(exact, ranged, free, metric_slack=slack)
+            answers = [ask(tool, f"a {kind}", size, kind) for kind in ("mug", "bowl", "fork")]
+            lengths = [max(answer.size) for answer in answers if isinstance(answer, AssetMatch)]
+            limits = [np.clip(wanted, low / slack, high * slack) for low, high in ((0.12, 0.12), (0.1, 0.2))]
+            assert lengths == pytest.approx([*limits, wanted])
+            assert slack > 1 or lengths[:2] == pytest.approx([0.12, bowl])
+
+
+def test_of_two_that_fit_that_of_the_true_size_is_preferred() -> None:
+    small = thing("small", "a bowl", category="bowl", size_range=(0.1, 0.1))
+    large = thing("large", "a bowl", category="bowl", size_range=(0.3, 0.3))
+    tool = retriever(small, large)
+    for seed in range(10):
+        assert found(ask(tool, "a bowl", (0.11, 0.11, 0.11), "bowl", seed=seed)) == "small"
+        assert found(ask(tool, "a bowl", (0.26, 0.26, 0.26), "bowl", seed=seed)) == "large"
+
+
+def test_what_is_more_than_twice_too_large_comes_after_the_other_libraries() -> None:
+    first = library(thing("1/plate", "a plate", category="plate", size_range=(0.25, 0.25)))
+    second = library(thing("2/plate", "another plate of tin", category="plate"), name="second")
+    tool = Retriever([first, second], BagOfWords())
+    served = {cm: found(ask(tool, "a plate", (cm / 100, cm / 100, cm / 100), "plate")) for cm in (10, 12, 13, 49, 51)}
+    assert served == {10: "2/plate", 12: "2/plate", 13: "1/plate", 49: "1/plate", 51: "2/plate"}
+    assert found(ask(Retriever([first], BagOfWords()), "a plate", (0.1, 0.1, 0.1), "plate")) == "1/plate"  # better than none
+
+
+def test_sizes_change_no_answer_where_they_are_unknown() -> None:
+    plain = Retriever([CROWD], Noise()).retrieve(CROWD_QUERIES, seed=4)
+    wide = replace(CROWD, assets=tuple(replace(a, size_range=(1e-9, 1e9)) for a in CROWD.assets))
+    assert Retriever([wide], Noise()).retrieve(CROWD_QUERIES, seed=4) == plain
+
+
+def test_a_batch_with_sizes_answers_as_each_query_alone() -> None:
+    sized = replace(CROWD, assets=tuple(replace(a, size_range=(0.2, 0.4)) if k % 3 else a for k, a in enumerate(CROWD.assets)))
+    tool = Retriever([sized, replace(CROWD, name="later")], Noise())
+    batch = tool.retrieve(CROWD_QUERIES, seed=4)
+    assert batch[::-1] == tool.retrieve(CROWD_QUERIES[::-1], seed=4)
+    assert batch[::11] == [tool.retrieve([query], seed=4)[0] for query in CROWD_QUERIES[::11]]
+
+
+def test_a_knife_along_the_other_side_is_turned() -> None:
+    tool = retriever(thing("knife", "a knife", (10.0, 1.0, 0.5), "knife"))
+    along, across = (ask(tool, "a knife", size, "knife") for size in ((0.2, 0.02, 0.01), (0.02, 0.2, 0.01)))
+    assert isinstance(along, AssetMatch)
+    assert isinstance(across, AssetMatch)
+    assert (along.is_turned, across.is_turned) == (False, True)
+    assert along.size == across.size == pytest.approx((0.2, 0.02, 0.01))  # each in its own yaw frame
+    assert across.size_score == pytest.approx(1)
+
+
+def test_a_barred_licence_is_said_with_the_substitute() -> None:
+    best = thing("best", "a red mug of clay", category="mug", licence="CC BY-NC 4.0")
+    other = thing("other", "a mug", category="mug", licence="CC0")
+    tool = retriever(best, other, licences=frozenset({"CC0", "CC-BY"}))
+    answer = ask(tool, "a red mug of clay", category="mug")
+    assert found(answer) == "other"
+    assert answer.barred == BarredAsset("best", "first", "CC BY-NC 4.0")
+    assert str(answer.barred) == "asset best of library first, whose licence 'CC BY-NC 4.0' is not allowed"
+    assert ask(tool, "a mug", category="mug").barred is None  # the allowed one is the best match itself
+    assert ask(retriever(best, other), "a red mug of clay", category="mug").barred is None
+    unknown = thing("unknown", "a steel fork", licence=None)
+    lost = ask(retriever(unknown, other, licences=frozenset({"CC0"})), "a steel fork", category="fork")
+    assert isinstance(lost, UnmatchedQuery)
+    assert str(lost.barred) == "asset unknown of library first, whose licence is unknown"
+
+
+def test_an_asset_of_unknown_category_is_what_was_asked_only_if_its_words_say_so() -> None:
+    tool = retriever(thing("a", "a red coffee mug"), thing("b", "one red drinking vessel"))
+    named, unnamed = ask(tool, "a red coffee mug", category="mug"), ask(tool, "one red drinking vessel", category="mug")
+    assert isinstance(named, AssetMatch)
+    assert isinstance(unnamed, AssetMatch)
+    assert (named.asset_id, named.category) == ("a", "mug")
+    assert (unnamed.asset_id, unnamed.category) == ("b", "")
 
 
 def test_words_are_encoded_once_and_answered_alike(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -332,10 +438,14 @@ def test_the_best_is_what_a_plain_loop_finds(top_k: int | None) -> None:
         text = CROWD.features.astype(np.float64) @ Noise()([query.sentence()])[0]
         fitting = [k for k, a in enumerate(CROWD.assets) if a.category == query.category] or range(len(text))
         allowed = sorted(fitting, key=lambda k: -text[k])[: top_k or len(text)]
-        cosines = [
-            max(np.dot(query.size, t.extents) / np.linalg.norm(query.size) / np.linalg.norm(t.extents) for t in a.tilts)
-            for a in CROWD.assets
-        ]
+        x, y, z = query.size
+        cosines = []
+        for a in CROWD.assets:
+            straight, crossed = (
+                max(np.dot(box, t.extents) / np.linalg.norm(box) / np.linalg.norm(t.extents) for t in a.tilts)
+                for box in ((x, y, z), (y, x, z))
+            )
+            cosines.append(crossed if crossed > straight + TURNED_FIT else straight)
         score = 0.9 * text + 0.1 * np.array(cosines)
         assert isinstance(answer, AssetMatch)
         assert answer.score == pytest.approx(score[allowed].max(), abs=1e-6)
@@ -370,6 +480,8 @@ def test_scaling_is_even_unless_asked_and_never_distorts_beyond_the_limit(wanted
     assert even.size == pytest.approx([even.scale[0] * edge for edge in box])
     assert even.note == ""
     assert max(stretched.scale) <= min(stretched.scale) * limit * (1 + 1e-9)
+    assert even.is_turned == stretched.is_turned
+    wanted = turned_box(wanted) if even.is_turned else wanted
     ratios = [w / b for w, b in zip(wanted, box, strict=True)]
     if max(ratios) <= min(ratios) * limit:
         assert stretched.size == pytest.approx(wanted)
@@ -451,6 +563,7 @@ def test_libraries_are_needed_and_told_apart() -> None:
         ("size_weight", -1.0),
         ("top_k_text", 0),
         ("tilt_patience", 0.5),
+        ("metric_slack", 0.9),
         ("max_distortion", 0.5),
     ],
 )

@@ -1,5 +1,8 @@
 """Wanted objects with assets: where they end up, and what they carry."""
 
+import math
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,7 +32,7 @@ def test_an_object_keeps_what_it_is_and_where_it_stands() -> None:
     assert after.position == pytest.approx((0.3, 0.4, 0.2))
     assert (after.asset_id, after.category, after.tilt_quat_xyzw) == ("uid", "mug", LAID)
     assert (after.scale, after.size) == ((2.0, 2.0, 2.0), (0.2, 0.3, 0.3))
-    assert substitute_asset(before, match(0.3, category="")).category == "cup"
+    assert substitute_asset(before, match(0.3, category="")).category == "object"  # not the cup that was asked for
 
 
 @given(
@@ -88,3 +91,10 @@ def test_an_upright_match_needs_no_tilt() -> None:
         substitute_asset(wanted("cup", 0.0), AssetMatch("uid", "lib", "", 1, 1, 1, UPRIGHT, (1, 1, 1), (1, 1, 1))).tilt_angle
         == 0
     )
+
+
+def test_a_turned_asset_turns_the_object() -> None:
+    before = wanted("0_cup_0", 0.05)
+    after = substitute_asset(before, replace(match(0.3), is_turned=True))
+    assert after.yaw == pytest.approx(before.yaw + math.pi / 2)
+    assert after.size == (0.2, 0.3, 0.3)
