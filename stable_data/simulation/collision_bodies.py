@@ -120,5 +120,5 @@ def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density:
     for o, shape in zip(scene.objects, shapes, strict=True):
         parts = parts_of(o, shape, store)
         mass = max(_LIGHTEST, density * sum(map(hull_volume, parts)))
-        bodies.append(RigidBody(o.instance, parts, mass, o.position, o.yaw))
+        bodies.append(RigidBody(o.instance, parts, mass, o.position, o.yaw, o.instance not in scene.fixed))
     return bodies
