@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from pipelines.retired import CommandGroup
+from pipelines.scene_files import commands as scene_files
 from stable_data.cli import (
     SOME_FAILED,
     Address,
@@ -506,6 +507,10 @@ def show_settings(
 
     found = list_settings(verb, preset)
     typer.echo("\n".join(json.dumps(asdict(setting)) for setting in found) if as_json else settings_text(found))
+
+
+app.command("repair")(scene_files.repair)
+app.command("import-scenes")(scene_files.import_scenes)
 
 
 def _further_libraries(assets: list[str]) -> list[str]:

@@ -1,7 +1,6 @@
 """The command line of the library: ``stable-data VERB``."""
 
 import os
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import typer
 
+from stable_data.checkout import run_pipelines
 from stable_data.errors import ConfigError, MissingColumnsWarning, SceneError, StableDataError
 from stable_data.extras import install_hint
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from stable_data.embedded_world import EmbeddedWorld
+    from stable_data.simulation.run_reader import SceneSelection
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -147,17 +148,12 @@ def tell_world(out: Path, num_scenes: int, failures: Sequence[SceneError]) -> No
 
 def _on_ray(out: Path, scenes: int, world: "EmbeddedWorld", workers: int, address: str | None) -> int:
     """Runs ``python -m pipelines synth``, because this package does not depend on Ray; returns its exit status."""
-    checkout = Path(__file__).resolve().parents[1]
-    if not (checkout / "pipelines").is_dir():
-        message = "--workers and --address need pipelines/, which is not installed; run the command in a checkout"
-        raise ConfigError(message, "no_pipelines")
-    command = [sys.executable, "-m", "pipelines", "synth", str(out), "--scenes", str(scenes), "--seed", str(world.seed)]
+    command = ["synth", str(out), "--scenes", str(scenes), "--seed", str(world.seed)]
     command += [part for table in world.tables for part in ("--table", table)]
     command += ["--edits"] * world.edits + ["--whole-library"] * world.whole_library
     command += ["--pictures" if world.pictures else "--no-pictures"]
     command += ["--workers", str(workers)] * bool(workers) + (["--address", address] if address else [])
-    path = os.pathsep.join([str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])])  # the checkout need not be installed
-    return subprocess.run(command, check=False, env=os.environ | {"PYTHONPATH": path}).returncode
+    return run_pipelines(command)
 
 
 @app.command("draft-edits")
@@ -267,11 +263,18 @@ def query(
 def export(
     run: Annotated[str, typer.Argument(help="A run with the tables scenes, assets and meshes: folder or URI.")],
     out: Annotated[Path, typer.Argument(help="Output folder; run again to continue.")],
-    format_name: Annotated[str, typer.Option("--format", help="Output format: mjcf, glb or mesatask.")],
+    format_name: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="Output format: mjcf, glb, mesatask, or original: the scene files that were imported, with the new poses.",
+        ),
+    ],
     where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
     scene: Annotated[list[str] | None, typer.Option("--scene", help="Export only this scene; may be repeated.")] = None,
     limit: Annotated[int | None, typer.Option(min=0, help="Export at most this many of the selected scenes.")] = None,
     settled: Annotated[bool, typer.Option(help="Use the poses after the simulation in MuJoCo (table settled).")] = False,
+    originals: Annotated[Path | None, typer.Option(help="Folder of the scene files, for the format original.")] = None,
 ) -> None:
     """Export scenes of a run to another format, with all files that they need.
 
@@ -283,6 +286,9 @@ def export(
     from stable_data.simulation.run_reader import SceneSelection
     from stable_data.storage.run_folder import RunFolder
 
+    if format_name == "original":
+        _export_originals(run, out, SceneSelection(where, tuple(scene or ()), limit), originals)
+        return
     with tqdm(desc="export", unit="scene", disable=None) as bar:
 
         def show(done: int, total: int, num_failed: int) -> None:
@@ -301,6 +307,42 @@ def export(
     )
     if result.failures:
         raise typer.Exit(SOME_FAILED)
+
+
+def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: Path | None) -> None:
+    from stable_data.importers.scenes.originals import export_originals
+    from stable_data.storage.run_folder import RunFolder
+
+    if originals is None:
+        raise ConfigError("--format original needs the folder of the scene files; name it with --originals", "usage")
+    result = export_originals(RunFolder(run), originals, out, choice)
+    for line in result.failures:
+        typer.echo(f"not exported: {line}", err=True)
+    typer.echo(f"{out}: {result.num_written} scene files, {result.num_moved} bodies moved")
+    if result.failures:
+        raise typer.Exit(SOME_FAILED)
+
+
+_PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+
+
+@app.command("import", context_settings=_PASSED_ON)
+@with_clear_errors
+def import_(
+    context: typer.Context,
+    kind: Annotated[str, typer.Argument(help="scenes: scene files of MuJoCo or USD, with their objects.")],
+) -> None:
+    """Import scene files as a run: stable-data import scenes FILE|DIR --out RUN; import scenes --help lists the options."""
+    if kind != "scenes":
+        raise ConfigError(f"kind is {kind!r}, expected scenes", "usage")
+    raise typer.Exit(run_pipelines(["import-scenes", *context.args]))
+
+
+@app.command(context_settings=_PASSED_ON)
+@with_clear_errors
+def repair(context: typer.Context) -> None:
+    """Repair scene files of other projects: stable-data repair FILE|DIR --out DIR; repair --help lists the options."""
+    raise typer.Exit(run_pipelines(["repair", *context.args]))
 
 
 @app.command()

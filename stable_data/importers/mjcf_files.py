@@ -100,7 +100,9 @@ class Element:
     parent: int
 
 
-def merged_elements(path: str, tags: Mapping[str, tuple[StartTag, ...]], included: Mapping[tuple[str, int], str]) -> list[Element]:
+def merged_elements(
+    path: str, tags: Mapping[str, tuple[StartTag, ...]], included: Mapping[tuple[str, int], str]
+) -> list[Element]:
     """Lists the elements of a model in the order in which MuJoCo reads them.
 
     Args:
@@ -202,7 +204,9 @@ def compile_model(spec: "mujoco.MjSpec", path: str) -> "mujoco.MjModel":
 def refused_model(path: str, error: Exception) -> MeshError:
     """The error that MuJoCo refuses a model."""
     found = " ".join(str(error).split())[:300]
-    return MeshError(f"{path}: MuJoCo refuses the model ({found}), expected one that it compiles; repair it", "model_unreadable")
+    return MeshError(
+        f"{path}: MuJoCo refuses the model ({found}), expected one that it compiles; repair it", "model_unreadable"
+    )
 
 
 def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> list[Element]:
@@ -249,9 +253,7 @@ def _collect_document(scan: _Scan, main: str, path: str, seen: set[str]) -> None
             _collect_document(scan, main, place, seen)
 
 
-def _place(
-    scan: _Scan, path: str, folder: str, folders: list[str] | tuple[()], name: str, *, is_include: bool = False
-) -> str:
+def _place(scan: _Scan, path: str, folder: str, folders: list[str] | tuple[()], name: str, *, is_include: bool = False) -> str:
     """Reads a file that a model names, and returns the path at which MuJoCo looks for it, relative to the source folder."""
     reference = "/".join([*folders, name]) if not name.startswith("/") else name
     try:

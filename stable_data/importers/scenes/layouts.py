@@ -98,6 +98,8 @@ def _scene_on(file: SceneFile, surface: SupportSurface, scene_id: str) -> Import
     x, y, z = surface.origin
     source = {
         "file": file.path,
+        "sha256": file.sha256,
+        "bodies": list(surface.names),
         "pose_of": file.pose_of,
         "surface": surface.owner,
         "origin": [x, y, z],
@@ -175,32 +177,43 @@ def turned_object(o: SceneObject, mesh: Mesh, rotation: Rotation, pivot: FloatAr
     Returns:
         The object with its new tilt; its lowest point is as high as before, but not below the table.
     """
-    assert o.source is not None
     position, quat = _body_in_scene(o)
     origin = pivot + rotation.apply(np.array(position) - pivot)
-    turned = quat_of(rotation * Rotation.from_quat(quat))
-    yaw, _ = heading(turned)
-    tilt = tilt_of(turned, yaw)
+    turned = _at_pose(o, mesh, origin, rotation * Rotation.from_quat(quat))
+    x, y, _ = turned.position
+    return turned.moved((x, y, max(0.0, o.bottom) + turned.size[2] / 2), turned.yaw)
+
+
+def settled_object(o: SceneObject, mesh: Mesh, scene: Scene, pose: BodyPose) -> SceneObject:
+    """Returns an object of an imported scene at another pose of its body.
+
+    Args:
+        o: The object.
+        mesh: Its asset's mesh, metres, its box centred on the origin.
+        scene: The scene, for its frame.
+        pose: The pose, in the frame of the file.
+    """
+    frame = scene_source(scene)
+    turn = Rotation.from_euler("z", frame["yaw"]).inv()
+    return _at_pose(o, mesh, turn.apply(np.array(pose[0]) - np.array(frame["origin"])), turn * Rotation.from_quat(pose[1]))
+
+
+def _at_pose(o: SceneObject, mesh: Mesh, origin: FloatArray, rotation: Rotation) -> SceneObject:
+    """An object whose body has an origin (3,) and a rotation in the frame of the scene."""
+    quat = quat_of(rotation)
+    yaw, _ = heading(quat)
+    tilt = tilt_of(quat, yaw)
     middle, size = _tilted_box(mesh, tilt)
-    x, y, z = o.source["center"]
-    offset = -(middle + rotation_matrix(tilt) @ np.array([x, y, z]))
-    a, b, _ = (origin - rotation_matrix(yaw_quat(yaw)) @ offset).tolist()
-    bottom = max(0.0, o.bottom)
-    return replace(
-        o,
-        position=(a, b, bottom + size[2] / 2),
-        yaw=yaw,
-        tilt_quat_xyzw=tilt,
-        size=size,
-        source={**o.source, "offset": offset.tolist()},
-    )
+    offset = -(middle + rotation_matrix(tilt) @ np.array(_source(o)["center"]))
+    x, y, z = (origin - rotation_matrix(yaw_quat(yaw)) @ offset).tolist()
+    source = {**_source(o), "offset": offset.tolist()}
+    return replace(o, position=(x, y, z), yaw=yaw, tilt_quat_xyzw=tilt, size=size, source=source)
 
 
 def _body_in_scene(o: SceneObject) -> BodyPose:
     """The pose of the body of an object, in the frame of the scene."""
-    assert o.source is not None
     turn = Rotation.from_euler("z", o.yaw)
-    x, y, z = (np.array(o.position) + turn.apply(np.array(o.source["offset"]))).tolist()
+    x, y, z = (np.array(o.position) + turn.apply(np.array(_source(o)["offset"]))).tolist()
     return (x, y, z), quat_of(turn * Rotation.from_quat(o.tilt_quat_xyzw))
 
 
@@ -214,11 +227,18 @@ def moved_bodies(scenes: Iterable[Scene]) -> dict[str, BodyPose]:
     """Returns the new poses of the bodies that the scenes of one file have moved, in the frame of the file.
 
     Raises:
-        SceneError: A scene was not imported from a scene file (``not_imported``).
+        SceneError: A scene was not imported from a scene file (``not_imported``), or an object was removed (``object_dropped``).
     """
     found: dict[str, BodyPose] = {}
     for scene in scenes:
         frame = scene_source(scene)
+        there = {_source(o)["body"] for o in scene.objects}
+        if lost := [name for name in frame["bodies"] if name not in there]:
+            raise SceneError(
+                f"{scene.scene_id}: {', '.join(lost)} was removed, which a scene file cannot show, expected all its bodies; correct it "
+                "with when_full=infeasible",
+                "object_dropped",
+            )
         turn, origin = Rotation.from_euler("z", frame["yaw"]), np.array(frame["origin"])
         for o in scene.objects:
             if o.instance not in scene.fixed and has_moved(o):
@@ -235,7 +255,7 @@ def scene_source(scene: Scene) -> Mapping[str, Any]:
         SceneError: It was not imported from a scene file (``not_imported``).
     """
     source = scene.source or {}
-    if not {"file", "origin", "yaw", "pose_of"} <= source.keys():
+    if not {"file", "origin", "yaw", "pose_of", "bodies"} <= source.keys():
         raise SceneError(f"{scene.scene_id}: was not read from a scene file, expected one of import scenes", "not_imported")
     return source
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from stable_data.errors import SceneError
 from stable_data.importers.mjcf_files import Element, compile_model, read_spec
@@ -138,7 +139,9 @@ class _Edits:
         else:
             number = self._bodies[names.index(name)]
         if number is None:
-            raise self._refused(name, "has no element of its own in the file, as a copy of replicate, attach or composite has none")
+            raise self._refused(
+                name, "has no element of its own in the file, as a copy of replicate, attach or composite has none"
+            )
         element = self._elements[number]
         parent = self._elements[element.parent].tag.name if element.parent >= 0 else ""
         if parent != "worldbody":
@@ -151,7 +154,9 @@ class _Edits:
         inserted: list[bytes] = []
         if not np.array_equal(before[:3], now[:3]):
             self._set(content, element, ("pos",), "pos", now[:3], spans, inserted)
-        if not np.allclose(before[3:], now[3:], rtol=0, atol=1e-12) and not np.allclose(before[3:], -now[3:], rtol=0, atol=1e-12):
+        if not np.allclose(before[3:], now[3:], rtol=0, atol=1e-12) and not np.allclose(
+            before[3:], -now[3:], rtol=0, atol=1e-12
+        ):
             self._set(content, element, _ORIENTATIONS, "quat", now[3:], spans, inserted)
         if inserted:
             end = element.tag.offset + 1 + len(element.tag.name.encode())
@@ -215,7 +220,9 @@ class _Edits:
 
     def _refused(self, name: str, found: str) -> SceneError:
         path = self._scene.file.path
-        return SceneError(f"{path}: body {name} {found}, expected a body in worldbody; it cannot be moved in place", "not_patchable")
+        return SceneError(
+            f"{path}: body {name} {found}, expected a body in worldbody; it cannot be moved in place", "not_patchable"
+        )
 
 
 def _body_elements(elements: Sequence[Element]) -> list[int]:
@@ -259,38 +266,59 @@ def _compare(scene: MjcfScene, model: mujoco.MjModel, poses: Mapping[str, BodyPo
         SceneError: They differ in more than the poses (``patch_differs``).
     """
     before, path = scene.model, scene.file.path
-    masks = {name: np.ones(np.shape(getattr(before, name)), bool) for name in (*_POSES, *_OF_MASSLESS)}
-    for name in poses:
-        body, at = scene.free_bodies[name], scene.address(name)
-        masks["body_pos"][body] = masks["body_quat"][body] = False
-        for array in _OF_MASSLESS if before.body_mass[body] == 0 else ():
-            masks[array][body] = False
-        for array in ("qpos0", "qpos_spring"):
-            masks[array][at : at + 7] = False
-        if before.nkey:
-            masks["key_qpos"][:, at : at + 7] = False
+    stays = _places_that_stay(scene, poses)
     for name in _array_names(before):
         one, other = np.asarray(getattr(before, name)), np.asarray(getattr(model, name))
         same = one.shape == other.shape
-        if same and name in masks:
-            same = np.array_equal(one[masks[name]], other[masks[name]])
+        if same and name in stays:
+            same = np.array_equal(one[stays[name]], other[stays[name]])
         elif same and name not in _DERIVED:
             same = np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
         if not same:
             found = f"{name} of the changed file differs from the original"
-            raise SceneError(f"{path}: {found}, expected the same but for the poses; the file is left as it is", "patch_differs")
+            raise SceneError(
+                f"{path}: {found}, expected the same but for the poses; the file is left as it is", "patch_differs"
+            )
     if (before.names, before.nq, before.nv) != (model.names, model.nq, model.nv):
-        raise SceneError(f"{path}: the changed file has other elements, expected the same; it is left as it is", "patch_differs")
-    qpos = np.array(model.key_qpos[scene.key] if scene.key >= 0 else model.qpos0)
+        raise SceneError(
+            f"{path}: the changed file has other elements, expected the same; it is left as it is", "patch_differs"
+        )
+    return _written_poses(scene, model, poses)
+
+
+def _places_that_stay(scene: MjcfScene, poses: Mapping[str, BodyPose]) -> dict[str, npt.NDArray[np.bool_]]:
+    """Array of the model that holds poses -> which of its places must not change."""
+    before = scene.model
+    stays = {name: np.ones(np.shape(getattr(before, name)), bool) for name in (*_POSES, *_OF_MASSLESS)}
+    for name in poses:
+        body, at = scene.free_bodies[name], scene.address(name)
+        stays["body_pos"][body] = stays["body_quat"][body] = False
+        for array in _OF_MASSLESS if before.body_mass[body] == 0 else ():
+            stays[array][body] = False
+        for array in ("qpos0", "qpos_spring"):
+            stays[array][at : at + 7] = False
+        if before.nkey:
+            stays["key_qpos"][:, at : at + 7] = False
+    return stays
+
+
+def _written_poses(scene: MjcfScene, model: mujoco.MjModel, poses: Mapping[str, BodyPose]) -> FloatArray:
+    """The joint positions of the changed file, which must be those of the given poses.
+
+    Raises:
+        SceneError: They are not (``patch_differs``).
+    """
+    qpos: FloatArray = np.array(model.key_qpos[scene.key] if scene.key >= 0 else model.qpos0)
     expected = scene.qpos.copy()
     for name, (position, quat) in poses.items():
         at = scene.address(name)
         expected[at : at + 7] = [*position, *wxyz(quat)]
         if expected[at + 3 : at + 7] @ qpos[at + 3 : at + 7] < 0:
             expected[at + 3 : at + 7] *= -1
-    if np.abs(qpos - expected).max(initial=0.0) > _EXACT:
-        error = float(np.abs(qpos - expected).max())
-        raise SceneError(f"{path}: written poses differ by {error:.1e}, expected at most {_EXACT:g}", "patch_differs")
+    error = float(np.abs(qpos - expected).max(initial=0.0))
+    if error > _EXACT:
+        found = f"written poses differ by {error:.1e}"
+        raise SceneError(f"{scene.file.path}: {found}, expected at most {_EXACT:g}; the file is left as it is", "patch_differs")
     return qpos
 
 

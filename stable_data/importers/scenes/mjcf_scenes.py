@@ -115,7 +115,7 @@ def _free_bodies(model: mujoco.MjModel, path: str, notices: list[Notice]) -> dic
     held = {
         int(body)
         for kind, *pair in zip(model.eq_type, model.eq_obj1id, model.eq_obj2id, strict=True)
-        if kind in (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
+        if int(kind) in (int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT))
         for body in pair
     }
     found = {}
@@ -128,8 +128,10 @@ def _free_bodies(model: mujoco.MjModel, path: str, notices: list[Notice]) -> dic
             notices.append(
                 Notice(path, "find", "body_held", f"{path}: {name} is held by an equality constraint; it counts as fixed")
             )
-        elif any(model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.jnt_bodyid[j] in members
-                 for a, (j, _) in enumerate(model.actuator_trnid)):
+        elif any(
+            int(kind) == int(mujoco.mjtTrn.mjTRN_JOINT) and model.jnt_bodyid[pair[0]] in members
+            for kind, pair in zip(model.actuator_trntype, model.actuator_trnid, strict=True)
+        ):
             notices.append(Notice(path, "find", "body_driven", f"{path}: {name} has motors, as a robot; it counts as fixed"))
         else:
             found[name] = index
@@ -180,7 +182,7 @@ def _bodies(
 def _geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh | None:
     """The convex shape of a geom in its own frame; None for what is no solid."""
     kinds, size = mujoco.mjtGeom, np.array(model.geom_size[geom], np.float64)
-    kind = model.geom_type[geom]
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind == kinds.mjGEOM_BOX:
         return convex_solids.box(size)
     if kind == kinds.mjGEOM_SPHERE:

@@ -51,7 +51,7 @@ class SceneBody:
     def center(self) -> FloatArray:
         """The centre of mass in the frame of the file, (3,) metres; without one, the centre of the box."""
         if self.center_of_mass is not None:
-            return rotation_matrix(self.quat_xyzw) @ np.asarray(self.center_of_mass) + np.asarray(self.position)
+            return np.asarray(rotation_matrix(self.quat_xyzw) @ np.asarray(self.center_of_mass) + np.asarray(self.position))
         points = np.concatenate([self.placed(part) for part in self.parts])
         return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 

@@ -1,16 +1,18 @@
 """Finds objects that have fallen over, and the rotation that puts them back on their feet.
 
 The resting poses of an object are the faces of its convex hull over which its centre of mass lies. An object is expected to stand as
-another keyframe of its file shows it, else with the z axis of its body upwards, if it can stand firmly so. It has fallen if it lies
-otherwise, and lies less firmly than it would stand.
+another keyframe of its file shows it; a hollow one with its opening upwards; else with the z axis of its body upwards, if it can
+stand firmly so. It has fallen if it lies on its side instead: a hollow one in any case (upside down it may be meant to be), another
+one if it lies less firmly than it would stand. One whose body stands firmly with its z axis upwards has not fallen.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -24,6 +26,7 @@ tilts stay as they are.
 _SAME_FACE = math.cos(math.radians(1.5))  # normals of one face
 _NEAR = math.radians(10.0)  # an object this near to a resting pose is meant to have it
 _FALLEN = math.radians(30.0)  # an object turned less than this has not fallen
+_SIDEWAYS = math.radians(45.0)  # a hollow object turned by this much, up to this much from upside down, lies on its side
 _FIRM = math.radians(8.0)  # an object that stands firmly can be tipped as far without falling over
 _LESS_FIRM = 0.6  # a fallen object can be tipped less far than a standing one, by this share
 _EXACT = math.radians(0.05)  # a smaller turn is not worth moving anything
@@ -78,7 +81,13 @@ def resting_faces(vertices: FloatArray, center: FloatArray) -> list[RestingFace]
     return sorted(found, key=lambda face: -face.tipping)
 
 
-def _areas(vertices: FloatArray, simplices: FloatArray) -> FloatArray:
+def stands_firmly(vertices: FloatArray) -> bool:
+    """Whether there is a face on which a shape (V, 3) with its mass in the middle of its box stands firmly."""
+    faces = resting_faces(vertices, (vertices.min(axis=0) + vertices.max(axis=0)) / 2)
+    return bool(faces) and faces[0].tipping >= _FIRM
+
+
+def _areas(vertices: FloatArray, simplices: npt.NDArray[np.int32]) -> FloatArray:
     a, b, c = (vertices[simplices[:, k]] for k in range(3))
     areas: FloatArray = np.round(np.linalg.norm(np.cross(b - a, c - a), axis=1), 12)
     return areas
@@ -107,6 +116,7 @@ def uprighting(
     *,
     is_at_rest: bool | None = None,
     mode: Upright = "auto",
+    opens_up: Callable[[FloatArray], bool] = lambda _: False,
 ) -> Uprighting | None:
     """Decides whether an object must be turned to stand.
 
@@ -117,6 +127,7 @@ def uprighting(
         known_quats: Other rotations that the file states for it.
         is_at_rest: Whether it stays as it is in the physics of its file; None if not known.
         mode: What is put on its feet.
+        opens_up: Whether the object is hollow and its opening points up if a direction of its frame, (3,), points down.
 
     Returns:
         The turn; None if it stays as it is.
@@ -129,10 +140,16 @@ def uprighting(
     present = _nearest(faces, down, _NEAR)
     for quat in known_quats if mode == "auto" else ():
         stated = _nearest(faces, Rotation.from_quat(quat).inv().apply([0.0, 0.0, -1.0]), _NEAR)
-        if stated is not None and stated.tipping >= _FIRM and _angle(stated.normal, down) > _FALLEN:
-            if present is None or present.tipping < stated.tipping:
-                return Uprighting(_turn(stated, rotation), "lies; it stands in another pose of the file")
+        is_other = stated is not None and stated.tipping >= _FIRM and _angle(stated.normal, down) > _FALLEN
+        if stated is not None and is_other and (present is None or present.tipping < stated.tipping):
+            return Uprighting(_turn(stated, rotation), "lies; it stands in another pose of the file")
     standing = _nearest(faces, np.array([0.0, 0.0, -1.0]), _NEAR)
+    lying = [face for face in faces if face.tipping >= _FIRM and _SIDEWAYS < _angle(face.normal, down) < math.pi - _SIDEWAYS]
+    stands = standing is not None and standing is present and standing.tipping >= _FIRM
+    if mode == "auto" and not stands and not (present is not None and opens_up(present.normal)):
+        opening = next((face for face in lying if opens_up(face.normal)), None)
+        if opening is not None:
+            return Uprighting(_turn(opening, rotation), "had fallen over: its opening did not point up")
     if standing is not None and standing.tipping >= _FIRM and _angle(standing.normal, down) > _FALLEN:
         if mode == "body":
             return Uprighting(_turn(standing, rotation), "z axis of the body turned upwards")

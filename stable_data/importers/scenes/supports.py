@@ -69,7 +69,9 @@ def find_supports(file: SceneFile, table: str = "") -> list[SupportSurface]:
         own = [k for k, top in enumerate(tops) if top.owner == table]
         if not own:
             there = ", ".join(sorted({top.owner for top in tops})[:12]) or "none"
-            raise SceneError(f"{file.path}: {table!r} has no level surface, expected a body that has one: {there}", "table_unknown")
+            raise SceneError(
+                f"{file.path}: {table!r} has no level surface, expected a body that has one: {there}", "table_unknown"
+            )
         groups[max(own, key=lambda k: (_area(tops[k]) > _SMALLEST, tops[k].height))] = free
     for body in free if not table else ():
         below = [(top.height, k) for k, top in enumerate(tops) if _is_below(top, body)]
@@ -117,9 +119,11 @@ def _area(top: _Top) -> float:
 
 def _is_below(top: _Top, body: SceneBody) -> bool:
     """Whether a surface is below the upper part of a body, which may have sunk into it."""
-    centre, highest = body.center, max(float(body.placed(part)[:, 2].max()) for part in body.parts)
-    if top.height > max(float(centre[2]) + 0.01, highest - 0.02):
+    centre, points = body.center, np.concatenate([body.placed(part) for part in body.parts])
+    if top.height > max(float(centre[2]) + 0.01, float(points[:, 2].max()) - 0.02):
         return False
+    if top.outline is not None and (np.sort(_rectangle(top)[2]) < np.sort(np.ptp(points, axis=0))[:2]).any():
+        return False  # a lid over its box: the box stands on a table itself
     return top.outline is None or bool(shapely.distance(top.outline, shapely.Point(centre[:2])) <= _BESIDE)
 
 
