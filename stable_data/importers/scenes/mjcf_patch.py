@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from stable_data.errors import SceneError
 from stable_data.importers.mjcf_files import Element, compile_model, read_spec
 from stable_data.importers.scenes.mjcf_scenes import MjcfScene
 from stable_data.importers.scenes.scene_file import BodyPose
-from stable_data.rotations import wxyz
+from stable_data.rotations import quat_of, wxyz
 from stable_data.scene import FloatArray
 from stable_data.simulation.mujoco_import import mujoco
 
@@ -103,7 +104,8 @@ class _Edits:
         self.places[name] = []
         if scene.key < 0 or np.allclose(model.qpos0[at : at + 7], before, rtol=0, atol=_SAME_POSE):
             element = self._element_of(name)
-            self._change_body(name, element, before, now)
+            frame = self._frame_of(name, element, model.qpos0[at : at + 7])
+            self._change_body(name, element, *(_within(frame, pose) for pose in (before, now)))
             self.places[name].append(f"{element.path}: body")
         for k in range(model.nkey):
             same = np.allclose(model.key_qpos[k, at : at + 7], before, rtol=0, atol=_SAME_POSE)
@@ -142,11 +144,28 @@ class _Edits:
             raise self._refused(
                 name, "has no element of its own in the file, as a copy of replicate, attach or composite has none"
             )
-        element = self._elements[number]
-        parent = self._elements[element.parent].tag.name if element.parent >= 0 else ""
-        if parent != "worldbody":
-            raise self._refused(name, f"stands in an element {parent}, which moves it too")
-        return element
+        return self._elements[number]
+
+    def _frame_of(self, name: str, element: Element, world: FloatArray) -> tuple[FloatArray, Rotation] | None:
+        """The pose of the frames around a body, from its pose (7,) in the world; None if it stands in the world itself.
+
+        Raises:
+            SceneError: What is around it is no frame, or its own rotation is not stated as a quaternion (``not_patchable``).
+        """
+        above, is_framed = element.parent, False
+        while self._elements[above].tag.name == "frame":
+            above, is_framed = self._elements[above].parent, True
+        if self._elements[above].tag.name != "worldbody":
+            raise self._refused(name, f"stands in an element {self._elements[above].tag.name}, which moves it too")
+        if not is_framed:
+            return None
+        stated = element.tag.attributes
+        if any(other in stated for other in _ORIENTATIONS[1:]):
+            raise self._refused(name, "stands in a frame and states its rotation in another way than as quat")
+        w, x, y, z = (float(v) for v in stated.get("quat", "1 0 0 0").split())
+        own = Rotation.from_quat([x, y, z, w])
+        turn = Rotation.from_quat(world[[4, 5, 6, 3]]) * own.inv()
+        return world[:3] - turn.apply([float(v) for v in stated.get("pos", "0 0 0").split()]), turn
 
     def _change_body(self, name: str, element: Element, before: FloatArray, now: FloatArray) -> None:
         content = self._scene.files.contents[element.path]
@@ -223,6 +242,15 @@ class _Edits:
         return SceneError(
             f"{path}: body {name} {found}, expected a body in worldbody; it cannot be moved in place", "not_patchable"
         )
+
+
+def _within(frame: tuple[FloatArray, Rotation] | None, pose: FloatArray) -> FloatArray:
+    """A pose (7,) in the world as a pose in a frame."""
+    if frame is None:
+        return pose
+    origin, turn = frame
+    rotation = turn.inv() * Rotation.from_quat(pose[[4, 5, 6, 3]])
+    return np.array([*turn.inv().apply(pose[:3] - origin), *wxyz(quat_of(rotation))])
 
 
 def _body_elements(elements: Sequence[Element]) -> list[int]:
