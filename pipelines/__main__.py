@@ -7,27 +7,17 @@ from typing import Annotated
 
 import typer
 
-from pipelines.job_options import SETTINGS_HINT, worker_count
+from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
 from pipelines.retired import CommandGroup
+from pipelines.scene_files import commands as scene_files
 from pipelines.training_commands import app as training
 from stable_data.cli import (
     SOME_FAILED,
     Address,
-    AllowedLicence,
-    DryRun,
     Edits,
-    JobFile,
-    JobSettings,
-    JobWorkers,
-    Kind,
-    LibraryOut,
-    Licence,
-    Manifest,
     NumScenes,
     Pictures,
-    Preset,
     Seed,
-    SourceFolder,
     SynthOut,
     Tables,
     WholeLibrary,
@@ -46,6 +36,27 @@ app = typer.Typer(
 )
 app.add_typer(training)
 
+Kind = Annotated[
+    str,
+    typer.Argument(
+        help="mesh (GLB, glTF, OBJ, DAE, STL, PLY), sdformat (Gazebo model folders), urdf, mjcf (MuJoCo models of objects) or usd."
+    ),
+]
+SourceFolder = Annotated[
+    str, typer.Argument(metavar="DIR", help="The folder as its authors ship it; nothing outside of it is read.")
+]
+LibraryOut = Annotated[
+    str, typer.Option(metavar="LIBRARY", help="Run folder for the library, outside of DIR; --assets takes it.")
+]
+Preset = Annotated[str, typer.Option(help="For mesh, the layout of a known set: objaverse, graspnet_infinite, ycb or kaykit.")]
+Manifest = Annotated[
+    str, typer.Option(help="For mesh, a CSV or JSONL file in DIR with a row for each asset; docs/import.md lists its columns.")
+]
+Licence = Annotated[str, typer.Option(help="The licence of assets that state none, such as CC-BY-4.0; else they are refused.")]
+AllowedLicence = Annotated[
+    list[str] | None,
+    typer.Option("--allow-licence", help="Also take assets of this licence, such as CC-BY-NC-4.0; may be repeated."),
+]
 Scenes = Annotated[
     str, typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it.")
 ]
@@ -89,9 +100,9 @@ def import_assets(
     manifest: Manifest = "",
     licence: Licence = "",
     allow_licence: AllowedLicence = None,
-    config: JobFile = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table import is read.")] = None,
     set_: JobSettings = None,
-    workers: JobWorkers = -1,
+    workers: NumWorkers = -1,
     address: Address = None,
     dry_run: DryRun = False,
 ) -> None:
@@ -416,6 +427,10 @@ def show_settings(
 
     found = list_settings(verb, preset)
     typer.echo("\n".join(json.dumps(asdict(setting)) for setting in found) if as_json else settings_text(found))
+
+
+app.command("repair")(scene_files.repair)
+app.command("import-scenes")(scene_files.import_scenes)
 
 
 def _further_libraries(assets: list[str]) -> list[str]:

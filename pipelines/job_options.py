@@ -1,11 +1,17 @@
 """What the verbs of all jobs share on the command line."""
 
 import os
+from typing import Annotated
+
+import typer
 
 from stable_data.errors import ConfigError
 
 SETTINGS_HINT = "python -m pipelines settings {} lists every key of --set and of the file with its default, unit and meaning."
 """Last line of a verb's help; its gap is the verb."""
+
+JobSettings = Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the file; may be repeated.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
 
 
 def worker_count(workers: int, address: str | None) -> int:

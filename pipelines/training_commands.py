@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from pipelines.job_options import SETTINGS_HINT, worker_count
-from stable_data.cli import Address, JobSettings, with_clear_errors
+from pipelines.job_options import SETTINGS_HINT, JobSettings, worker_count
+from stable_data.cli import Address, with_clear_errors
 from stable_data.errors import ConfigError
 
 app = typer.Typer()

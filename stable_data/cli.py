@@ -1,7 +1,6 @@
 """The command line of the library: ``stable-data VERB``."""
 
 import os
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import typer
 
+from stable_data.checkout import run_pipelines
 from stable_data.errors import ConfigError, MissingColumnsWarning, SceneError, StableDataError
 from stable_data.extras import install_hint
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from stable_data.embedded_world import EmbeddedWorld
+    from stable_data.simulation.run_reader import SceneSelection
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -146,84 +147,13 @@ def tell_world(out: Path, num_scenes: int, failures: Sequence[SceneError]) -> No
 
 
 def _on_ray(out: Path, scenes: int, world: "EmbeddedWorld", workers: int, address: str | None) -> int:
-    """Runs ``python -m pipelines synth``; returns its exit status."""
-    options = ["--scenes", str(scenes), "--seed", str(world.seed)]
-    options += [part for table in world.tables for part in ("--table", table)]
-    options += ["--edits"] * world.edits + ["--whole-library"] * world.whole_library
-    options += ["--pictures" if world.pictures else "--no-pictures"]
-    options += ["--workers", str(workers)] * bool(workers) + (["--address", address] if address else [])
-    return _run_job("synth", [str(out), *options], "--workers and --address need")
-
-
-def _run_job(verb: str, options: Sequence[str], needing: str) -> int:
-    """Runs ``python -m pipelines VERB``, because this package does not depend on Ray; returns its exit status."""
-    checkout = Path(__file__).resolve().parents[1]
-    if not (checkout / "pipelines").is_dir():
-        raise ConfigError(f"{needing} pipelines/, which is not installed; run the command in a checkout", "no_pipelines")
-    path = os.pathsep.join([str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])])  # the checkout need not be installed
-    command = [sys.executable, "-m", "pipelines", verb, *options]
-    return subprocess.run(command, check=False, env=os.environ | {"PYTHONPATH": path}).returncode
-
-
-Kind = Annotated[
-    str,
-    typer.Argument(
-        help="mesh (GLB, glTF, OBJ, DAE, STL, PLY), sdformat (Gazebo model folders), urdf, mjcf (MuJoCo models of objects) or usd."
-    ),
-]
-SourceFolder = Annotated[
-    str, typer.Argument(metavar="DIR", help="The folder as its authors ship it; nothing outside of it is read.")
-]
-LibraryOut = Annotated[
-    str, typer.Option(metavar="LIBRARY", help="Run folder for the library, outside of DIR; --assets takes it.")
-]
-Preset = Annotated[str, typer.Option(help="For mesh, the layout of a known set: objaverse, graspnet_infinite, ycb or kaykit.")]
-Manifest = Annotated[
-    str, typer.Option(help="For mesh, a CSV or JSONL file in DIR with a row for each asset; docs/import.md lists its columns.")
-]
-Licence = Annotated[str, typer.Option(help="The licence of assets that state none, such as CC-BY-4.0; else they are refused.")]
-AllowedLicence = Annotated[
-    list[str] | None,
-    typer.Option("--allow-licence", help="Also take assets of this licence, such as CC-BY-NC-4.0; may be repeated."),
-]
-JobFile = Annotated[Path | None, typer.Option(help="TOML file; its table import is read.")]
-JobSettings = Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the file; may be repeated.")]
-JobWorkers = Annotated[
-    int,
-    typer.Option(
-        help="Worker processes on a local Ray, or shards at once with --address; -1: one for each core. 0: one process."
-    ),
-]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
-
-
-@app.command("import", epilog="python -m pipelines settings import lists every key of --set and of the file.")
-@with_clear_errors
-def import_assets(
-    kind: Kind,
-    folder: SourceFolder,
-    out: LibraryOut,
-    preset: Preset = "",
-    manifest: Manifest = "",
-    licence: Licence = "",
-    allow_licence: AllowedLicence = None,
-    config: JobFile = None,
-    set_: JobSettings = None,
-    workers: JobWorkers = -1,
-    address: Address = None,
-    dry_run: DryRun = False,
-) -> None:
-    """Make a library of the assets in a folder, with scale, mass, resting poses, colliders, textures and licence.
-
-    Run again to continue after a stop. Status 0: done. 1: some assets were refused; the table failures gives the reasons. 2: could
-    not start.
-    """
-    given = {"--preset": preset, "--manifest": manifest, "--licence": licence, "--config": config, "--address": address}
-    options = [part for name, value in given.items() if value for part in (name, str(value))]
-    options += [part for value in allow_licence or () for part in ("--allow-licence", value)]
-    options += [part for value in set_ or () for part in ("--set", value)]
-    options += ["--workers", str(workers)] + ["--dry-run"] * dry_run
-    raise typer.Exit(_run_job("import", [kind, folder, "--out", out, *options], "import needs"))
+    """Runs ``python -m pipelines synth``, because this package does not depend on Ray; returns its exit status."""
+    command = ["synth", str(out), "--scenes", str(scenes), "--seed", str(world.seed)]
+    command += [part for table in world.tables for part in ("--table", table)]
+    command += ["--edits"] * world.edits + ["--whole-library"] * world.whole_library
+    command += ["--pictures" if world.pictures else "--no-pictures"]
+    command += ["--workers", str(workers)] * bool(workers) + (["--address", address] if address else [])
+    return run_pipelines(command)
 
 
 @app.command("draft-edits")
@@ -333,11 +263,18 @@ def query(
 def export(
     run: Annotated[str, typer.Argument(help="A run with the tables scenes, assets and meshes: folder or URI.")],
     out: Annotated[Path, typer.Argument(help="Output folder; run again to continue.")],
-    format_name: Annotated[str, typer.Option("--format", help="Output format: mjcf, glb or mesatask.")],
+    format_name: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="Output format: mjcf, glb, mesatask, or original: the scene files that were imported, with the new poses.",
+        ),
+    ],
     where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
     scene: Annotated[list[str] | None, typer.Option("--scene", help="Export only this scene; may be repeated.")] = None,
     limit: Annotated[int | None, typer.Option(min=0, help="Export at most this many of the selected scenes.")] = None,
     settled: Annotated[bool, typer.Option(help="Use the poses after the simulation in MuJoCo (table settled).")] = False,
+    originals: Annotated[Path | None, typer.Option(help="Folder of the scene files, for the format original.")] = None,
 ) -> None:
     """Export scenes of a run to another format, with all files that they need.
 
@@ -349,6 +286,9 @@ def export(
     from stable_data.simulation.run_reader import SceneSelection
     from stable_data.storage.run_folder import RunFolder
 
+    if format_name == "original":
+        _export_originals(run, out, SceneSelection(where, tuple(scene or ()), limit), originals)
+        return
     with tqdm(desc="export", unit="scene", disable=None) as bar:
 
         def show(done: int, total: int, num_failed: int) -> None:
@@ -367,6 +307,44 @@ def export(
     )
     if result.failures:
         raise typer.Exit(SOME_FAILED)
+
+
+def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: Path | None) -> None:
+    from stable_data.importers.scenes.originals import export_originals
+    from stable_data.storage.run_folder import RunFolder
+
+    if originals is None:
+        raise ConfigError("--format original needs the folder of the scene files; name it with --originals", "usage")
+    result = export_originals(RunFolder(run), originals, out, choice)
+    for line in result.failures:
+        typer.echo(f"not exported: {line}", err=True)
+    typer.echo(f"{out}: {result.num_written} scene files, {result.num_moved} bodies moved")
+    if result.failures:
+        raise typer.Exit(SOME_FAILED)
+
+
+_PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+
+
+@app.command("import", context_settings=_PASSED_ON)
+@with_clear_errors
+def import_(
+    context: typer.Context,
+    kind: Annotated[str, typer.Argument(help="mesh, sdformat, urdf, mjcf, usd, or scenes.")] = "--help",
+) -> None:
+    """Make a library of the assets in a folder: import KIND DIR --out LIBRARY. Or a run of scene files: import scenes FILE|DIR --out RUN.
+
+    import --help and import scenes --help list the options.
+    """
+    verb = ["import-scenes"] if kind == "scenes" else ["import", kind]
+    raise typer.Exit(run_pipelines([*verb, *context.args]))
+
+
+@app.command(context_settings=_PASSED_ON)
+@with_clear_errors
+def repair(context: typer.Context) -> None:
+    """Repair scene files of other projects: stable-data repair FILE|DIR --out DIR; repair --help lists the options."""
+    raise typer.Exit(run_pipelines(["repair", *context.args]))
 
 
 @app.command()

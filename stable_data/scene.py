@@ -211,6 +211,8 @@ class Scene:
         task: The task info, if there is one.
         relations: The scene graph, once it is computed.
         source: Top-level entries of the file without the objects. Not compared.
+        fixed: Instances that belong to the surroundings, such as a robot or a shelf: they are obstacles and may carry objects, but
+            do not move, and are not judged themselves.
     """
 
     scene_id: str
@@ -219,6 +221,7 @@ class Scene:
     task: TaskInfo | None = None
     relations: tuple[Relation, ...] = ()
     source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
+    fixed: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuses two objects with the same name, and an object with the name of the table."""

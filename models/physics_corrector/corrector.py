@@ -25,7 +25,7 @@ from models.physics_corrector.certify.correction import (
 from models.physics_corrector.certify.flow_start import certify_moved, choose_start
 from models.physics_corrector.certify.layout_search import remaining_faults
 from models.physics_corrector.certify.mesh_queries import MeshQueries
-from models.physics_corrector.certify.support_inference import TABLE_TOP, expected_carriers, infer_carriers
+from models.physics_corrector.certify.support_inference import TABLE_TOP, expected_carriers, infer_carriers, known_carriers
 from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
@@ -132,6 +132,7 @@ class PhysicsCorrector:
             the flow is judged or published, and there is a refiner, objects have exact heights.
         """
         each = [options] * len(scenes) if isinstance(options, CorrectionOptions) else options
+        each = [replace(own, fixed=own.fixed | scene.fixed) for own, scene in zip(each, scenes, strict=True)]
         resolved = [assets.resolved(scene)[:2] for scene in scenes]
         found = [scene for scene, _ in resolved]
         raws: Sequence[Scene | None] = [None] * len(scenes)
@@ -292,7 +293,7 @@ def _with_carriers(scene: Scene, shapes: Sequence[Shape]) -> Scene:
     if all(o.support is not None for o in scene.objects):
         return scene
     meshes = MeshQueries([s.as_mesh() for s in shapes])
-    choices = infer_carriers(meshes, scene.poses(), expected_carriers(scene))
+    choices = infer_carriers(meshes, scene.poses(), known_carriers(scene, shapes, frozenset(), expected_carriers(scene)))
     names = [o.instance for o in scene.objects]
     carriers = [TABLE if choice[0].parent == TABLE_TOP else names[choice[0].parent] for choice in choices]
     return replace(scene, objects=tuple(replace(o, support=c) for o, c in zip(scene.objects, carriers, strict=True)))

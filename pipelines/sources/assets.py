@@ -14,9 +14,9 @@ from pipelines.preprocess.plan import file_digest
 from pipelines.sources.scenes import Containers, FolderSource, mesh_cache
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.catalog import AssetLibrary, library_of_run
-from stable_data.assets.physics import IS_WEIGHED, PHYSICS_COLUMNS, AssetPhysics
 from stable_data.assets.licences import is_licence_allowed, normalise_licence
 from stable_data.assets.noun_fit import NounFit, noun_fit
+from stable_data.assets.physics import IS_WEIGHED, PHYSICS_COLUMNS, AssetPhysics
 from stable_data.assets.ranking import may_be_used
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.retrieval_settings import RetrievalSettings

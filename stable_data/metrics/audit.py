@@ -97,6 +97,7 @@ class Audit:
         num_tilted: Objects tilted by more than 5 degrees.
         tolerance: The tolerance of floating and of the card's headline figures, metres.
         is_cut_short: Whether the work limit was reached, so that verdicts are unknown.
+        num_fixed: Objects of the surroundings (``Scene.fixed``): they count in no share, and have no fault of their own.
     """
 
     scene_id: str
@@ -105,6 +106,7 @@ class Audit:
     num_tilted: int
     tolerance: float = TOLERANCE
     is_cut_short: bool = False
+    num_fixed: int = 0
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -122,8 +124,8 @@ class Audit:
         """The share of all pairs that collide deeper than a depth in metres; None if a pair is unknown."""
         if any(p.penetration is None for p in self.pairs):
             return None
-        count = len(self.objects)
-        return sum(p.penetration is not None and p.penetration > depth for p in self.pairs) / max(1, count * (count - 1) // 2)
+        count = math.comb(len(self.objects), 2) - math.comb(self.num_fixed, 2)
+        return sum(p.penetration is not None and p.penetration > depth for p in self.pairs) / max(1, count)
 
     def card(self) -> MetricCard:
         """The metric card of the scene. Counts that need the scene graph are None, see :func:`stable_data.metrics.card.add_counts`."""
@@ -135,12 +137,13 @@ class Audit:
         outside = [o.is_outside for o in self.objects]
         gaps = [o.gap for o in self.objects]
         num_without_mesh = sum(not o.has_mesh for o in self.objects)
-        count = max(1, len(self.objects))
+        num_judged = len(self.objects) - self.num_fixed
+        count = max(1, num_judged)
         fails = collisions > 0 or any(floats) or sunk > self.tolerance + ROUNDING or any(outside)
         # Only an exact mesh can be found clean.
         is_uncertain = num_without_mesh > 0 or unknown > 0 or None in floats
         return MetricCard(
-            num_objects=len(self.objects),
+            num_objects=num_judged,
             num_stacked=None,
             num_contained=None,
             num_tilted=self.num_tilted,
@@ -389,18 +392,29 @@ def audit_scene(scene: Scene, shapes: Sequence[Shape], tolerance: float = TOLERA
 def audit_posed_scene(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
     """Judges a scene whose meshes are posed already; see :func:`audit_scene`."""
     pairs = []
+    is_fixed = [name in posed.scene.fixed for name in posed.instances]
     for i, j in posed.meeting_boxes:
+        if is_fixed[i] and is_fixed[j]:
+            continue
         depth = posed.penetration(i, j)
         if depth != 0.0:
             pairs.append(PairVerdict(posed.instances[i], posed.instances[j], depth))
-    judged = [_judge_object(posed, index, tolerance) for index in range(len(posed.instances))]
+    judged = [
+        (_of_surroundings(posed, index), False) if is_fixed[index] else _judge_object(posed, index, tolerance)
+        for index in range(len(posed.instances))
+    ]
     objects = _mark_support_cycles(tuple(o for o, _ in judged), {o.instance for o, is_uncertain in judged if is_uncertain})
-    num_tilted = sum(o.tilt_angle > math.radians(5) for o in posed.scene.objects)
-    return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance, posed.budget.is_spent)
+    num_tilted = sum(o.tilt_angle > math.radians(5) for o in posed.scene.objects if o.instance not in posed.scene.fixed)
+    return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance, posed.budget.is_spent, sum(is_fixed))
 
 
 def _geometry(o: SceneObject) -> tuple[object, ...]:
     return o.asset_id, o.scale, o.size, o.tilt_quat_xyzw, o.position, o.yaw
+
+
+def _of_surroundings(posed: PosedScene, index: int) -> ObjectVerdict:
+    """The verdict on a fixed object: it hangs or stands where it is fixed, whatever is below it."""
+    return ObjectVerdict(posed.instances[index], False, (), 0.0, 0.0, False, False, posed.shapes[index].is_exact)
 
 
 def _judge_object(posed: PosedScene, index: int, tolerance: float) -> tuple[ObjectVerdict, bool]:

@@ -120,7 +120,8 @@ def bodies_of(scene: Scene, shapes: Sequence[Shape], store: AssetStore, density:
     Raises:
         MeshError: No part with a volume could be made of a mesh.
     """
-    return [_body(o, shape, store, density) for o, shape in zip(scene.objects, shapes, strict=True)]
+    bodies = [_body(o, shape, store, density) for o, shape in zip(scene.objects, shapes, strict=True)]
+    return [replace(body, movable=False) if body.name in scene.fixed else body for body in bodies]
 
 
 def _body(o: SceneObject, shape: Shape, store: AssetStore, density: float) -> RigidBody:

@@ -139,6 +139,11 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "m, rad",
             ),
             _column("relations", pa.list_(RELATION), "scene graph: spatial relations between objects"),
+            _column(
+                "fixed",
+                _texts,
+                "instances of the surroundings: obstacles that do not move and are not judged; null without any",
+            ),
             *_card_columns(),
             _column(
                 "pairs",

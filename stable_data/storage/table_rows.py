@@ -100,6 +100,7 @@ def scene_row(scene: Scene) -> Row:
         "task": task_row(scene.task),
         "objects": [object_row(o) for o in scene.objects],
         "relations": _relation_rows(scene.relations),
+        "fixed": sorted(scene.fixed) or None,
         "source_json": _json(scene.source),
     }
 
@@ -115,6 +116,7 @@ def scene_from_row(row: Mapping[str, Any]) -> Scene:
         task=task_from_row(row["task"]),
         relations=_relations(row["relations"]),
         source=None if source is None else json.loads(source),
+        fixed=frozenset(row.get("fixed") or ()),
     )
 
 

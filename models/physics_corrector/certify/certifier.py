@@ -12,7 +12,7 @@ from models.physics_corrector.certify.layout_search import LayoutSearch, build_s
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.options import CertificationResult, CertifyOptions, CorrectionStatus, DroppedObject
-from models.physics_corrector.certify.support_inference import expected_carriers, infer_carriers
+from models.physics_corrector.certify.support_inference import expected_carriers, infer_carriers, known_carriers
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
@@ -103,7 +103,8 @@ class Certifier:
         """Returns the certified layout: from the search, or from the scene if no search was needed."""
         if self.search is not None:
             return self.search.layout
-        carried = [choice[0] for choice in infer_carriers(self.meshes, self.scene.poses(), {})]
+        known = known_carriers(self.scene, self.shapes, frozenset(), {})
+        carried = [choice[0] for choice in infer_carriers(self.meshes, self.scene.poses(), known)]
         return LayoutState(self.scene, self.shapes, carried, self.options.fixed)
 
     def conclude(self, scene: Scene, audit: Audit) -> CertificationResult:
@@ -132,11 +133,14 @@ class Certifier:
         poses, size = self.scene.poses(), np.array(self.scene.table.size_xy)
         boxes = [self.meshes.box(k, pose) for k, pose in enumerate(poses)]
         # The cheap checks first: most layouts fail one of them, and the audit takes longest.
-        for low, high in boxes:
+        fixed = [o.instance in self.scene.fixed for o in self.scene.objects]
+        for (low, high), is_fixed in zip(boxes, fixed, strict=True):
+            if is_fixed:
+                continue
             if low[2] < -TOLERANCE or (low[:2] < -BOUNDS_SLACK).any() or (high[:2] > size + BOUNDS_SLACK).any():
                 return None
         for k in range(len(poses)):
-            near = self.meshes.near(k, poses[k], range(k), poses)
+            near = [j for j in self.meshes.near(k, poses[k], range(k), poses) if not (fixed[k] and fixed[j])]
             if any(self.meshes.penetrates(k, poses[k], j, poses[j]) for j in near):
                 return None
         audit = audit_scene(self.scene, self.shapes)

@@ -70,7 +70,11 @@ class LayoutSearch:
         carried = [choice[0] for choice in choices]
         self._others = [choice[1:] for choice in choices]  # other possible carriers of each object, the likeliest first
         if original is not scene:  # an object that floated may rest on something now
-            known = {k: c for k, c in enumerate(carried) if c.parent != TABLE_TOP or self._stood_on_table(k)}
+            known = {
+                k: c
+                for k, c in enumerate(carried)
+                if c.parent != TABLE_TOP or self._stood_on_table(k) or scene.objects[k].instance in scene.fixed
+            }
             carried = [choice[0] for choice in infer_carriers(meshes, scene.poses(), known)]
         self.layout = LayoutState(scene, shapes, carried, options.fixed, options.still)
         self._asked = AskedRelations(self.layout, options.asked)

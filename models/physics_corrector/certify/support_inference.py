@@ -140,6 +140,8 @@ def known_carriers(
 ) -> Mapping[int, SupportEdge]:
     """Adds to wanted carriers those of still objects, which stay as the scene states them, whatever has come near.
 
+    Nothing carries the objects of the surroundings.
+
     Args:
         scene: The scene.
         shapes: The geometry of its objects.
@@ -147,10 +149,10 @@ def known_carriers(
         wanted: Index of an object -> its support, without cycles.
     """
     number = {o.instance: k for k, o in enumerate(scene.objects)}
-    found = dict(wanted)
-    parents = {k: wanted[k].parent if k in wanted else TABLE_TOP for k in number.values()}
+    found = dict(wanted) | {number[name]: SupportEdge() for name in scene.fixed & number.keys()}
+    parents = {k: found[k].parent if k in found else TABLE_TOP for k in number.values()}
     for k, o in enumerate(scene.objects):
-        if o.instance not in still or k in wanted or o.support is None:
+        if o.instance not in still or k in found or o.support is None:
             continue
         parent = number.get(o.support, TABLE_TOP)
         if parent == TABLE_TOP:

@@ -1,0 +1,1 @@
+"""Scene files of other projects: imported into runs, or repaired and written back."""

@@ -1,0 +1,133 @@
+"""The commands ``repair`` and ``import-scenes``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from stable_data.cli import SOME_FAILED, with_clear_errors
+from stable_data.errors import ConfigError
+
+if TYPE_CHECKING:
+    from pipelines.scene_files.repair import RepairOptions
+    from stable_data.importers.scenes.standing import Upright
+
+Source = Annotated[Path, typer.Argument(help="A scene file (MuJoCo XML or USD), or a folder of scene files.")]
+Root = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder outside of which nothing is read; default: the folder of the file. Name it if files above are included."
+    ),
+]
+Table = Annotated[
+    str, typer.Option(help="Body that carries all free bodies. Default: for each free body, the surface below it.")
+]
+Key = Annotated[str, typer.Option(help="Keyframe of the poses, or initial. Default: home if the file has it, else initial.")]
+UprightMode = Annotated[
+    str,
+    typer.Option(
+        help="auto: what has fallen over is put on its feet. body: the z axis of each body points up wherever it can stand so. keep: tilts "
+        "stay as they are."
+    ),
+]
+
+
+@with_clear_errors
+def repair(
+    source: Source,
+    out: Annotated[Path | None, typer.Option(help="Folder for the repaired copies, each with all files that it needs.")] = None,
+    in_place: Annotated[bool, typer.Option("--in-place", help="Change the files themselves.")] = False,
+    root: Root = None,
+    table: Table = "",
+    key: Key = "",
+    upright: UprightMode = "auto",
+    verdicts: Annotated[
+        Path | None,
+        typer.Option(help="Table of verdicts (Parquet). Default: repair.parquet in the output folder; none with --in-place."),
+    ] = None,
+) -> None:
+    """Repair scene files of other projects: free bodies come back upright, clean and at rest, all else stays as it is.
+
+    For a folder, each file is repaired in a separate process. Status 0: all files are clean and at rest. 1: some are not, or could not be
+    used; the lines say why. 2: could not start.
+    """
+    from pipelines.scene_files.folder import VERDICTS, RepairStatus, repair_folder, write_verdicts
+
+    if (out is None) == (not in_place):
+        raise ConfigError("expected a folder with --out, or --in-place; name one of them", "usage")
+    folder, paths = resolve_source(source, root)
+    if out is not None and folder.resolve() in (out.resolve(), *out.resolve().parents):
+        raise ConfigError(f"{out}: is inside the folder of the scene files, expected another folder", "output_invalid")
+    found = []
+    for verdict in repair_folder(folder, paths, out, scene_options(table, key, upright), progress=paths is None):
+        found.append(verdict)
+        typer.echo("\n".join(verdict.lines()))
+    place = verdicts or (out / VERDICTS if out is not None else None)
+    if place is not None:
+        write_verdicts(found, place)
+    counts = ", ".join(f"{n} {status}" for status in RepairStatus if (n := sum(v.status is status for v in found)))
+    typer.echo(f"{source}: {len(found)} scene files: {counts or 'none has a free body'}" + (f"; {place}" if place else ""))
+    if any(v.status in (RepairStatus.UNSOLVED, RepairStatus.FAILED) for v in found):
+        raise typer.Exit(SOME_FAILED)
+
+
+@with_clear_errors
+def import_scenes(
+    source: Source,
+    out: Annotated[str, typer.Option(help="Folder or URI of the run: tables scenes, assets and meshes.")],
+    root: Root = None,
+    table: Table = "",
+    key: Key = "",
+    upright: UprightMode = "keep",
+) -> None:
+    """Import scene files of other projects as a run, which correct, export and the other jobs read.
+
+    Status 0: done. 1: some files could not be used; the table failures gives the reasons. 2: could not start.
+    """
+    from pipelines.scene_files.importing import import_scenes as run
+
+    folder, paths = resolve_source(source, root)
+    counts = run(folder, paths, out, scene_options(table, key, upright), progress=paths is None)
+    for notice in counts.failures:
+        typer.echo(f"not imported: {notice.message}", err=True)
+    typer.echo(
+        f"{out}: {counts.num_scenes} scenes of {counts.num_files} files, {counts.num_assets} assets, {len(counts.failures)} failures"
+    )
+    if counts.failures:
+        raise typer.Exit(SOME_FAILED)
+
+
+def resolve_source(source: Path, root: Path | None) -> tuple[Path, list[str] | None]:
+    """The source folder, and the file in it; None for all its files.
+
+    Raises:
+        ConfigError: The source does not exist (``source_missing``), or the file is not in the folder (``path_outside``).
+    """
+    if source.is_dir():
+        if root is not None:
+            raise ConfigError(f"--root is for a single file, but {source} is a folder; leave it out", "usage")
+        return source, None
+    if not source.is_file():
+        raise ConfigError(
+            f"{source}: does not exist, expected a scene file or a folder of scene files; check the path", "source_missing"
+        )
+    folder = source.parent if root is None else root
+    try:
+        return folder, [source.resolve().relative_to(folder.resolve()).as_posix()]
+    except ValueError as error:
+        raise ConfigError(
+            f"{source}: is not in {folder}, expected a folder that contains it; change --root", "path_outside"
+        ) from error
+
+
+def scene_options(table: str, key: str, upright: str) -> "RepairOptions":
+    """What the user says about scene files.
+
+    Raises:
+        ConfigError: ``upright`` is not known (``usage``).
+    """
+    from pipelines.scene_files.repair import RepairOptions
+
+    if upright not in ("auto", "body", "keep"):
+        raise ConfigError(f"--upright is {upright!r}, expected auto, body or keep", "usage")
+    return RepairOptions(table, key, cast("Upright", upright))

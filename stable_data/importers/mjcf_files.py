@@ -1,0 +1,308 @@
+"""The files of a MuJoCo model: found by a scan of its XML before MuJoCo reads anything, so that no other file is read.
+
+MuJoCo itself reads includes and meshes from any place of the disk. Here the XML is scanned first; each file that it names must lie
+in the source folder. The model is then compiled from copies of these files in a folder of its own.
+"""
+
+import posixpath
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+from xml.parsers import expat
+
+from stable_data.errors import MeshError
+from stable_data.importers.boundary import Boundary
+from stable_data.json_text import quote_value
+
+if TYPE_CHECKING:
+    import mujoco  # takes long to import
+
+MAX_XML_BYTES = 8 * 2**20
+"""Size of one XML file."""
+
+_MAX_DEPTH = 64  # elements within one another
+_MAX_ELEMENTS = 200_000  # elements of one XML file
+_MAX_INCLUDES = 200  # files that a model includes or attaches
+_TEXTURE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+_FOLDERS_OF = {
+    "mesh": ("meshdir", "assetdir"),
+    "skin": ("meshdir", "assetdir"),
+    "hfield": ("meshdir", "assetdir"),
+    "flexcomp": ("meshdir", "assetdir"),
+    "texture": ("texturedir", "assetdir"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StartTag:
+    """A start tag of an XML file.
+
+    Attributes:
+        name: The element.
+        attributes: Its attributes.
+        offset: The byte at which it begins.
+        parent: Index of the element that contains it; -1 for the root.
+    """
+
+    name: str
+    attributes: Mapping[str, str]
+    offset: int
+    parent: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelFiles:
+    """All files of a model.
+
+    Attributes:
+        path: The main file, relative to the source folder.
+        contents: Path, relative to the source folder and as MuJoCo looks for it -> content.
+        elements: The elements of the main file and of what it includes, in the order in which MuJoCo reads them.
+    """
+
+    path: str
+    contents: Mapping[str, bytes]
+    elements: Sequence["Element"]
+
+    @contextmanager
+    def placed(self, changed: Mapping[str, bytes] | None = None) -> Iterator[Path]:
+        """Copies the files to a temporary folder.
+
+        Args:
+            changed: Path -> content of files that replace those of the model.
+
+        Yields:
+            The main file; the folder ends with the context.
+        """
+        with TemporaryDirectory(prefix="stable-data-model-") as folder:
+            for path, content in {**self.contents, **(changed or {})}.items():
+                place = Path(folder, path)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.write_bytes(content)
+            yield Path(folder, self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """An element of a model whose includes are replaced by what they include.
+
+    Attributes:
+        path: The file that has it.
+        tag: Its start tag.
+        parent: Index of the element that contains it, in the list of all; -1 for the root.
+    """
+
+    path: str
+    tag: StartTag
+    parent: int
+
+
+def merged_elements(
+    path: str, tags: Mapping[str, tuple[StartTag, ...]], included: Mapping[tuple[str, int], str]
+) -> list[Element]:
+    """Lists the elements of a model in the order in which MuJoCo reads them.
+
+    Args:
+        path: The main file.
+        tags: Path of each XML file -> its start tags.
+        included: File and index of each include -> the file that it includes.
+    """
+    found: list[Element] = []
+
+    def add(document: str, above: int) -> None:
+        number: dict[int, int] = {-1: above}
+        for k, tag in enumerate(tags[document]):
+            if k == 0 and document != path:
+                number[0] = above  # the root of an included file is no element of the model
+            elif (document, k) in included:
+                add(included[document, k], number[tag.parent])
+            else:
+                number[k] = len(found)
+                found.append(Element(document, tag, number[tag.parent]))
+
+    add(path, -1)
+    return found
+
+
+@dataclass(slots=True)
+class _Scan:
+    boundary: Boundary
+    contents: dict[str, bytes] = field(default_factory=dict)
+    tags: dict[str, tuple[StartTag, ...]] = field(default_factory=dict)
+    included: dict[tuple[str, int], str] = field(default_factory=dict)
+
+
+def collect_files(boundary: Boundary, path: str) -> ModelFiles:
+    """Finds all files of a model, and reads them.
+
+    Args:
+        boundary: The source folder.
+        path: The main file, relative to it.
+
+    Raises:
+        MeshError: A file cannot be read (``model_unreadable``), is missing (``include_missing``, ``file_missing``), lies outside of the
+            folder (``path_outside``) or is too large (``file_too_large``), or files include each other (``cyclic_reference``).
+    """
+    scan = _Scan(boundary)
+    elements = _collect_model(scan, path, ())
+    return ModelFiles(path, scan.contents, elements)
+
+
+@contextmanager
+def load_spec(boundary: Boundary, path: str) -> Iterator["mujoco.MjSpec"]:
+    """Reads a model; nothing outside of the folder is read. The description can be compiled within the context.
+
+    Args:
+        boundary: The source folder.
+        path: The main file, relative to it.
+
+    Yields:
+        The description, a ``mujoco.MjSpec``.
+
+    Raises:
+        MeshError: As :func:`collect_files`; or MuJoCo refuses the model (``model_unreadable``).
+    """
+    with collect_files(boundary, path).placed() as place:
+        yield read_spec(place, path)
+
+
+def read_spec(place: Path, path: str) -> "mujoco.MjSpec":
+    """Reads the description of a model whose files were placed.
+
+    Args:
+        place: Its main file.
+        path: The name of the file in messages.
+
+    Raises:
+        MeshError: MuJoCo refuses the model (``model_unreadable``).
+    """
+    from stable_data.simulation.mujoco_import import mujoco
+
+    try:
+        return mujoco.MjSpec.from_file(str(place))
+    except (ValueError, mujoco.FatalError) as error:
+        raise refused_model(path, error) from error
+
+
+def compile_model(spec: "mujoco.MjSpec", path: str) -> "mujoco.MjModel":
+    """Compiles a description.
+
+    Raises:
+        MeshError: MuJoCo refuses the model (``model_unreadable``).
+    """
+    from stable_data.simulation.mujoco_import import mujoco
+
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise refused_model(path, error) from error
+
+
+def refused_model(path: str, error: Exception) -> MeshError:
+    """The error that MuJoCo refuses a model."""
+    found = " ".join(str(error).split())[:300]
+    return MeshError(
+        f"{path}: MuJoCo refuses the model ({found}), expected one that it compiles; repair it", "model_unreadable"
+    )
+
+
+def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> list[Element]:
+    """Collects a model file with what it includes, then the assets that all of these name; returns its elements."""
+    _collect_document(scan, path, path, set(above))
+    elements = merged_elements(path, scan.tags, scan.included)
+    tags = [element.tag for element in elements]
+    compiler: dict[str, str] = {}
+    for tag in tags:
+        if tag.name == "compiler":
+            compiler |= tag.attributes
+    folder = posixpath.dirname(path)
+    for tag in tags:
+        names = [value for key, value in tag.attributes.items() if (key == "file" or key in _TEXTURE_SIDES) and value.strip()]
+        for name in names:
+            if tag.name == "model":
+                attached = _place(scan, path, folder, (), name)
+                if attached in (path, *above):
+                    raise _read_twice(path, attached)
+                _collect_model(scan, attached, (*above, path))
+                continue
+            folders = [compiler[key] for key in _FOLDERS_OF.get(tag.name, ()) if compiler.get(key)][:1]
+            if compiler.get("strippath", "false") == "true":
+                name = PurePosixPath(name.replace("\\", "/")).name
+            _place(scan, path, folder, folders, name)
+    return elements
+
+
+def _collect_document(scan: _Scan, main: str, path: str, seen: set[str]) -> None:
+    if path in seen:  # MuJoCo refuses it too
+        raise _read_twice(main, path)
+    seen.add(path)
+    if len(scan.tags) > _MAX_INCLUDES:
+        raise MeshError(f"{main}: names more than {_MAX_INCLUDES} XML files, expected fewer; merge them", "file_too_large")
+    if path not in scan.tags:
+        scan.contents[path] = content = scan.boundary.read_bytes(path, most=MAX_XML_BYTES)
+        scan.tags[path] = start_tags(content, path)
+    for k, tag in enumerate(scan.tags[path]):
+        if tag.name == "include":
+            name = tag.attributes.get("file", "")
+            # MuJoCo looks for includes of includes beside the main file too.
+            place = _place(scan, path, posixpath.dirname(main), (), name, is_include=True)
+            scan.included[path, k] = place
+            _collect_document(scan, main, place, seen)
+
+
+def _place(scan: _Scan, path: str, folder: str, folders: list[str] | tuple[()], name: str, *, is_include: bool = False) -> str:
+    """Reads a file that a model names, and returns the path at which MuJoCo looks for it, relative to the source folder."""
+    reference = "/".join([*folders, name]) if not name.startswith("/") else name
+    try:
+        found = scan.boundary.resolve(reference, folder)
+    except MeshError as error:
+        code = "include_missing" if is_include and error.code == "file_missing" else error.code
+        raise MeshError(f"{path}: {error}", code) from error
+    place = posixpath.normpath(posixpath.join(folder, reference.replace("\\", "/")))
+    if place.startswith("../") or place == "..":
+        raise MeshError(f"{path}: {quote_value(name)} leaves the folder, expected a path inside of it", "path_outside")
+    if place not in scan.contents:
+        scan.contents[place] = scan.boundary.read_bytes(found)
+    return place
+
+
+def _read_twice(path: str, other: str) -> MeshError:
+    return MeshError(f"{path}: includes {other} twice or in a circle, expected once; remove an include", "cyclic_reference")
+
+
+def start_tags(content: bytes, path: str) -> tuple[StartTag, ...]:
+    """Lists the start tags of an XML file.
+
+    Args:
+        content: The file.
+        path: Its name in messages.
+
+    Raises:
+        MeshError: It is not XML, declares entities, or is too deep or too large (``model_unreadable``).
+    """
+    found: list[StartTag] = []
+    stack: list[int] = []
+    parser = expat.ParserCreate()
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        if len(found) >= _MAX_ELEMENTS or len(stack) >= _MAX_DEPTH:
+            most = f"at most {_MAX_ELEMENTS} elements, {_MAX_DEPTH} deep"
+            raise MeshError(f"{path}: has more elements than can be read, expected {most}", "model_unreadable")
+        found.append(StartTag(name, attributes, parser.CurrentByteIndex, stack[-1] if stack else -1))
+        stack.append(len(found) - 1)
+
+    def end(_: str) -> None:
+        stack.pop()
+
+    def declare(name: str, *_: object) -> None:
+        raise MeshError(f"{path}: declares the entity {quote_value(name)}, expected none; remove it", "model_unreadable")
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = start, end, declare
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise MeshError(f"{path}: is not XML ({error}), expected a MuJoCo model; repair it", "model_unreadable") from error
+    return tuple(found)

@@ -1,0 +1,90 @@
+"""Opens scene files of any format behind one interface: what they hold, their physics, and new poses in them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.scenes.formats import is_usd
+from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
+
+if TYPE_CHECKING:  # MuJoCo takes long to import
+    from stable_data.importers.scenes.file_physics import BodyMotion
+    from stable_data.importers.scenes.mjcf_scenes import MjcfScene
+
+
+class OpenedScene(Protocol):
+    """A scene file of any format."""
+
+    @property
+    def file(self) -> SceneFile:
+        """What it holds."""
+        ...
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """All its files, relative to the source folder."""
+        ...
+
+    def watch(self) -> Mapping[str, "BodyMotion"]:
+        """How its free bodies move in its physics."""
+        ...
+
+    def moved(self, poses: Mapping[str, BodyPose]) -> tuple[Mapping[str, bytes], Mapping[str, "BodyMotion"]]:
+        """Puts new poses into it.
+
+        Args:
+            poses: Name of a free body -> its new pose, in the frame of the file.
+
+        Returns:
+            The changed files, and how the free bodies move in their physics.
+
+        Raises:
+            SceneError: A pose cannot be changed.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OpenedMjcf:
+    scene: "MjcfScene"
+
+    @property
+    def file(self) -> SceneFile:
+        return self.scene.file
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        return tuple(sorted(self.scene.files.contents))
+
+    def watch(self) -> Mapping[str, "BodyMotion"]:
+        from stable_data.importers.scenes.file_physics import watch_file
+
+        return watch_file(self.scene)
+
+    def moved(self, poses: Mapping[str, BodyPose]) -> tuple[Mapping[str, bytes], Mapping[str, "BodyMotion"]]:
+        from stable_data.importers.scenes.file_physics import watch_file
+        from stable_data.importers.scenes.mjcf_patch import patch_poses
+
+        patched = patch_poses(self.scene, poses)
+        return patched.changed, watch_file(self.scene, patched.model, patched.qpos)
+
+
+def read_scene_file(boundary: Boundary, path: str, key: str = "") -> OpenedScene:
+    """Reads a scene file.
+
+    Args:
+        boundary: The source folder.
+        path: The file, relative to it.
+        key: Keyframe of a MuJoCo file, see :func:`~stable_data.importers.scenes.mjcf_scenes.read_mjcf_scene`.
+
+    Raises:
+        StableDataError: It cannot be read.
+    """
+    if is_usd(path):
+        from stable_data.importers.scenes.usd_scenes import read_usd_scene
+
+        return read_usd_scene(boundary, path)
+    from stable_data.importers.scenes.mjcf_scenes import read_mjcf_scene
+
+    return _OpenedMjcf(read_mjcf_scene(boundary, path, key))
