@@ -141,7 +141,8 @@ def _found(root: Boundary, path: str, ids: AssetIds, licences: LicenceFiles) -> 
         pass
     else:
         for mesh in dict.fromkeys(mesh_paths(model)):
-            files |= dict.fromkeys((mesh, *files_beside(own, mesh)))
+            if mesh not in files or not is_folder:  # all files of a model folder are listed
+                files |= dict.fromkeys((mesh, *files_beside(own, mesh)))
         files |= dict.fromkeys(own.opened)
     return SourceRef(asset_id, path, tuple(files), entry)
 

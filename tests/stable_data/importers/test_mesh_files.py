@@ -73,7 +73,7 @@ def test_obj_has_polygons_materials_and_textures(tmp_path: Path) -> None:
     assert shown.corner_uv is not None
     assert shown.corner_uv[0].tolist() == [[0, 1], [1, 1], [1, 0]]  # from the upper left
     assert (red.colour, red.opacity, red.image, red.corner_uv) == ((1.0, 0.0, 0.0), 0.25, None, None)
-    assert blue.colour == (0.0, 0.0, pytest.approx(float(to_linear(np.array(0.5)))))
+    assert blue.colour == pytest.approx((0.0, 0.0, float(to_linear(np.array(0.5)))))
     assert none.colour is None
     assert (file.unit_m, file.up) == (None, "")
 
@@ -88,7 +88,7 @@ def test_obj_has_colours_of_vertices_and_continued_lines(tmp_path: Path) -> None
     file, _ = read(tmp_path, "m.obj", "v 0 0 0 255 0 0\nv 1 0 0 \\\n 0 255 0\r\nv\t0 1 0 0 0 128\nf 1 2 3\n")
     colours = file.surfaces[0].corner_colours
     assert colours is not None
-    np.testing.assert_allclose(colours[0], [[1, 0, 0], [0, 1, 0], [0, 0, to_linear(np.array(128 / 255))]])
+    np.testing.assert_allclose(colours[0], np.diag((1, 1, float(to_linear(np.array(128 / 255))))))
 
 
 def test_long_obj_equals_that_of_trimesh(tmp_path: Path) -> None:
