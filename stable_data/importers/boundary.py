@@ -213,7 +213,7 @@ def asset_id_of(name: str) -> str:
     Args:
         name: The name in the source, any characters.
     """
-    decomposed = unicodedata.normalize("NFKD", name)
+    decomposed = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
     return _NOT_OF_AN_ID.sub("_", decomposed).strip("._-")[:120] or "asset"
 
 

@@ -141,7 +141,8 @@ def _found(root: Boundary, path: str, ids: AssetIds, licences: LicenceFiles) -> 
         pass
     else:
         for mesh in dict.fromkeys(mesh_paths(model)):
-            files |= dict.fromkeys((mesh, *files_beside(own, mesh)))
+            if mesh not in files or not is_folder:  # all files of a model folder are listed
+                files |= dict.fromkeys((mesh, *files_beside(own, mesh)))
         files |= dict.fromkeys(own.opened)
     return SourceRef(asset_id, path, tuple(files), entry)
 
@@ -228,7 +229,8 @@ class _ModelElement:
         for frame in self.element.findall("frame"):
             self._add_frame(frame, frame.get("attached_to") or _MODEL)
         for joint in self.element.findall("joint"):
-            self._add_frame(joint, text_of(joint, "child"))
+            if joint.get("name") not in self.frames:  # before version 1.7 a joint could have the name of a link
+                self._add_frame(joint, text_of(joint, "child"))
         for include in self.element.findall("include"):
             self._add_nested(self.file._included(include), include)
         for inner in self.element.findall("model"):

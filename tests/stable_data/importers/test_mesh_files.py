@@ -88,7 +88,7 @@ def test_obj_has_colours_of_vertices_and_continued_lines(tmp_path: Path) -> None
     file, _ = read(tmp_path, "m.obj", "v 0 0 0 255 0 0\nv 1 0 0 \\\n 0 255 0\r\nv\t0 1 0 0 0 128\nf 1 2 3\n")
     colours = file.surfaces[0].corner_colours
     assert colours is not None
-    np.testing.assert_allclose(colours[0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, float(to_linear(np.array(128 / 255)))]])
+    np.testing.assert_allclose(colours[0], np.diag((1, 1, float(to_linear(np.array(128 / 255))))))
 
 
 def test_long_obj_equals_that_of_trimesh(tmp_path: Path) -> None:
