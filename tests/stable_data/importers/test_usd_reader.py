@@ -669,6 +669,20 @@ def test_few_words_that_ask_for_many_prims(tmp_path: Path) -> None:
     text = f'#usda 1.0\n(defaultPrim = "T")\ndef Xform "T" (references = </L0>) {{}}\n{levels}class "L12" {{}}\n'
     (tmp_path / "thing.usda").write_text(text)
     assert refusal(tmp_path).code == "mesh_too_large"
+    hidden = text.replace("references = </L1>", "references = </Wrap/part>") + 'class "Wrap" (references = </Deep>) {}\n'
+    (tmp_path / "thing.usda").write_text(hidden + 'class "Deep" {\ndef "part" (references = </L1>) {}\n}\n')
+    assert refusal(tmp_path).code == "mesh_too_large"
+
+
+def test_sublayers_that_multiply(tmp_path: Path) -> None:
+    for k in range(12):
+        names = ", ".join(f"@l{k + 1}{side}.usda@" for side in "ab")
+        for side in "ab":
+            (tmp_path / f"l{k}{side}.usda").write_text(f"#usda 1.0\n(subLayers = [{names}])\n" if k < 11 else "#usda 1.0\n")
+    (tmp_path / "thing.usda").write_text(
+        '#usda 1.0\n(defaultPrim = "T"\nsubLayers = [@l0a.usda@, @l0b.usda@])\ndef Cube "T" {}\n'
+    )
+    assert refusal(tmp_path).code == "mesh_too_large"
 
 
 def test_meshes_with_too_many_triangles_are_refused(tmp_path: Path) -> None:
