@@ -20,13 +20,14 @@ class AssetIds:
         return True
 
     def of_path(self, name: str, path: str) -> str:
-        """Returns the identifier of an asset without one of its own: its name, with names of folders before it if that is taken.
+        """Returns the identifier of an asset without one of its own: its name; if that is taken, with that of its file and of folders.
 
         Args:
             name: The name in the source.
             path: Its main file, relative to the source folder.
         """
-        candidates = [name]
+        stem = PurePosixPath(path).stem
+        candidates = [name] if stem == name else [name, f"{name}_{stem}"]
         for folder in PurePosixPath(path).parents:
             if folder.name:
                 candidates.append(f"{folder.name}_{candidates[-1]}")

@@ -123,6 +123,7 @@ class Boundary:
         path = self.root / place
         try:
             found = Path(os.path.realpath(path))
+            is_file = found.is_file()
         except (OSError, ValueError):  # too long, or a circle of links
             return None
         if not found.is_relative_to(self.root):
@@ -130,7 +131,7 @@ class Boundary:
                 reference, "leaves the folder", "a path inside of it; copy the file into the folder", "path_outside"
             )
         inside = found.relative_to(self.root)
-        if found.is_file():
+        if is_file:
             return inside.as_posix()
         other = self._in_other_case(inside)
         return other.as_posix() if other is not None and (self.root / other).is_file() else None
@@ -212,7 +213,7 @@ def asset_id_of(name: str) -> str:
     Args:
         name: The name in the source, any characters.
     """
-    decomposed = unicodedata.normalize("NFKD", name)
+    decomposed = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
     return _NOT_OF_AN_ID.sub("_", decomposed).strip("._-")[:120] or "asset"
 
 

@@ -75,13 +75,11 @@ def licence_of_file(root: Boundary, path: str) -> GivenLicence | None:
         return _given(found[:1], path) if len(set(map(normalise_licence, found))) == 1 else None
     restricted = [line for line in lines if _RESTRICTED.search(line)]  # with it, the words name no other licence
     top = lines[:_TITLE_LINES]
-    if top and len(top[0]) <= _TITLE and normalise_licence(top[0]):
-        return _given([top[0], *restricted], path)
-    pairs = [f"{a} {b}" for a, b in itertools.pairwise(top)]  # Apache's name takes two lines
-    for candidates in (top, pairs):
-        named = {normalise_licence(line): line for line in candidates if _WORDS.search(line)}
-        if statements := [line for name, line in named.items() if name]:
-            return _given([*statements, *restricted], path)
+    for candidates in (top, [f"{a} {b}" for a, b in itertools.pairwise(top)]):  # Apache's name takes two lines
+        titles = [line for k, line in enumerate(candidates) if _WORDS.search(line) or (k == 0 and len(line) <= _TITLE)]
+        named = {name: line for line in reversed(titles) if (name := normalise_licence(line))}
+        if named:
+            return _given([*reversed(named.values()), *restricted], path)
     return _given(lines or ["empty file"], path)
 
 
