@@ -235,13 +235,21 @@ def test_simple_shapes(tmp_path: Path, axis: str) -> None:
         shape.CreateHeightAttr(3)
         UsdPhysics.CollisionAPI.Apply(shape.GetPrim())
     UsdPhysics.CollisionAPI.Apply(UsdGeom.Sphere.Define(stage, "/Thing/sphere").GetPrim())
-    UsdGeom.Cone.Define(stage, "/Thing/cone")
+    cone = UsdGeom.Cone.Define(stage, "/Thing/cone")
+    cone.CreateAxisAttr(axis)
+    UsdPhysics.CollisionAPI.Apply(cone.GetPrim())
+    UsdGeom.Points.Define(stage, "/Thing/points")
     save(stage)
     asset = read(tmp_path)
     along = "XYZ".index(axis)
     sizes = [np.ptp(surface.triangles.reshape(-1, 3), axis=0).round(9).tolist() for surface in asset.surfaces]
-    assert sizes == [[3.0 if k == along else 1.0 for k in range(3)], [4.0 if k == along else 1.0 for k in range(3)], [2.0] * 3]
-    assert [round(float(signed_volumes(c.triangles).sum()), 1) for c in asset.colliders] == [2.3, 2.9, 4.2]
+    assert sizes == [
+        [3.0 if k == along else 1.0 for k in range(3)],
+        [4.0 if k == along else 1.0 for k in range(3)],
+        [2.0] * 3,
+        [2.0] * 3,
+    ]
+    assert [round(float(signed_volumes(c.triangles).sum()), 1) for c in asset.colliders] == [2.3, 2.9, 4.2, 2.1]
     assert all(is_closed(collider) for collider in asset.colliders)
     assert [notice.code for notice in asset.notices] == ["prim_left_out"]
 
