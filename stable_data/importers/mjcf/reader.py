@@ -46,6 +46,7 @@ _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _STATED = 0.99  # share of the mass that must be stated
 _GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's colour of a geom that has none
 _REGION = "reg_"  # RoboCasa's names of regions, which are boxes of no substance
+_OF_A_SHAPE = len(sphere_triangles())  # triangles of a simple shape, about
 _MOST_TEXTURE = 64 * 2**20  # bytes of an image file
 
 
@@ -302,8 +303,9 @@ class _Shapes:
         return [int(geom) for geom in np.flatnonzero(visible)]
 
     def num_faces(self, geom: int) -> int:
+        """Triangles of a geom, about."""
         mesh = self.model.geom_dataid[geom]
-        return int(self.model.mesh_facenum[mesh]) if mesh >= 0 else 0
+        return int(self.model.mesh_facenum[mesh]) if mesh >= 0 else _OF_A_SHAPE
 
     def mesh(self, geom: int) -> Mesh:
         """The shape of a geom in its own frame."""

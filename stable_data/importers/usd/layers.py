@@ -114,11 +114,12 @@ class LayerLoader:
         _PrimCount(self).check(layer, path)
         return layer
 
-    def read_file(self, key: str) -> bytes:
+    def read_file(self, key: str, most: int) -> bytes:
         """Reads a file that is no layer.
 
         Args:
             key: As the layers name it now.
+            most: Largest size, bytes.
 
         Raises:
             MeshError: A code of the boundary.
@@ -127,7 +128,12 @@ class LayerLoader:
             raise _refusal(key, "is not named by a layer", "a file of a layer", "file_missing")
         name, place = self.names[key]
         found = self.resolve(name, place)
-        return self._member(found) if found.member else self.boundary.read_bytes(found.path)
+        if not found.member:
+            return self.boundary.read_bytes(found.path, most=most)
+        content = self._member(found)
+        if len(content) > most:
+            raise _refusal(str(found), f"has more than {most} bytes", "a smaller file", "file_too_large")
+        return content
 
     def resolve(self, name: str, place: Place) -> Place:
         """Where a name of a layer points to.
@@ -280,12 +286,17 @@ class _PrimCount:
         self.by_name = {one.identifier: one for one in self.loader.layers.values()}
         num = sum(self._below(layer, prim) for prim in self._roots(layer))
         if num > _MOST_PRIMS:
-            message = f"{quote_value(path)} composes {num} prims or more, expected at most {_MOST_PRIMS}; simplify the asset"
+            message = f"{quote_value(path)} composes more prims than {_MOST_PRIMS}, expected fewer; simplify the asset"
             raise MeshError(message, "mesh_too_large")
 
-    def _stack(self, layer: Any, depth: int = 0) -> list[Any]:
-        below = [self.by_name[name] for name in layer.subLayerPaths if name in self.by_name]
-        return [layer, *(one for part in below for one in self._stack(part, depth + 1))]
+    def _stack(self, layer: Any) -> list[Any]:
+        """A layer with its sublayers and theirs, each as often as it is named."""
+        stack = [layer]
+        for one in stack:
+            stack += [self.by_name[name] for name in one.subLayerPaths if name in self.by_name]
+            if len(stack) > _MOST_LAYERS:
+                raise MeshError(f"a layer has more than {_MOST_LAYERS} sublayers, expected fewer; flatten it", "mesh_too_large")
+        return stack
 
     def _roots(self, layer: Any) -> list[str]:
         return sorted({str(prim.path) for one in self._stack(layer) for prim in one.rootPrims})
@@ -300,26 +311,23 @@ class _PrimCount:
                 f"{quote_value(path)} is nested too deep, expected at most {_MOST_DEPTH} levels", "model_unreadable"
             )
         self.known[key] = 0  # a circle adds nothing
-        num = 1
-        for one in self._stack(layer):
-            spec = one.GetPrimAtPath(path)
-            if spec is None:
-                continue
+        specs = [spec for one in self._stack(layer) if (spec := one.GetPrimAtPath(path)) is not None]
+        above = path.rpartition("/")[0]
+        num = 1 if specs or not above else self._below(layer, above, depth + 1)  # what it is comes from a reference above
+        for spec in specs:
             variants = [variant.primSpec for choices in spec.variantSets for variant in choices.variants]
             for part in (spec, *variants):
                 num += sum(self._below(layer, str(child.path), depth + 1) for child in part.nameChildren)
                 num += sum(self._below(*target, depth + 1) for target in self._targets(layer, part))
-                if num > _MOST_PRIMS:
-                    break
-        self.known[key] = num
+        self.known[key] = num = min(num, _MOST_PRIMS + 1)
         return num
 
     def _targets(self, layer: Any, spec: Any) -> Iterator[tuple[Any, str]]:
         for arc in (*spec.referenceList.GetAddedOrExplicitItems(), *spec.payloadList.GetAddedOrExplicitItems()):
             target = self.by_name.get(arc.assetPath) if arc.assetPath else layer
             if target is not None:
-                path = str(arc.primPath) or f"/{target.defaultPrim}" if target.defaultPrim else str(arc.primPath)
-                if path and path != "/":
+                path = str(arc.primPath) or f"/{target.defaultPrim}"
+                if path != "/":
                     yield target, path
         for arc in (*spec.inheritPathList.GetAddedOrExplicitItems(), *spec.specializesList.GetAddedOrExplicitItems()):
             yield layer, str(arc)

@@ -23,6 +23,7 @@ import numpy as np
 from stable_data.errors import ConfigError, MeshError, Notice
 from stable_data.extras import install_hint
 from stable_data.geometry.mesh import joined_corners
+from stable_data.geometry.primitive_shapes import sphere_triangles
 from stable_data.geometry.surface import Surface
 from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary, renamed_notice
@@ -46,6 +47,7 @@ from stable_data.json_text import is_unicode, quote_value
 from stable_data.scene import FloatArray
 
 _TURNS = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
+_OF_A_SHAPE = len(sphere_triangles())  # triangles of a simple shape, about
 _MOST_TEXTURE = 64 * 2**20  # bytes of an image file
 _MOST_TEXT = 1000  # characters of a statement
 # The key "creator" names the program that wrote the file.
@@ -255,12 +257,13 @@ class _StageReader:
         for prim in prims_of(root):
             if prim.IsA(UsdGeom.Mesh):
                 mesh = UsdGeom.Mesh(prim)
-                num += len(mesh.GetFaceVertexIndicesAttr().Get(time) or ()) - 2 * len(
-                    mesh.GetFaceVertexCountsAttr().Get(time) or ()
-                )
-                if num > self.options.max_faces:
-                    expected = f"at most {self.options.max_faces}; reduce its meshes"
-                    self._fail(f"has more than {num} triangles", expected, "mesh_too_large")
+                counts = mesh.GetFaceVertexCountsAttr().Get(time) or ()
+                num += len(mesh.GetFaceVertexIndicesAttr().Get(time) or ()) - 2 * len(counts)
+            elif prim.IsA(UsdGeom.Gprim):
+                num += _OF_A_SHAPE
+            if num > self.options.max_faces:
+                expected = f"at most {self.options.max_faces}; reduce its meshes"
+                self._fail(f"has more than {self.options.max_faces} triangles", expected, "mesh_too_large")
 
     def _shapes(self, root: Any, frame: StageFrame, cache: Any, time: Any) -> tuple[list[Surface], list[Collider]]:
         """What is seen and what collides, in the frame of the asset."""
@@ -379,10 +382,7 @@ class _StageReader:
         """The content of a texture's file; None and a notice if it cannot be read."""
         if key not in self.images:
             try:
-                content = self.loader.read_file(key)
-                if len(content) > _MOST_TEXTURE:
-                    raise MeshError(f"{key} has more than {_MOST_TEXTURE} bytes, expected a smaller image", "file_too_large")
-                self.images[key] = content
+                self.images[key] = self.loader.read_file(key, _MOST_TEXTURE)
             except MeshError as error:
                 self.images[key] = None
                 self._note(_TEXTURE_CODES.get(error.code, "texture_invalid"), f"{error}; the surface keeps its colour alone")

@@ -2,10 +2,10 @@
 
 import json
 import os
-import select
 import subprocess
 import sys
 from dataclasses import asdict, dataclass
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -94,11 +94,10 @@ class LayerScanner:
         try:
             process.stdin.write(json.dumps(path).encode() + b"\n")
             process.stdin.flush()
-            is_ready, _, _ = select.select([process.stdout], [], [], _SECONDS)
-            line = process.stdout.readline(_MOST_ANSWER) if is_ready else None
+            line = process.stdout.readline(_MOST_ANSWER) if wait([process.stdout.fileno()], _SECONDS) else None
         except OSError:
             line = b""
-        if not line:
+        if not line or not line.endswith(b"\n"):
             self._stop()
             found = f"was not read in {_SECONDS:.0f} s" if line is None else "ends the process that reads it"
             raise MeshError(f"{quote_value(path)} {found}, expected a valid layer; export it again", "model_unreadable")

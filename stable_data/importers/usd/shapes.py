@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import MeshError
-from stable_data.geometry.mesh import Mesh, is_closed, joined_corners
+from stable_data.geometry.mesh import Mesh, area_vectors, is_closed, joined_corners
 from stable_data.geometry.primitive_shapes import box_triangles, capsule_triangles, cylinder_triangles, sphere_triangles
 from stable_data.json_text import quote_value
 from stable_data.scene import FloatArray, IntArray
@@ -144,7 +144,7 @@ def _is_ear(flat: FloatArray, ear: tuple[int, int, int], left: list[int]) -> boo
 
 
 def simple_shape(prim: Any, time: Any) -> FloatArray | None:
-    """Triangles (F, 3, 3) of a cube, sphere, cylinder or capsule in the frame of its prim; None for other prims.
+    """Triangles (F, 3, 3) of a cube, sphere, cylinder, capsule or cone in the frame of its prim; None for other prims.
 
     Raises:
         MeshError: ``model_unreadable``: a size is not more than 0.
@@ -162,13 +162,21 @@ def simple_shape(prim: Any, time: Any) -> FloatArray | None:
         return box_triangles() * size(UsdGeom.Cube(prim).GetSizeAttr())
     if prim.IsA(UsdGeom.Sphere):
         return sphere_triangles() * size(UsdGeom.Sphere(prim).GetRadiusAttr())
-    for kind, make in ((UsdGeom.Cylinder, cylinder_triangles), (UsdGeom.Capsule, capsule_triangles)):
+    for kind, make in ((UsdGeom.Cylinder, cylinder_triangles), (UsdGeom.Capsule, capsule_triangles), (UsdGeom.Cone, _cone)):
         if prim.IsA(kind):
             shape = kind(prim)
             upright = make(size(shape.GetRadiusAttr()), size(shape.GetHeightAttr()))
             order = _ROUND_AXES.get(str(shape.GetAxisAttr().Get(time)), (0, 1, 2))
             return upright[..., order]
     return None
+
+
+def _cone(radius: float, height: float) -> FloatArray:
+    """A cone about the origin along z, (F, 3, 3): a cylinder whose upper rim is one point."""
+    triangles = cylinder_triangles(radius, height)
+    triangles[triangles[..., 2] > 0, :2] = 0
+    kept: FloatArray = triangles[np.linalg.norm(area_vectors(triangles), axis=1) > 0]
+    return kept
 
 
 def collision_shape(prim: Any, triangles: FloatArray) -> Mesh | None:

@@ -235,13 +235,21 @@ def test_simple_shapes(tmp_path: Path, axis: str) -> None:
         shape.CreateHeightAttr(3)
         UsdPhysics.CollisionAPI.Apply(shape.GetPrim())
     UsdPhysics.CollisionAPI.Apply(UsdGeom.Sphere.Define(stage, "/Thing/sphere").GetPrim())
-    UsdGeom.Cone.Define(stage, "/Thing/cone")
+    cone = UsdGeom.Cone.Define(stage, "/Thing/cone")
+    cone.CreateAxisAttr(axis)
+    UsdPhysics.CollisionAPI.Apply(cone.GetPrim())
+    UsdGeom.Points.Define(stage, "/Thing/points")
     save(stage)
     asset = read(tmp_path)
     along = "XYZ".index(axis)
     sizes = [np.ptp(surface.triangles.reshape(-1, 3), axis=0).round(9).tolist() for surface in asset.surfaces]
-    assert sizes == [[3.0 if k == along else 1.0 for k in range(3)], [4.0 if k == along else 1.0 for k in range(3)], [2.0] * 3]
-    assert [round(float(signed_volumes(c.triangles).sum()), 1) for c in asset.colliders] == [2.3, 2.9, 4.2]
+    assert sizes == [
+        [3.0 if k == along else 1.0 for k in range(3)],
+        [4.0 if k == along else 1.0 for k in range(3)],
+        [2.0] * 3,
+        [2.0] * 3,
+    ]
+    assert [round(float(signed_volumes(c.triangles).sum()), 1) for c in asset.colliders] == [2.3, 2.9, 4.2, 2.1]
     assert all(is_closed(collider) for collider in asset.colliders)
     assert [notice.code for notice in asset.notices] == ["prim_left_out"]
 
@@ -668,6 +676,20 @@ def test_few_words_that_ask_for_many_prims(tmp_path: Path) -> None:
     )
     text = f'#usda 1.0\n(defaultPrim = "T")\ndef Xform "T" (references = </L0>) {{}}\n{levels}class "L12" {{}}\n'
     (tmp_path / "thing.usda").write_text(text)
+    assert refusal(tmp_path).code == "mesh_too_large"
+    hidden = text.replace("references = </L1>", "references = </Wrap/part>") + 'class "Wrap" (references = </Deep>) {}\n'
+    (tmp_path / "thing.usda").write_text(hidden + 'class "Deep" {\ndef "part" (references = </L1>) {}\n}\n')
+    assert refusal(tmp_path).code == "mesh_too_large"
+
+
+def test_sublayers_that_multiply(tmp_path: Path) -> None:
+    for k in range(12):
+        names = ", ".join(f"@l{k + 1}{side}.usda@" for side in "ab")
+        for side in "ab":
+            (tmp_path / f"l{k}{side}.usda").write_text(f"#usda 1.0\n(subLayers = [{names}])\n" if k < 11 else "#usda 1.0\n")
+    (tmp_path / "thing.usda").write_text(
+        '#usda 1.0\n(defaultPrim = "T"\nsubLayers = [@l0a.usda@, @l0b.usda@])\ndef Cube "T" {}\n'
+    )
     assert refusal(tmp_path).code == "mesh_too_large"
 
 
