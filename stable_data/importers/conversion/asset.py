@@ -190,7 +190,7 @@ def convert(
     notices += scale.notices
 
     progress.step = "mesh"
-    made = _made(asset, source, scale.unit_m, settings.max_faces)
+    made = _made(asset, source, scale.unit_m, moved * scale.unit_m, settings.max_faces)
     notices += made.notices
 
     progress.step = "parts"
@@ -217,11 +217,14 @@ def convert(
     notices += odd
     mass = _mass_columns(inertial, made)
 
+    friction, odd = _friction(asset)
+    notices += odd
+
     progress.step = "rest"
     known = context.sizes.find(name.category)
     poses, rest_source = resting_poses(
         made.mesh,
-        given=asset.rest_quats,
+        given=tuple(quat for quat in asset.rest_quats if _unit(quat) is not None),
         is_upright=asset.is_upright,
         upright=None if known is None else known[0].upright,
         center_of_mass=np.array(mass["center_of_mass"]),
@@ -238,13 +241,13 @@ def convert(
         **scale.columns(float(made.mesh.extents.max())),
         **_rest_columns(poses, rest_source, made.mesh),
         **mass,
-        "friction": None if asset.friction is None else list(asset.friction),
+        "friction": friction,
         "on_table": not asset.is_static,
         "is_static": asset.is_static,
         "mark_deletion": False,
         "is_composite": False,
         "is_graspable": float(made.mesh.extents.min()) <= _GRASPABLE,
-        "front": None if asset.front is None else list(asset.front),
+        "front": None if asset.front is None else _unit(asset.front),
         "geometry_hash": shape_hash(source),
         "mesh_sha256": file["sha256"],
     }
@@ -257,7 +260,7 @@ def convert(
         **look,
         "parts_source": parts_source,
         "source_faces": sum(len(surface.triangles) for surface in asset.surfaces),
-        "source_reduction": made.reduction + moved * scale.unit_m,
+        "source_reduction": made.reduction,
     }
     return ConvertedAsset(asset_row, mesh_row, textures, (*notices, *odd))
 
@@ -275,15 +278,15 @@ class _MadeMesh:
     notices: tuple[Notice, ...]
 
 
-def _made(asset: SourceAsset, source: Mesh, unit_m: float, max_faces: int) -> _MadeMesh:
-    """Reduces, repairs, centres and paints a welded mesh."""
+def _made(asset: SourceAsset, source: Mesh, unit_m: float, clustered: float, max_faces: int) -> _MadeMesh:
+    """Reduces, repairs, centres and paints a welded mesh; ``clustered`` is the distance, metres, by which it was moved before."""
     notices: tuple[Notice, ...] = ()
     reduced, moved = reduce_mesh(Mesh(source.vertices * unit_m, source.faces), max_faces)
+    moved += clustered
     if moved > 0:
-        message = (
-            f"asset {asset.asset_id}: its mesh has {len(source.faces)} triangles, expected at most {max_faces}; it was reduced and moved "
-            f"by up to {1000 * moved:.3g} mm"
-        )
+        num = sum(len(surface.triangles) for surface in asset.surfaces)
+        message = f"asset {asset.asset_id}: its mesh has {num} triangles, expected at most {max_faces}; it was reduced to "
+        message += f"{len(reduced.faces)} and moved by up to {1000 * moved:.3g} mm"
         notices += (Notice(asset.asset_id, "mesh", "mesh_reduced", message),)
     # Duplicates are dropped here, so that the repair leaves the box, and with it the centre, as it is.
     vertices, faces = drop_unused_vertices(reduced.vertices, drop_duplicate_faces(reduced.faces))
@@ -326,6 +329,8 @@ def _part_columns(asset: SourceAsset, made: _MadeMesh, *, decomposes: bool) -> t
 
 
 def _is_convex(collider: Mesh) -> bool:
+    if not (len(collider.faces) and np.isfinite(collider.vertices).all() and collider.extents.min() > 0):
+        return False
     volume = float(signed_volumes(collider.triangles).sum())
     try:
         return float(signed_volumes(hull_of_mesh(collider).triangles).sum()) <= _CONVEX * abs(volume)
@@ -380,6 +385,22 @@ def _mass_columns(inertial: Inertial, made: _MadeMesh) -> schemas.Row:
         **({} if inertia is None else {"inertia_per_mass": (inertia / inertial.mass).ravel().tolist()}),
         "inertia": None if inertia is None else inertia.ravel().tolist(),
     }
+
+
+def _friction(asset: SourceAsset) -> tuple[list[float] | None, tuple[Notice, ...]]:
+    if asset.friction is None or all(0 <= value < math.inf for value in asset.friction):
+        return None if asset.friction is None else list(asset.friction), ()
+    message = (
+        f"asset {asset.asset_id}: friction is {asset.friction}, expected finite values of at least 0; the usual one is used"
+    )
+    return None, (Notice(asset.asset_id, "inertial", "friction_invalid", message),)
+
+
+def _unit(values: Sequence[float]) -> list[float] | None:
+    """A vector or quaternion of unit length; None if it has no direction."""
+    vector = np.asarray(values, np.float64)
+    length = float(np.linalg.norm(vector))
+    return (vector / length).tolist() if 1e-9 < length < math.inf else None
 
 
 def _look(

@@ -16,7 +16,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.convex_decomposition import hull_of_mesh
 from stable_data.geometry.hollow import Hollow, upward_hollow
 from stable_data.geometry.mesh import Mesh
-from stable_data.rotations import heading, quat_of, rotation_matrix, tilt_of
+from stable_data.rotations import heading, normalise_quat, quat_of, rotation_matrix, tilt_of
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Tabletop
 
 _MOST_POSES = 8
@@ -102,7 +102,9 @@ def resting_poses(
     """
     if given:
         weights = range(len(given), 0, -1)
-        return tuple(RestingPose(_canonical(rotation_matrix(q)), n) for q, n in zip(given, weights, strict=True)), "given"
+        return tuple(
+            RestingPose(_canonical(rotation_matrix(normalise_quat(q))), n) for q, n in zip(given, weights, strict=True)
+        ), "given"
     own = _Candidate(np.eye(3), 0.0, is_source=True)
     if not searches:
         return (RestingPose(UPRIGHT, 1),), "up_axis"
