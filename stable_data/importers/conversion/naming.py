@@ -106,6 +106,11 @@ def related_categories(category: str) -> Iterator[str]:
     yield from dict.fromkeys(found)
 
 
+def _mentions(text: str, words: Iterable[str]) -> bool:
+    """Whether a text has one of some words, in the singular or the plural."""
+    return not set(singular(tuple(type_words(text)))).isdisjoint(singular(tuple(words)))
+
+
 class Vocabulary:
     """The categories that are known, and the names that mean them.
 
@@ -157,6 +162,8 @@ class Vocabulary:
         """Names an asset."""
         words, head = words_of_name(asset.name, asset.source_set)
         stated, phrase = asset.description.strip(), " ".join(words)
+        if words and not asset.category and not _mentions(stated, words):
+            stated = ""  # it is about the file, such as who converted it
         description, description_source = (stated, "given") if stated else (phrase, "name" if phrase else None)
         category, category_source, likeness = self._category(asset, words, head)
         return Name(category, category_source, description, description_source, likeness)

@@ -70,6 +70,14 @@ def test_what_the_source_states_counts_first() -> None:
     assert named("x_17", tags=("ceramic", "teapot")) == ("teapot", "given")
 
 
+def test_a_description_of_the_file_is_not_one_of_the_thing() -> None:
+    about_file = "This model has been converted from another set. Distributed under a free licence."
+    found = VOCABULARY.name(SourceAsset("a", "ycb_025_mug", (), description=about_file))
+    assert (found.description, found.description_source) == ("mug", "name")
+    found = VOCABULARY.name(SourceAsset("a", "ycb_025_mug", (), description="striped", category="mug"))
+    assert (found.description, found.description_source) == ("striped", "given")
+
+
 def test_accents_are_letters_and_words_of_the_set_are_left_out() -> None:
     assert words_of_name("Tasse_\u00e9t\u00e9")[0] == ("tasse", "ete")
     assert words_of_name("KayKit_mug_b", "KayKit Restaurant")[0] == ("mug",)
