@@ -13,9 +13,17 @@ import numpy as np
 from stable_data.errors import MeshError, Notice
 from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary, asset_id_of, renamed_notice
+from stable_data.importers.formats.model_xml import (
+    inertia_of,
+    linear_colour,
+    numbers,
+    pose_matrix,
+    positive,
+    rotation_of_rpy,
+    text_of,
+)
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
 from stable_data.importers.mesh_files import SUFFIXES, files_beside
-from stable_data.importers.model_xml import inertia_of, linear_colour, numbers, pose_matrix, positive, rotation_of_rpy, text_of
 from stable_data.importers.rigid_models import WORLD, Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licence_of_file, licence_of_text
