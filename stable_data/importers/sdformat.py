@@ -33,6 +33,7 @@ from stable_data.scene import FloatArray
 
 CONFIG = "model.config"
 _DEPTH = 8  # of includes
+_MOST_FRAMES = 100  # that are relative to each other in a row
 _OF_A_MODEL = (
     *SUFFIXES,
     ".mtl",
@@ -302,7 +303,7 @@ class _ModelElement:
         """Pose of a frame in the frame of the model, (4, 4)."""
         if name == _MODEL:
             return np.eye(4)
-        if name in trail:
+        if name in trail or len(trail) > _MOST_FRAMES:
             raise self.file.fail(f"frame {name} is relative to itself", "frames that end at the model", "cyclic_reference")
         if name not in self.frames:
             raise self.file.fail(
