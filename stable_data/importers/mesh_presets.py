@@ -23,6 +23,9 @@ _GENERIC = re.compile(
 )
 _YCB_FOLDER = re.compile(r"^\d{3}(?:-[a-z])?_")
 _SCANS = ("google_16k", "google_64k", "google_512k", "tsdf", "poisson")
+_PROPERTY = re.compile(r"^([A-Za-z]{1,40})(?:#(\d{1,6}))?[ \t]*=([^\r\n]*)", re.MULTILINE)
+_UNICODE_ESCAPE = re.compile(r"\\u([0-9a-fA-F]{4})")
+_MOST_CATALOGUE = 16 * 2**20  # bytes of a catalogue of furniture
 _MOST_METADATA = 512 * 2**20  # bytes of a file of annotations after it is unpacked
 
 
@@ -166,12 +169,49 @@ def _kaykit(root: Boundary) -> Iterator[Found]:
             )
 
 
+def _sweethome3d(root: Boundary) -> Iterator[Found]:
+    """``PluginFurnitureCatalog.properties`` of an unpacked ``.sh3f`` of Sweet Home 3D; y up, sizes in centimetres."""
+    for path in root.files((".properties",)):
+        place = PurePosixPath(path)
+        if place.name != "PluginFurnitureCatalog.properties":
+            continue
+        text = Boundary(root.root, root.limits).read_bytes(path, most=_MOST_CATALOGUE).decode("latin-1")
+        items: dict[int, dict[str, str]] = {}
+        title = ""
+        for key, number, value in _PROPERTY.findall(text):
+            plain = _UNICODE_ESCAPE.sub(lambda match: chr(int(match[1], 16)), value).strip()
+            if number:
+                items.setdefault(int(number), {})[key] = plain
+            elif key == "name":
+                title = plain
+        for item in items.values():
+            try:
+                model = root.resolve(item.get("model", "").lstrip("/"), place.parent.as_posix())
+            except MeshError:
+                continue
+            if PurePosixPath(model).suffix.lower() in SUFFIXES and item.get("doorOrWindow") != "true":
+                yield model, item.get("id", ""), _furniture_entry(item, title)
+
+
+def _furniture_entry(item: Mapping[str, str], title: str) -> MeshEntry:
+    entry = MeshEntry(name=item.get("name", ""), set=title, author=item.get("creator", ""))
+    entry["tags"] = words_of(f"{item.get('category', '')},{item.get('tags', '')}")
+    sides = [number_of(item.get(side, "")) for side in ("width", "depth", "height")]
+    size = [0.01 * side for side in sides if side is not None and side > 0]
+    if "modelRotation" not in item:  # else the file is turned before it has this size
+        entry["up"] = "y"
+        if len(size) == 3:
+            entry["size_m"] = size
+    return entry
+
+
 PRESETS: Mapping[str, Callable[[Boundary], Iterator[Found]]] = {
     "objaverse": _objaverse,
     "graspnet_infinite": _graspnet_infinite,
     "graspnet": _graspnet,
     "ycb": _ycb,
     "kaykit": _kaykit,
+    "sweethome3d": _sweethome3d,
 }
 """Presets by name."""
 

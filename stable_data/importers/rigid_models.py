@@ -23,6 +23,9 @@ WORLD = "world"
 
 ShapeKind: TypeAlias = Literal["mesh", "box", "cylinder", "sphere", "capsule", "ellipsoid"]
 
+MOST_LINKS = 2000
+"""Largest number of links of a model."""
+
 _MOST_SHAPES = 2000  # of a model
 _AGREE = 1.1  # ratio of the boxes of what is seen and what collides
 _TORSIONAL, _ROLLING = 0.005, 0.0001  # m; MuJoCo's defaults: neither format states friction of these kinds in its units
@@ -187,12 +190,16 @@ def _connections(model: RigidModel, asset_id: str) -> tuple[int, bool]:
     """Number of joints that can move, and whether one fixes the model to the world.
 
     Raises:
-        MeshError: ``composite``, or ``model_unreadable`` for a joint of a link that is not there.
+        MeshError: ``composite``, ``mesh_too_large``, or ``model_unreadable`` for a joint of a link that is not there.
     """
+    if len(model.links) > MOST_LINKS:
+        message = f"asset {asset_id}: has {len(model.links)} links, expected at most {MOST_LINKS}; simplify it"
+        raise MeshError(message, "mesh_too_large")
     group = {name: name for name in (WORLD, *(link.name for link in model.links))}
 
     def root_of(name: str) -> str:
         while group[name] != name:
+            group[name] = group[group[name]]
             name = group[name]
         return name
 
@@ -299,18 +306,12 @@ def _seen(
     if path and hard and not _boxes_agree(seen, hard):
         turned = tuple(surface for link, shape in visuals for surface in reading.surfaces(link, shape, is_turned=True))
         if _boxes_agree(turned, hard):
-            how = (
-                "z up in spite of its format"
-                if _is_gltf(path)
-                else f"turned from {reading.files[path, _image_of(visuals, path)].up} up"
+            how = "is not turned to z up" if _is_gltf(path) else "is turned to z up"
+            reading.note(
+                "up_axis_ignored", f"{path} {how}, unlike other files of its format: so it fits to the collision shapes"
             )
-            reading.note("up_axis_ignored", f"{path} is read {how}, so that it fits to the collision shapes")
             return turned
     return seen
-
-
-def _image_of(visuals: Sequence[tuple[Link, Shape]], path: str) -> str:
-    return next(shape.image for _, shape in visuals if shape.geometry.path == path)
 
 
 def _is_gltf(path: str) -> bool:

@@ -13,9 +13,17 @@ import numpy as np
 from stable_data.errors import MeshError, Notice
 from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary, asset_id_of, renamed_notice
+from stable_data.importers.formats.model_xml import (
+    inertia_of,
+    linear_colour,
+    numbers,
+    pose_matrix,
+    positive,
+    rotation_of_rpy,
+    text_of,
+)
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
 from stable_data.importers.mesh_files import SUFFIXES, files_beside
-from stable_data.importers.model_xml import inertia_of, linear_colour, numbers, pose_matrix, positive, rotation_of_rpy, text_of
 from stable_data.importers.rigid_models import WORLD, Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licence_of_file, licence_of_text
@@ -25,6 +33,7 @@ from stable_data.scene import FloatArray
 
 CONFIG = "model.config"
 _DEPTH = 8  # of includes
+_MOST_FRAMES = 100  # that are relative to each other in a row
 _OF_A_MODEL = (
     *SUFFIXES,
     ".mtl",
@@ -294,7 +303,7 @@ class _ModelElement:
         """Pose of a frame in the frame of the model, (4, 4)."""
         if name == _MODEL:
             return np.eye(4)
-        if name in trail:
+        if name in trail or len(trail) > _MOST_FRAMES:
             raise self.file.fail(f"frame {name} is relative to itself", "frames that end at the model", "cyclic_reference")
         if name not in self.frames:
             raise self.file.fail(

@@ -11,10 +11,18 @@ import numpy as np
 from stable_data.errors import MeshError, Notice
 from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary, asset_id_of, renamed_notice
+from stable_data.importers.formats.model_xml import (
+    child_of,
+    inertia_of,
+    linear_colour,
+    numbers,
+    pose_matrix,
+    positive,
+    rotation_of_rpy,
+)
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
 from stable_data.importers.mesh_files import files_beside
-from stable_data.importers.model_xml import child_of, inertia_of, linear_colour, numbers, pose_matrix, positive, rotation_of_rpy
-from stable_data.importers.rigid_models import Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
+from stable_data.importers.rigid_models import MOST_LINKS, Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licence_of_file
 from stable_data.json_text import is_unicode, quote_value
@@ -112,6 +120,8 @@ class _UrdfFile:
         elements = {link.get("name", ""): link for link in robot.findall("link")}
         if len(elements) < len(robot.findall("link")) or "" in elements:
             raise self.fail("has two links of one name or one without", "unique names; rename one")
+        if len(elements) > MOST_LINKS:
+            raise self.fail(f"has {len(elements)} links", f"at most {MOST_LINKS}; simplify it", "mesh_too_large")
         joints = [(self._joint(joint), self._origin(joint)) for joint in robot.findall("joint")]
         parents: dict[str, tuple[str, FloatArray]] = {}
         for joint, origin in joints:

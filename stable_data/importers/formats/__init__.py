@@ -1,1 +1,1 @@
-"""Mesh file formats: the content of a file becomes surfaces. Nothing here opens a file; companions are asked for by reference."""
+"""Formats of meshes and models: what the content of a file says. Nothing here opens a file; others are asked for by reference."""

@@ -337,6 +337,31 @@ def test_graspnet_is_metric(tmp_path: Path) -> None:
     assert (asset.asset_id, asset.unit_m, asset.is_upright) == ("007", 1.0, True)
 
 
+def test_sweet_home_states_sizes(tmp_path: Path) -> None:
+    catalogue = (
+        "# comment\nname=Set\nid#1=Set#cup\nname#1=Tasse \\u00e9\ncategory#1=Kitchen\ntags#1=Set, Cup\nmodel#1=/set/cup/cup.obj\n"
+        "width#1=8\ndepth#1=9.5\nheight#1=10\ncreator#1=Ann\n"
+        "id#2=Set#door\nname#2=Door\nmodel#2=/set/cup/cup.obj\ndoorOrWindow#2=true\n"
+        "id#3=Set#out\nmodel#3=/../../secret.obj\nid#4=Set#turned\nname#4=Turned\nmodel#4=/set/b.obj\nmodelRotation#4=1 0 0\nwidth#4=1\n"
+    )
+    obj = SQUARE + "f 1 2 3\n"
+    files: dict[str, str | bytes] = {
+        "in/x/PluginFurnitureCatalog.properties": catalogue,
+        "in/x/PluginFurnitureCatalog_fr.properties": catalogue,
+        "in/x/set/cup/cup.obj": obj,
+        "in/x/set/b.obj": obj,
+        "in/x/LICENSE.TXT": "This file is under the Creative Commons Attribution 3.0 license",
+        "secret.obj": obj,
+    }
+    read = assets(write(tmp_path, files) / "in", preset="sweethome3d")
+    assert sorted(read) == ["Set_cup", "Set_turned"]
+    cup = read["Set_cup"]
+    assert (cup.name, cup.tags, cup.author, cup.source_set) == ("Tasse é", ("Kitchen", "Set", "Cup"), "Ann", "Set")
+    assert cup.size_m == pytest.approx((0.08, 0.095, 0.1))
+    assert [licence.where for licence in cup.licences] == ["x/LICENSE.TXT"]
+    assert (read["Set_turned"].size_m, read["Set_turned"].is_upright) == (None, False)
+
+
 def test_presets_that_do_not_fit_are_said(tmp_path: Path) -> None:
     for preset in ("none", "ycb", "objaverse", "kaykit"):
         with pytest.raises(ConfigError, match=preset):

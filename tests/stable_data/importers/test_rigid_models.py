@@ -448,6 +448,18 @@ def test_a_small_file_cannot_ask_for_endless_triangles(tmp_path: Path) -> None:
     assert code_of(tmp_path, sdf(link(shape * 500)), max_faces=1000) == "mesh_too_large"
 
 
+def test_long_chains_end(tmp_path: Path) -> None:
+    frames = "".join(f"<frame name='f{k}'><pose relative_to='f{k + 1}'>0 0 0 0 0 0</pose></frame>" for k in range(3000))
+    far = f"<visual name='v'><pose relative_to='f0'>0 0 0 0 0 0</pose>{BOX}</visual>"
+    assert code_of(tmp_path, sdf(link(far) + frames + "<frame name='f3000'/>")) == "cyclic_reference"
+    links = "".join(f"<link name='{k}'/>" for k in range(3000))
+    joints = "".join(
+        f"<joint name='j{k}' type='fixed'><parent link='{k}'/><child link='{k + 1}'/></joint>" for k in range(2999)
+    )
+    assert code_of(tmp_path, f"<robot>{links}{joints}</robot>", "urdf") == "mesh_too_large"
+    assert code_of(tmp_path, sdf("".join(link("", f"l{k}") for k in range(3000)))) == "mesh_too_large"
+
+
 def test_package_paths_are_found_beside_the_file(tmp_path: Path) -> None:
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "c.stl").write_text(CUBE_STL)
