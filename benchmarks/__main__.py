@@ -58,6 +58,7 @@ def main() -> None:
             # Without a generated run: what scenes of training reach, whose pairs of categories are all known.
             "taste": ([run, run, "--generated-split", "train"], []),
             "chaos": ([], ["--scenes", "16", "--kills", "3", "--per-shard", "2"]),
+            "asset_import": ([data], ["--limit", "6"]),
             "synth": (["--scenes", "200"], ["--scenes", "20"]),
         }
         failed = []

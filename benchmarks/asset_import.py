@@ -1,12 +1,12 @@
 """The import of assets: the speed of each step, and how well scales are estimated where they are hidden.
 
-``python -m benchmarks.asset_import --samples DIR [--data DIR] [--json FILE]``, with ``--samples`` a folder with the source folders
-``gazebo`` (models with a true scale, in SDFormat) and ``gltf_kit`` (a kit without a unit), and ``--data`` a dataset in the MesaTask-10K
-format whose ``truth.json`` says by how much each object was scaled.
+``python -m benchmarks.asset_import DATA [--samples DIR] [--limit N] [--json FILE]``, with DATA a dataset in the MesaTask-10K format,
+and ``--samples`` a folder with the source folders ``gazebo`` (models with a true scale, in SDFormat) and ``gltf_kit`` (a kit without
+a unit).
 
-- Speed: assets of the source folders are read and converted without decomposition; seconds of each step, and assets a minute.
-- Hidden scales: the true unit of each asset is withheld, and all rows of the table of sizes that were measured on the set itself are
-  left out. An estimate is right within a factor of 1.5.
+- Speed: assets are read and converted without decomposition; seconds of each step, and assets a minute.
+- Hidden scales: the true unit of each asset is withheld, and all rows of the table of sizes that were measured on these sets are left
+  out. An estimate is right within a factor of 1.5. For DATA this needs a ``truth.json`` that says by how much each object was scaled.
 - The kit: the longest side that each of its things gets.
 
 Times are processor seconds of this process.
@@ -23,7 +23,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from tqdm import tqdm
 
 from benchmarks.text_table import align_columns
 from models.text_encoder import load_default
@@ -36,8 +35,8 @@ from stable_data.importers.source import ReaderOptions, SourceAsset
 
 _RIGHT = math.log(1.5)
 _MEASURED_ON = ("YCB", "AWS")  # sources of sizes that are the sets of the study
-_FOLDERS = (("gazebo", "sdformat", ReaderOptions()), ("gltf_kit", "mesh", ReaderOptions(preset="kaykit")))
-_SETS = {"kk": "KayKit", "ycb": "YCB", "aws": "AWS RoboMaker", "wrs": "YCB"}
+_KIT = ReaderOptions(preset="kaykit")
+_SETS = {"kk_": "KayKit", "ycb_": "YCB", "aws_": "AWS RoboMaker"}
 _WORST = 10
 
 
@@ -120,11 +119,12 @@ def read_folder(folder: Path, kind: str, options: ReaderOptions) -> Iterator[Sou
             yield reader.read(Boundary(folder), ref, options)
 
 
-def measure_speed(folder: Path, kind: str, options: ReaderOptions, context: ConversionContext) -> tuple[int, dict[str, float]]:
-    """Reads and converts the assets of a folder; returns their number and the seconds of each step."""
-    common = common_scale(list(read_folder(folder, kind, options)), context)
-    settings, timer, num = ConversionSettings(decomposes=False, set_scale=common), StepTimer(), 0
-    for asset in tqdm(read_folder(folder, kind, options), desc=folder.name):
+def measure_speed(
+    assets: Iterator[SourceAsset], common: SetScale | None, context: ConversionContext
+) -> tuple[int, dict[str, float]]:
+    """Converts assets, which are read meanwhile; returns their number and the seconds of each step."""
+    settings, timer, num = ConversionSettings(licence="CC0", decomposes=False, set_scale=common), StepTimer(), 0
+    for asset in assets:
         try:
             convert(asset, settings, context, timer)
         except MeshError as error:
@@ -137,6 +137,21 @@ def measure_speed(folder: Path, kind: str, options: ReaderOptions, context: Conv
 def common_scale(assets: Sequence[SourceAsset], context: ConversionContext) -> SetScale | None:
     """The common unit of those assets whose files state none."""
     return context.set_scale([(a, extents_of(a.surfaces)) for a in assets if a.unit_m is None and a.size_m is None])
+
+
+def library_assets(data: Path, limit: int | None) -> Iterator[SourceAsset]:
+    """Reads the assets of a dataset, without a unit."""
+    annotations: dict[str, Any] = json.loads((data / "Asset_annotation.json").read_text("utf-8"))
+    for path in sorted((data / "Assets_library").glob("*.glb"))[:limit]:
+        note = annotations.get(path.stem, {})
+        try:
+            surfaces = tuple(load_surfaces(path, path.stem))
+        except MeshError as error:
+            print(error)
+            continue
+        yield SourceAsset(
+            path.stem, path.stem, surfaces, category=note.get("category", ""), description=note.get("description", "")
+        )
 
 
 def mesa_assets(data: Path) -> Iterator[tuple[SourceAsset, float]]:
@@ -182,52 +197,67 @@ def study(
     return ScaleStudy(what, len(assets), tuple(found))
 
 
-def studies(samples: Path, data: Path | None, context: ConversionContext) -> Iterator[ScaleStudy]:
-    """The study of hidden scales, by set."""
-    ycb = [
-        (replace(asset, unit_m=None), asset.unit_m or 1.0)
-        for asset in read_folder(samples / "gazebo", "sdformat", ReaderOptions())
-    ]
-    yield study("YCB, Gazebo models, each alone", ycb, context)
-    if data is not None:
+def studies(data: Path, samples: Path | None, context: ConversionContext) -> Iterator[ScaleStudy]:
+    """The studies of hidden scales that the data allow."""
+    if samples is not None:
+        models = list(read_folder(samples / "gazebo", "sdformat", ReaderOptions()))
+        yield study("Gazebo models, each alone", [(replace(a, unit_m=None), a.unit_m or 1.0) for a in models], context)
+    if (data / "truth.json").is_file():
         found = list(mesa_assets(data))
-        yield study("real meshes, each alone", found, context)
-        for name in ("KayKit", "YCB", "AWS RoboMaker"):
-            own = [each for each in found if _SETS.get(each[0].name.split("_")[0]) == name]
-            yield study(f"of which {name}, each alone", own, context)
-            yield study(f"of which {name}, as a set", own, context, common=True)
+        yield study("dataset, each alone", found, context)
+        for prefix, name in _SETS.items():
+            own = [each for each in found if each[0].name.startswith(prefix)]
+            if own:
+                yield study(f"of which {name}, each alone", own, context)
+                yield study(f"of which {name}, as a set", own, context, common=True)
 
 
 def main(
-    samples: Annotated[Path, typer.Option(help="folder with the source folders gazebo and gltf_kit")],
-    data: Annotated[Path | None, typer.Option(help="dataset with truth.json")] = None,
+    data: Annotated[Path, typer.Argument(help="dataset in the MesaTask-10K format")],
+    samples: Annotated[Path | None, typer.Option(help="folder with the source folders gazebo and gltf_kit")] = None,
+    limit: Annotated[int | None, typer.Option(help="largest number of assets of the dataset whose conversion is timed")] = None,
     output: Annotated[Path | None, typer.Option("--json", help="file of the figures")] = None,
 ) -> None:
     """Measures the import of assets."""
     context = ConversionContext(load_default())
     hidden = ConversionContext(context.encoder, without_sizes_of=_MEASURED_ON)
-    context.vocabulary.nearest("a thing"), hidden.sizes.infer_scale("a thing", (1.0, 1.0, 1.0))  # encodes the categories once
-    speed = {folder: measure_speed(samples / folder, kind, options, context) for folder, kind, options in _FOLDERS}
+    for each in (context, hidden):  # encodes the known categories, which a worker does once
+        each.vocabulary.nearest("a thing")
+        each.sizes.infer_scale("a thing", (1.0, 1.0, 1.0))
+    speed = {data.name: measure_speed(library_assets(data, limit), None, context)}
+    kit: list[SourceAsset] = []
+    if samples is not None:
+        kit = list(read_folder(samples / "gltf_kit", "mesh", _KIT))
+        speed["gazebo"] = measure_speed(read_folder(samples / "gazebo", "sdformat", ReaderOptions()), None, context)
+        speed["gltf_kit"] = measure_speed(read_folder(samples / "gltf_kit", "mesh", _KIT), common_scale(kit, context), context)
     for folder, (num, seconds) in speed.items():
         total = sum(seconds.values())
         print(f"\n{folder}: {num} assets, {60 * num / total:.0f} a minute and core")
         print(align_columns([("step", "seconds an asset"), *((k, f"{v / num:.3f}") for k, v in sorted(seconds.items()))], 1))
-    found = list(studies(samples, data, hidden))
+    found = list(studies(data, samples, hidden))
+    print_studies(found)
+    sizes = kit_sizes(kit, context)
+    if sizes:
+        print("\nlongest sides of the kit, cm")
+        print(align_columns([(name, category, f"{100 * size:.1f}") for name, category, size in sizes], 2))
+    if output is not None:
+        figures = {"speed": speed, "hidden": [asdict(each) | {"share": each.share} for each in found], "kit": sizes}
+        output.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+
+
+def print_studies(found: Sequence[ScaleStudy]) -> None:
+    """Prints shares, and the worst estimates of those studies that are no part of another."""
+    if not found:
+        return
     rows = [("hidden scales", "assets", "estimated", "within 1.5", "mean confidence")]
     for each in found:
         mean = f"{np.mean([e.confidence for e in each.found]):.0%}" if each.found else ""
         rows.append((each.what, str(each.num), str(len(each.found)), f"{each.share:.0%}", mean))
     print("\n" + align_columns(rows, 1))
-    for each in found[:2]:
-        print(f"\nworst of: {each.what}")
-        print(align_columns([(e.name, e.category, f"{e.ratio:.2f}", f"{e.confidence:.0%}") for e in each.worst], 2))
-    kit = list(read_folder(samples / "gltf_kit", "mesh", _FOLDERS[1][2]))
-    sizes = kit_sizes(kit, context)
-    print("\nlongest sides of the kit, cm")
-    print(align_columns([(name, category, f"{100 * size:.1f}") for name, category, size in sizes], 2))
-    if output is not None:
-        figures = {"speed": speed, "hidden": [asdict(each) | {"share": each.share} for each in found], "kit": sizes}
-        output.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+    for each in found:
+        if not each.what.startswith("of which"):
+            print(f"\nworst of: {each.what} (estimate divided by truth, confidence)")
+            print(align_columns([(e.name, e.category, f"{e.ratio:.2f}", f"{e.confidence:.0%}") for e in each.worst], 2))
 
 
 def kit_sizes(kit: Sequence[SourceAsset], context: ConversionContext) -> list[tuple[str, str, float]]:

@@ -41,6 +41,7 @@ _ADJECTIVES = frozenset(
         "uncooked", "variant", "vintage", "violet", "white", "wood", "wooden", "yellow",
     )
 )  # fmt: skip
+_HASH = re.compile(r"(?<![^\W_])(?=[0-9a-f]*\d)[0-9a-f]{8,}(?![^\W_])", re.IGNORECASE)  # names of files that are hashes
 _AFTER_THE_HEAD = re.compile(r"(?<![^\W_])(?:with|of|for|from|in|on|by)(?![^\W_])", re.IGNORECASE)
 _BEFORE_OF = ("pair", "set", "pack", "box of", "piece")
 
@@ -75,6 +76,7 @@ def words_of_name(name: str, source_set: str = "") -> tuple[tuple[str, ...], tup
         All words, lower case; and those before a word such as ``with``, or before the first variant, as ``pot`` in ``pot_A_stew``.
     """
     plain = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
+    plain = _HASH.sub(" ", plain)
     left_out = _EMPTY | set(type_words(source_set))
 
     def kept(text: str) -> tuple[str, ...]:
