@@ -1,6 +1,6 @@
 """Retrieval: a batch of queries at once, against one query after the other as in MesaTask.
 
-``python -m benchmarks.retrieval DATASET [--assets 12000] [--queries 1000] [--json FILE]``. The library is the dataset's own,
+``python -m benchmarks.retrieval DATASET [--assets 12000] [--queries 1000] [--json FILE] [--large N]``. The library is the dataset's own,
 repeated with a little noise on features and boxes until it is as large as that of MesaTask-10K. The queries are the words of
 assets drawn from it, with noise of the same kind and boxes up to 20 % off. Both sides get the same encoded queries; the encoding
 is timed separately. Run with ``OMP_NUM_THREADS=1``.
@@ -8,18 +8,26 @@ is timed separately. Run with ``OMP_NUM_THREADS=1``.
 Then objects of the dataset's scenes are searched in its library by their words and boxes, by other words if the annotations have
 some (``captions``), one object of each category by its noun, and objects that are on no table. The figures: how often the same
 asset is found, and how often the floor of the score rejects all assets.
+
+``--large 100000`` measures a large library instead: a run with so many synthetic rows, with sizes and stored sentence embeddings, is
+written to a temporary folder and opened in a new process. The figures: seconds until it can be searched, the milliseconds of a query in
+batches of one scene's objects, and the largest memory of the process.
 """
 
 import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from models.text_encoder import load_default
+from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.catalog import Asset, AssetLibrary, RestingTilt
 from stable_data.assets.retrieval import AssetMatch, AssetQuery, Retriever
 from stable_data.assets.retrieval_settings import RetrievalSettings
@@ -29,9 +37,14 @@ from stable_data.instructions.wording.words import type_words
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import Scene, SceneObject, Vec3
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS, Row
 
 _NOISE = 0.005  # standard deviation of a feature's components before it is normalised: copies have a cosine of 0.99
 _ROUNDS = 5
+_ROWS = 4096  # of a shard of the large run
+_METRE = 0.1  # metres of a mesh unit in the large run
+_SCENE = 14  # objects of a scene, which are searched together
 _ANY_SIZE = (0.2, 0.2, 0.2)
 
 _ABSENT = """
@@ -236,6 +249,99 @@ def recall(data: Path, num_objects: int) -> list[Recall]:
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class LargeLibrary:
+    """The figures of a large library.
+
+    Attributes:
+        num_assets: Number of assets.
+        open_seconds: Processor time until the library can be searched.
+        query_ms: Processor time of a query, by kind of query and size of the batch.
+        imported_mb: Memory of the process before the library is opened.
+        peak_mb: Largest memory of the process.
+    """
+
+    num_assets: int
+    open_seconds: float
+    query_ms: dict[str, float]
+    imported_mb: float
+    peak_mb: float
+
+
+def write_large_run(data: Path, out: Path, num_assets: int) -> None:
+    """Writes a run with the assets of a dataset, repeated with small differences, with sizes and the features of their sentences."""
+    encoder, rng = load_default(), np.random.default_rng(0)
+    library, run = library_of_folder(data).embedded(encoder), RunFolder(str(out))
+    assert library.features is not None
+    blank = {table: dict.fromkeys(SCHEMAS[table].names) for table in ("assets", "meshes")}
+    for start in range(0, num_assets, _ROWS):
+        numbers = np.arange(start, min(num_assets, start + _ROWS))
+        features = _noisy(library.features[numbers % len(library)], rng).astype(np.float16)
+        rows: dict[str, list[Row]] = {"assets": [], "meshes": []}
+        for n, feature in zip(numbers.tolist(), features, strict=True):
+            asset = _jittered(library.assets[n % len(library)], rng)
+            longest = _METRE * max(asset.extents)
+            tilts = [{"tilt_quat_xyzw": list(t.quat_xyzw), "count": max(1, t.count)} for t in asset.tilts]
+            own = {"asset_id": f"{asset.asset_id}-{n}"}
+            words = {"category": asset.category, "description": asset.description, "licence": "CC-BY-4.0"}
+            size = {"extents": list(asset.extents), "size_low": 0.7 * longest, "size_high": 1.4 * longest}
+            text = {"sentence_embedding": feature, "sentence_encoder": encoder.fingerprint}
+            rows["assets"].append(blank["assets"] | own | words | size | text | {"resting_tilts": tilts, "on_table": True})
+            rows["meshes"].append(blank["meshes"] | own | {"sha256": f"{n:064x}", "glb": b""})
+        for table, found in rows.items():
+            run.write_shard(table, f"{start:016x}", found)
+
+
+def measure_large(run: Path, num_queries: int) -> LargeLibrary:
+    """Opens a run as a library and searches it."""
+    imported = _memory_mb("VmRSS")
+    load_default()(["a word"])
+    began = time.process_time()
+    libraries = AssetLibraries([str(run)])
+    retriever = libraries.retriever()
+    seconds = time.process_time() - began
+    (library,) = libraries.libraries
+    rng = np.random.default_rng(1)
+    drawn = [library.assets[k] for k in rng.integers(0, len(library), num_queries).tolist()]
+    boxes = [_times(a.tilts[0].extents, (_METRE * rng.uniform(0.8, 1.2, 3)).tolist()) for a in drawn]
+    kinds = {
+        "of the library": [a.category for a in drawn],
+        "that the library lacks": [ABSENT[k % len(ABSENT)] for k in range(len(drawn))],
+        "unknown": [None] * len(drawn),
+    }
+    figures = {}
+    for name, categories in kinds.items():
+        queries = [
+            AssetQuery(a.words, box, kind, str(k))
+            for k, (a, box, kind) in enumerate(zip(drawn, boxes, categories, strict=True))
+        ]
+        retriever.retrieve(queries)  # encodes the sentences
+        for size in (1, _SCENE):
+            began = time.process_time()
+            for start in range(0, len(queries), size):
+                retriever.retrieve(queries[start : start + size])
+            figures[f"category {name}, {size} at a time"] = round(1000 * (time.process_time() - began) / len(queries), 2)
+    return LargeLibrary(len(library), round(seconds, 2), figures, round(imported), round(_memory_mb("VmHWM")))
+
+
+def _memory_mb(name: str) -> float:
+    lines = Path("/proc/self/status").read_text("utf-8").splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(f"{name}:"))
+
+
+def _print_large(data: Path, num_assets: int, num_queries: int) -> None:
+    with TemporaryDirectory() as folder:
+        write_large_run(data, Path(folder) / "run", num_assets)
+        # A new process, because writing the run needs memory too.
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            found = pool.submit(measure_large, Path(folder) / "run", num_queries).result()
+    print(
+        f"{found.num_assets} assets: open after {found.open_seconds} s; {found.peak_mb} MB, of which {found.imported_mb} for the code"
+    )
+    for name, milliseconds in found.query_ms.items():
+        print(f"{name:50} {milliseconds:6.2f} ms a query")
+
+
 def _best_of(way: Callable[[], list[str | None]], rounds: int) -> tuple[list[str | None], float]:
     """Returns the result, and the seconds of the fastest round."""
     found: list[str | None] = []
@@ -253,8 +359,12 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="a dataset in the MesaTask-10K format")
     parser.add_argument("--assets", type=int, default=12_000)
     parser.add_argument("--queries", type=int, default=1_000)
+    parser.add_argument("--large", type=int, help="measure a library of so many synthetic assets instead")
     parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args()
+    if arguments.large:
+        _print_large(arguments.data, arguments.large, arguments.queries)
+        return
     figures, encoding = measure(arguments.data, arguments.assets, arguments.queries)
     print(f"{arguments.queries} queries, {arguments.assets} assets; encoding the queries takes {encoding:.2f} s")
     print(f"{'retrieval':44} {'seconds':>8} {'ratio':>8} {'own category':>13}")

@@ -71,8 +71,12 @@ class AssetFinder:
         if not (new or resized):
             return AssignedEdit(scene, frozenset(o.instance for o in scene.objects))
         without_asset = [o for o in scene.objects if o.instance in new]
-        contents = {r.subject for r in edited.wanted if r.kind is RelationKind.IN}
-        queries = [AssetQuery(o.description, o.size, o.category, edit_id, o.instance in contents) for o in without_asset]
+        within = [r for r in edited.wanted if r.kind is RelationKind.IN]
+        contents, holders = {r.subject for r in within}, {r.target for r in within}
+        queries = [
+            AssetQuery(o.description, o.size, o.category, edit_id, o.instance in contents, o.instance in holders)
+            for o in without_asset
+        ]
         answers = self._retriever.retrieve(queries, seed) if queries else []
         matches: dict[str, AssetMatch] = {}
         notes = []

@@ -9,6 +9,8 @@ from stable_data.errors import Notice
 from stable_data.scene import TABLE, Scene
 from stable_data.scene_graph.support_tree import SupportTree
 
+_INSIDE = 0.002  # metres; things that stand on one another may touch this deep in a layout that nobody corrected yet
+
 STEP = "assets"
 """The step in the notices of this module."""
 
@@ -44,8 +46,11 @@ def assign_assets(
             unusable one.
     """
     requested = [(k, o) for k, scene in enumerate(scenes) for o in scene.objects]
+    holders = [_holders(scene) for scene in scenes]
     queries = [
-        AssetQuery(o.description, o.size, o.category, scenes[k].scene_id, leans=o.support not in (None, TABLE))
+        AssetQuery(
+            o.description, o.size, o.category, scenes[k].scene_id, o.support not in (None, TABLE), o.instance in holders[k]
+        )
         for k, o in requested
     ]
     answers, faults = _retrieve_usable(queries, retriever, seed, fault_of)
@@ -64,6 +69,12 @@ def assign_assets(
         if why:
             notices[k].append(Notice(name, STEP, "asset_unusable", f"{name}: {o.instance} gets another asset; not used: {why}"))
     return [_assigned(*parts) for parts in zip(scenes, matches, unmatched, notices, strict=True)]
+
+
+def _holders(scene: Scene) -> set[str]:
+    """The objects whose top is above the underside of an object that they support, so that this one is in them."""
+    tops = {o.instance: o.bottom + o.size[2] for o in scene.objects}
+    return {o.support for o in scene.objects if o.support is not None and o.bottom < tops.get(o.support, o.bottom) - _INSIDE}
 
 
 def _retrieve_usable(

@@ -42,6 +42,7 @@ _COLUMNS = (
     "on_table",
     "mark_deletion",
     "is_composite",
+    "is_container",
     "size_low",
     "size_high",
 )
@@ -89,6 +90,7 @@ class Asset:
         on_table: Whether the asset belongs on a table.
         mark_deletion: Whether the annotators marked it for deletion.
         is_composite: Whether the mesh contains several objects.
+        is_container: Whether other things can be in it; None if unknown.
         size_range: Smallest and largest length that the longest side of the mesh's box may have in a scene, metres; equal if the
             size is exact. None: any size.
     """
@@ -104,6 +106,7 @@ class Asset:
     on_table: bool = True
     mark_deletion: bool = False
     is_composite: bool = False
+    is_container: bool | None = None
     size_range: tuple[float, float] | None = None
 
     @property
@@ -227,6 +230,7 @@ def _asset_of_row(row: Row, extents: Vec3, tilts: tuple[RestingTilt, ...]) -> As
         on_table=bool(row["resting_tilts"]) if row["on_table"] is None else row["on_table"],
         mark_deletion=row["mark_deletion"] is True,
         is_composite=row["is_composite"] is True,
+        is_container=row["is_container"],
         size_range=_size_range(row["size_low"], row["size_high"]),
     )
 

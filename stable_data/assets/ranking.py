@@ -86,15 +86,17 @@ class WantedBoxes:
         shapes: Proportions, (B, 3).
         lengths: Diagonals, metres, (B,).
         leans: Whether the object of the query may lean on its support, (B,).
+        holds: Whether another object is in it, (B,).
     """
 
     shapes: FloatArray
     lengths: FloatArray
     leans: BoolArray
+    holds: BoolArray
 
     def of(self, rows: IntArray | slice) -> "WantedBoxes":
         """Returns the boxes of some queries, in the given order."""
-        return WantedBoxes(self.shapes[rows], self.lengths[rows], self.leans[rows])
+        return WantedBoxes(self.shapes[rows], self.lengths[rows], self.leans[rows], self.holds[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +126,7 @@ class AssetScores:
     Attributes:
         assets: The N assets that may be chosen.
         has_sizes: Whether the size of an asset is limited.
+        is_limited: Whether an asset may not fit: its size is limited, or it is no container.
         names_category: As in :class:`~stable_data.assets.catalog.AssetLibrary`.
     """
 
@@ -144,6 +147,8 @@ class AssetScores:
         self._first_tilt = np.cumsum(self._num_tilts) - self._num_tilts
         self._limits = np.array([_scale_limits(a, settings.metric_slack) for a in self.assets]).reshape(-1, 2)
         self.has_sizes = bool(np.isfinite(self._limits[:, 1]).any())
+        self._is_closed = np.array([a.is_container is False for a in self.assets], np.bool_)
+        self.is_limited = self.has_sizes or bool(self._is_closed.any())
         self._categories = sorted({a.category for a in self.assets})
         number = {category: k for k, category in enumerate(self._categories)}
         self._category = np.array([number[a.category] for a in self.assets], np.int64)
@@ -166,10 +171,11 @@ class AssetScores:
         categories: Sequence[str | None],
         tickets: Tickets,
         leans: BoolArray,
+        holds: BoolArray,
         without: Sequence[Collection[str]],
         *,
         least: NounFit = NounFit.OTHER,
-        fits_size: bool = False,
+        must_fit: bool = False,
     ) -> RankedAssets:
         """Chooses the best asset and its resting tilt for each query.
 
@@ -179,20 +185,22 @@ class AssetScores:
             categories: Requested categories, None if unknown.
             tickets: Random bits that decide between equals, (B,) uint64.
             leans: Whether the object of the query may lean on its support, (B,).
+            holds: Whether another object is in the object of the query, (B,).
             without: Ids of excluded assets, for each query.
             least: An asset may be chosen if its noun fits the category at least so well.
-            fits_size: Whether an asset is left out that would be more than :data:`LARGEST_MISFIT` larger or smaller than the box.
+            must_fit: Whether an asset is left out that would be more than :data:`LARGEST_MISFIT` larger or smaller than the box, or that is
+                no container where one is needed.
         """
-        boxes, barred = WantedBoxes(box_proportions(wanted), diagonal(wanted), leans), self._barred(without)
+        boxes, barred = WantedBoxes(box_proportions(wanted), diagonal(wanted), leans, holds), self._barred(without)
         found = RankedAssets.empty(len(features))
         for rows, cols in self._groups(categories, least):
-            size = max(1, min(_BLOCK, (_MAX_PAIRS if fits_size and self.has_sizes else _MAX_SCORES) // max(1, len(cols))))
+            size = max(1, min(_BLOCK, (_MAX_PAIRS if must_fit and self.has_sizes else _MAX_SCORES) // max(1, len(cols))))
             for start in range(0, len(rows), size):
                 block = rows[start : start + size]
                 fits = np.stack([self._category_fits(categories[k] or "") for k in block.tolist()])[:, self._category[cols]]
                 own = self._barred_places(block, cols, barred)
                 part = self._choose(
-                    features[block], boxes.of(block), fits, tickets[block], own, cols, fits_size=fits_size, nearest=not least
+                    features[block], boxes.of(block), fits, tickets[block], own, cols, must_fit=must_fit, nearest=not least
                 )
                 found.put(block, part)
         return found
@@ -255,7 +263,7 @@ class AssetScores:
         barred: Sequence[tuple[int, int]],
         cols: IntArray,
         *,
-        fits_size: bool,
+        must_fit: bool,
         nearest: bool,
     ) -> RankedAssets:
         """Chooses for a block of queries among the assets ``cols``, (M,); ``barred`` has the excluded pairs.
@@ -265,7 +273,7 @@ class AssetScores:
         rough = self._rough(features, cols)
         for k, n in barred:
             rough[k, n] = _BARRED
-        if fits_size:
+        if must_fit:
             rough[self._is_misfit(cols, boxes)] = _BARRED
         rows, places, text = self._candidates(rough, fits >= NounFit.KIND, features, boxes, cols)
         size, rows, places, text = self._best(rows, places, text, features, boxes, cols)
@@ -286,14 +294,14 @@ class AssetScores:
         return found
 
     def _is_misfit(self, cols: IntArray, boxes: WantedBoxes) -> BoolArray:
-        """Whether assets of a limited size would be much larger or smaller than a requested box, (B, M)."""
-        found = np.zeros((len(boxes.shapes), len(cols)), np.bool_)
+        """Whether assets would be much larger or smaller than a requested box, or cannot hold what is in it, (B, M)."""
+        found = boxes.holds[:, None] & self._is_closed[cols]
         limited = np.flatnonzero(np.isfinite(self._limits[cols, 1]))
         if len(limited):
             rows, places = (g.ravel() for g in np.meshgrid(np.arange(len(found)), limited, indexing="ij"))
             poses = self._poses(cols[places], boxes.of(rows))
             least = np.minimum.reduceat(np.where(poses.cosines > 0, poses.misfits, np.inf), poses.starts)
-            found[rows, places] = least > math.log(LARGEST_MISFIT)
+            found[rows, places] |= least > math.log(LARGEST_MISFIT)
         return found
 
     def _candidates(

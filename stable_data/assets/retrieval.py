@@ -27,7 +27,7 @@ from stable_data.scene import QuatXyzw, Vec3
 _PROBED = 32  # assets whose words are encoded again to check whether features of unknown origin are from this encoder
 _MOST_TEXTS = 20_000  # texts whose features are cached: 31 MB with 384 numbers each
 _PASSES = ((NounFit.KIND, True), (NounFit.KIND, False), (NounFit.POSSIBLE, False), (NounFit.OTHER, False))
-"""Searches of all libraries, in order: how well the noun must fit at least, and whether the size must fit too."""
+"""Searches of all libraries, in order: how well the noun must fit at least, and whether the asset must fit in size and use too."""
 
 _RELATED = 0.5  # minimum mean cosine in this check; with another encoder it is about 0
 
@@ -44,6 +44,7 @@ class AssetQuery:
         key: Decides between equally good assets together with the seed. With different keys, such as ``scene_id/instance``,
             equal queries may get different assets; with one key for a scene they get the same asset.
         leans: Whether another object supports it, so that it may lean; otherwise only observed tilts are used.
+        holds: Whether another object is in it, so that an asset which is known to be no container does not fit.
         without: Ids of excluded assets.
     """
 
@@ -52,6 +53,7 @@ class AssetQuery:
     category: str | None = None
     key: str = ""
     leans: bool = False
+    holds: bool = False
     without: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
@@ -144,7 +146,8 @@ Answer: TypeAlias = AssetMatch | UnmatchedQuery
 class Retriever:
     """Finds assets in libraries, which are searched in order; the first match is used.
 
-    All libraries are searched for the wanted thing or a kind of it whose size is near the requested one; then for one of any size;
+    All libraries are searched for the wanted thing or a kind of it whose size is near the requested one, and which can hold what is in
+    it; then for any one;
     then for what may be the thing; and only then for another thing.
 
     Args:
@@ -229,11 +232,11 @@ class Retriever:
         """Returns the answers, and after how many searches of a library each was found."""
         answers: list[tuple[Answer, int]] = [(_wordless(), 0) for _ in queries]
         waiting = [k for k, query in enumerate(queries) if query.sentence()]
-        for number, (least, fits_size) in enumerate(_PASSES):
+        for number, (least, must_fit) in enumerate(_PASSES):
             for place, (name, scores) in enumerate(libraries):
-                # Without a category any noun fits, so that one search is enough. Where no size is limited, all sizes fit.
+                # Without a category any noun fits, so that one search is enough. Where nothing is limited, everything fits.
                 asked = [k for k in waiting if queries[k].category or least is NounFit.OTHER]
-                if not asked or (number == 1 and not scores.has_sizes):
+                if not asked or (number == 1 and not scores.is_limited):
                     continue
                 asked_queries = [queries[k] for k in asked]
                 choices = scores.choose(
@@ -242,9 +245,10 @@ class Retriever:
                     [query.category for query in asked_queries],
                     np.array([tie_break_number(seed, query.key, query.sentence()) for query in asked_queries], np.uint64),
                     np.array([query.leans for query in asked_queries], np.bool_),
+                    np.array([query.holds for query in asked_queries], np.bool_),
                     [query.without for query in asked_queries],
                     least=least,
-                    fits_size=fits_size,
+                    must_fit=must_fit,
                 )
                 order = number * len(libraries) + place
                 for k, answer in zip(asked, self._read(name, scores, choices, asked_queries), strict=True):

@@ -89,6 +89,7 @@ def _annotated(annotation: AssetAnnotation, uid: str, extents: Vec3, tilts: tupl
         on_table=annotation.on_table,
         mark_deletion=annotation.mark_deletion,
         is_composite=annotation.is_composite,
+        is_container=annotation.is_container,
     )
 
 

@@ -19,6 +19,7 @@ from pipelines.sources import assets
 from pipelines.sources.asset_copies import CopyAssets
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
+from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.embedded_world.library import NAME as EMBEDDED
@@ -275,3 +276,33 @@ def test_the_embedded_library_serves_where_others_have_nothing(dataset: Path) ->
 def test_a_folder_of_assets_alone_is_a_library(dataset: Path, tmp_path: Path) -> None:
     shutil.copytree(dataset, tmp_path / "assets", ignore=shutil.ignore_patterns("Layout_info"))
     assert len(AssetLibraries([str(tmp_path / "assets")]).libraries[0])
+
+
+def test_licences_are_told_once_for_each_library(library: Path) -> None:
+    shelf = AssetLibraries([str(library), EMBEDDED])
+    (own,) = (found for found in shelf.libraries if found.name != EMBEDDED)
+    count = sum(a.is_offered for a in own.assets)
+    annotations = library / "Asset_annotation.json"
+    raw = json.loads(annotations.read_text("utf-8"))
+    for k, asset in enumerate(a for a in own.assets if a.is_offered):
+        raw[asset.asset_id]["licence"] = "CC BY-NC 4.0" if k else "some words"
+    annotations.write_text(json.dumps(raw), "utf-8")
+    shelf = AssetLibraries([str(library), EMBEDDED])
+    (notice,) = shelf.licence_notices(RetrievalSettings())
+    assert (notice.item_id, notice.code) == (own.name, "licence_unknown")
+    assert notice.message.startswith(f"library {own.name}: of {count} assets 1 state no known licence")
+    first, _ = shelf.licence_notices(RetrievalSettings(licences=frozenset({"CC0"})))
+    assert first.code == "licence_barred"
+    assert f"of {count} assets {count} are left out" in first.message
+    assert f"CC BY-NC 4.0 ({count - 1}), some words (1)" in first.message
+
+
+def test_what_is_served_is_what_libraries_of_others_have(library: Path) -> None:
+    shelf = AssetLibraries([str(library), EMBEDDED])
+    (own,) = (found for found in shelf.libraries if found.name != EMBEDDED)
+    serves = shelf.serves(RetrievalSettings())
+    assert all(serves(a.category) for a in own.assets if a.is_offered)
+    assert not serves("grand_piano")
+    missing = {a.category for a in AssetLibraries().libraries[0].assets} - {a.category for a in own.assets}
+    assert not all(map(serves, missing))
+    assert not AssetLibraries().serves(RetrievalSettings())("mug")

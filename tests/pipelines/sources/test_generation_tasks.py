@@ -2,7 +2,9 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from typer.testing import CliRunner
@@ -10,10 +12,18 @@ from typer.testing import CliRunner
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from models.semantic_reasoner.staged_layout import LayoutTask, task_of_scene
 from pipelines.__main__ import app
-from pipelines.sources.generation_tasks import SampledTask, sample_tasks, task_of_instruction, tasks_of_file, tasks_of_scenes
+from pipelines.generate.settings import GenerateSettings
+from pipelines.sources.generation_tasks import (
+    SampledTask,
+    sample_tasks,
+    served_tasks,
+    task_of_instruction,
+    tasks_of_file,
+    tasks_of_scenes,
+)
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.embedded_world.sampling import sample_task
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Tabletop
 from stable_data.storage.run_folder import RunFolder
@@ -50,6 +60,49 @@ def test_a_kind_of_table_may_be_asked_for() -> None:
         sample_tasks(3, 0, ["moon"])
     with pytest.raises(ConfigError, match="count is 0"):
         sample_tasks(0)
+
+
+SERVED = frozenset({"plate", "fork", "table_knife", "mug", "bowl", "spoon", "drinking_glass", "wine_glass"})
+
+
+def test_drawn_tasks_ask_only_for_what_is_served() -> None:
+    source = served_tasks(sample_tasks(2, 5, ["dressing_table", "dining_table"]), SERVED.__contains__)
+    assert [notice.code for notice in source.odd] == ["table_not_served"]
+    assert [notice.item_id for notice in source.odd] == ["dressing_table"]
+    assert [task.scene_id for task in source.tasks] == [f"dining_table_{k:05d}_seed5" for k in range(2)]
+    tasks = [task.sample(SERVED.__contains__) for task in source.tasks if isinstance(task, SampledTask)]
+    for task in tasks:
+        assert task.reference is not None
+        assert all(SERVED & set(r.categories) for r in task.reference.required if r.categories)
+    more = served_tasks(sample_tasks(9, 5, ["dressing_table", "dining_table"]), SERVED.__contains__).tasks
+    assert [task.sample(SERVED.__contains__) for task in more[:2] if isinstance(task, SampledTask)] == tasks
+    (only,) = sample_tasks(1, 5, ["dressing_table"]).tasks
+    assert isinstance(only, SampledTask)
+    with pytest.raises(SceneError, match="the libraries lack an object of each of 51 drawn tasks, such as"):
+        replace(only, is_served=True).sample(SERVED.__contains__)
+
+
+def test_libraries_that_serve_no_task_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"hardly any task of nightstand, expected .* add --assets embedded"):
+        served_tasks(sample_tasks(3, 0, ["nightstand"]), lambda _: False)
+    one = task_of_instruction("Lift it.", "office_table", (120, 60))
+    assert served_tasks(one, lambda _: False) is one  # a task of the user's own is not drawn
+
+
+@pytest.mark.parametrize(
+    ("only_served", "places", "draws"),
+    [
+        ("auto", (), False),
+        ("auto", ("mine",), True),
+        ("auto", ("mine", "embedded"), False),
+        ("always", ("mine", "embedded"), True),
+        ("never", ("mine",), False),
+    ],
+)
+def test_tasks_are_limited_by_default_where_no_library_has_everything(
+    only_served: Literal["auto", "always", "never"], places: tuple[str, ...], draws: bool
+) -> None:
+    assert GenerateSettings(only_served=only_served).draws_served(places) is draws
 
 
 def test_tasks_of_scenes_are_their_instructions_and_tables(dataset: Path, clean_run: Path) -> None:

@@ -37,3 +37,21 @@ def test_a_barred_licence_is_a_notice() -> None:
         "one: mug_0 gets asset other of library first; the best match is asset best of library first, whose licence 'CC BY-NC 4.0' is "
         "not allowed; allow the licence or accept the substitute"
     )
+
+
+def test_what_has_something_in_it_gets_a_container() -> None:
+    flat = thing("flat", "a plate", category="plate", is_container=False)
+    deep = thing("deep", "one plate", category="plate", is_container=True)
+    retriever = Retriever(
+        [library(flat), library(deep, name="second"), library(thing("bowl", "a bowl"), name="third")], BagOfWords()
+    )
+
+    def layout(low: float) -> Scene:
+        plate = SceneObject("plate_0", "plate", (0.5, 0.3, 0.01), 0.0, (0.2, 0.2, 0.02), description="a plate", support="table")
+        bowl = SceneObject(
+            "bowl_0", "bowl", (0.5, 0.3, low + 0.03), 0.0, (0.1, 0.1, 0.06), description="a bowl", support="plate_0"
+        )
+        return Scene("one", Tabletop("office_table", (1.2, 0.6)), (plate, bowl))
+
+    on, within = (assign_assets([layout(low)], retriever)[0].scene.objects[0].asset_id for low in (0.02, 0.008))
+    assert (on, within) == ("flat", "deep")

@@ -14,7 +14,7 @@ from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset, write_text_features
-from stable_data.mesatask.asset_catalog import library_of_folder
+from stable_data.mesatask.asset_catalog import SHOWN_RANGE, library_of_folder
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Tabletop
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row
@@ -97,6 +97,50 @@ def test_features_that_came_with_a_dataset_are_kept_where_they_are(tmp_path: Pat
     assert library_of_run(run).features is None
 
 
+def test_sentence_features_of_a_run_are_read_instead_of_encoded(tmp_path: Path) -> None:
+    encoder = BagOfWords()
+    sentences = {"b": "mug, a box", "a": "bowl, a box"}
+    rows = [
+        row(
+            uid,
+            category=text.split(",")[0],
+            sentence_embedding=encoder([text])[0].astype(np.float16),
+            sentence_encoder=encoder.fingerprint,
+        )
+        for uid, text in sentences.items()
+    ]
+    stored = library_of_run(run_of(tmp_path / "all", *rows))
+    fresh = library_of_run(run_of(tmp_path / "none", *(r | {"sentence_embedding": None} for r in rows)))
+    assert fresh.features is None
+    asked = len(encoder.asked)
+    assert stored.embedded(encoder) is stored
+    assert len(encoder.asked) == asked
+    assert np.abs(np.asarray(stored.features) - np.asarray(fresh.embedded(encoder).features)).max() < 1e-3
+    assert stored.embedded(BagOfWords(1)).encoder_fingerprint == BagOfWords(1).fingerprint  # of another encoder: encoded again
+    assert library_of_run(run_of(tmp_path / "some", *rows, row("c", category="fork"))).features is None
+    odd = rows[0] | {"asset_id": "c", "sentence_embedding": np.ones(5, np.float16)}
+    with pytest.raises(
+        ConfigError, match="column sentence_embedding has 261 numbers for 3 assets, expected rows of one length"
+    ):
+        library_of_run(run_of(tmp_path / "odd", *rows, odd))
+
+
+def test_the_sizes_of_a_run_are_read(tmp_path: Path) -> None:
+    rows = [row("exact", size_low=0.2, size_high=0.2), row("free"), row("odd", size_low=0.3, size_high=0.2)]
+    library = library_of_run(run_of(tmp_path, *rows))
+    assert {a.asset_id: a.size_range for a in library.assets} == {"exact": (0.2, 0.2), "free": None}
+    assert library.left_out == {"odd": "with a size range that is not positive and in order"}
+
+
+def test_some_assets_of_a_library_keep_their_features() -> None:
+    library = AssetLibrary("all", (thing("a", "a mug"), thing("b", "a bowl"))).embedded(BagOfWords())
+    assert library.features is not None
+    assert library.only({"a", "b"}) is library
+    few = library.only({"b"})
+    assert [a.asset_id for a in few.assets] == ["b"]
+    assert np.array_equal(np.asarray(few.features), library.features[1:])
+
+
 def test_a_folder_becomes_a_catalogue(tmp_path: Path) -> None:
     root = folder_of(
         tmp_path / "set",
@@ -132,6 +176,22 @@ def test_scenes_show_how_a_folders_assets_rest(tmp_path: Path) -> None:
     boxes = {tilt.quat_xyzw: tilt.extents for tilt in tilts}
     assert boxes[LAID] == pytest.approx((1.0, 4.0, 2.0))
     assert boxes[lean] == pytest.approx(np.ptp(Rotation.from_quat(lean).apply(BOX.vertices), axis=0))
+
+
+def test_a_folders_assets_keep_to_the_sizes_of_its_scenes_if_asked(tmp_path: Path) -> None:
+    box: dict[str, object] = {"description": "a box", "bbox": {"x": 1.0, "y": 4.0, "z": 2.0}}  # y is up there
+    root = folder_of(tmp_path / "folder", {"seen": box, "unseen": box, "unscaled": box})
+    objects = [
+        SceneObject(f"{k}", "box", (0.0, 0.0, 0.0), 0.0, (0.1, 0.1, 0.1), "seen", scale=(scale, scale, scale))
+        for k, scale in enumerate((0.05, 0.1))
+    ]
+    objects.append(SceneObject("2", "box", (0.0, 0.0, 0.0), 0.0, (0.1, 0.1, 0.1), "unscaled"))
+    scene = Scene("s", Tabletop("desk", (1.0, 1.0)), tuple(objects))
+    found = {a.asset_id: a.size_range for a in library_of_folder(root, scenes=[scene], keeps_sizes=True).assets}
+    assert found["seen"] == pytest.approx((0.2 / SHOWN_RANGE, 0.4 * SHOWN_RANGE))
+    assert found["unseen"] is None
+    assert found["unscaled"] is None
+    assert all(a.size_range is None for a in library_of_folder(root, scenes=[scene]).assets)
 
 
 def test_a_folders_own_features_are_read_without_pickle(tmp_path: Path) -> None:

@@ -231,6 +231,17 @@ def test_what_is_more_than_twice_too_large_comes_after_the_other_libraries() -> 
     assert found(ask(Retriever([first], BagOfWords()), "a plate", (0.1, 0.1, 0.1), "plate")) == "1/plate"  # better than none
 
 
+def test_what_holds_something_is_a_container_if_a_library_has_one() -> None:
+    first = library(thing("1/plate", "a plate", category="plate", is_container=False))
+    second = library(thing("2/plate", "a plate", category="plate", is_container=True), name="second")
+    tool, alone = Retriever([first, second], BagOfWords()), Retriever([first], BagOfWords())
+    served = [
+        found(one.retrieve([AssetQuery("a plate", CUBE, "plate", holds=holds)])[0])
+        for one, holds in ((tool, False), (tool, True), (alone, True))
+    ]
+    assert served == ["1/plate", "2/plate", "1/plate"]
+
+
 def test_sizes_change_no_answer_where_they_are_unknown() -> None:
     plain = Retriever([CROWD], Noise()).retrieve(CROWD_QUERIES, seed=4)
     wide = replace(CROWD, assets=tuple(replace(a, size_range=(1e-9, 1e9)) for a in CROWD.assets))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stable_data.assets.text_embeddings import check_rows, embed_texts
+from stable_data.assets.text_embeddings import check_rows, embed_texts, share_rows
 from stable_data.errors import ConfigError
 from tests.stable_data.assets.bag_of_words import BagOfWords
 
@@ -95,3 +95,20 @@ def test_a_file_that_is_no_cache_is_refused(content: bytes, tmp_path: Path) -> N
 def test_rows_that_cannot_be_compared_are_refused(rows: np.ndarray, what: str) -> None:
     with pytest.raises(ConfigError, match=what):
         check_rows(rows, 2, "here")
+
+
+def test_rows_are_shared_by_a_file_that_is_checked(tmp_path: Path) -> None:
+    rows = BagOfWords()(TEXTS)
+    shared = share_rows(rows, tmp_path / "rows")
+    assert isinstance(shared.base, np.memmap) or isinstance(shared, np.memmap)
+    assert np.array_equal(shared, rows)
+    (file,) = (tmp_path / "rows").iterdir()
+    again = share_rows(rows.copy(), tmp_path / "rows")
+    assert np.array_equal(again, rows)
+    assert [path.name for path in (tmp_path / "rows").iterdir()] == [file.name]
+    file.write_bytes(file.read_bytes()[:-4] + bytes(4))
+    assert share_rows(rows, tmp_path / "rows") is rows  # not what it should be
+    file.write_bytes(b"damaged")
+    assert share_rows(rows, tmp_path / "rows") is rows
+    (tmp_path / "file").write_text("no folder", "utf-8")
+    assert share_rows(rows, tmp_path / "file") is rows
