@@ -192,7 +192,7 @@ def draft_edits(
 @app.command()
 @with_clear_errors
 def lint(
-    folder: Annotated[Path, typer.Argument(help="A folder in the MesaTask-10K format.")],
+    folder: Annotated[Path, typer.Argument(help="A folder in the MesaTask-10K format, or of scene files of MuJoCo or USD.")],
     table: Annotated[Path | None, typer.Option(help="Output file with one row per scene (Parquet).")] = None,
     quiet: Annotated[bool, typer.Option(help="Show no progress bar.")] = False,
 ) -> None:
@@ -202,10 +202,20 @@ def lint(
     some were not; they are listed.
     """
     from stable_data.mesatask.lint import lint_folder, prepare_place
+    from stable_data.mesatask.writing import LAYOUT_FOLDER
 
     if table is not None:
         prepare_place(table)
-    result = lint_folder(folder, progress=not quiet and sys.stderr.isatty())
+    shows_progress = not quiet and sys.stderr.isatty()
+    if folder.is_dir() and not (folder / LAYOUT_FOLDER).exists():
+        from stable_data.importers.scenes.lint import lint_scene_files, scene_candidates
+
+        paths = scene_candidates(folder)
+        result = (
+            lint_scene_files(folder, paths, progress=shows_progress) if paths else lint_folder(folder, progress=shows_progress)
+        )
+    else:
+        result = lint_folder(folder, progress=shows_progress)
     typer.echo(str(result))
     if table is not None:
         result.write(table)

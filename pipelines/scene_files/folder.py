@@ -15,7 +15,8 @@ from pipelines.scene_files.repair import BodyReport, Repair, RepairOptions, repa
 from stable_data.errors import ConfigError, MeshError, SceneError, StableDataError, cannot_write
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.copies import CopyWriter
-from stable_data.importers.scenes.formats import SUFFIXES, is_scene_candidate
+from stable_data.importers.scenes.formats import SUFFIXES
+from stable_data.importers.scenes.lint import scene_candidates
 
 R = TypeVar("R")
 
@@ -127,7 +128,7 @@ def repair_folder(
         ConfigError: The folder does not exist, holds no scene file, or the output cannot be written.
     """
     isolates = paths is None
-    found = list(scene_candidates(root)) if paths is None else list(paths)
+    found = scene_candidates(root) if paths is None else list(paths)
     if not found:
         kinds = ", ".join(sorted(SUFFIXES))
         raise ConfigError(f"{root}: no scene file, expected at least one ({kinds}); check the path", "source_missing")
@@ -150,12 +151,6 @@ def repair_folder(
         is_part = isolates and (verdict.code == "no_free_body" or verdict.path in used)
         if not is_part:
             yield verdict
-
-
-def scene_candidates(root: Path) -> Iterator[str]:
-    """The files of a folder that may be scenes, by their suffix and their first element."""
-    boundary = Boundary(root)
-    return (path for path in boundary.files(SUFFIXES) if is_scene_candidate(root, path))
 
 
 def call_for_file(

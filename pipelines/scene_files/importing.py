@@ -12,7 +12,7 @@ from pipelines.execution.ray_executor import IsolatedProcess
 from pipelines.execution.resume import check_resume, new_manifest, write_manifest
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.preprocess.plan import AssetUseCount, file_digest
-from pipelines.scene_files.folder import call_for_file, scene_candidates
+from pipelines.scene_files.folder import call_for_file
 from pipelines.scene_files.repair import RepairOptions, put_upright
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.store import AssetStore
@@ -21,6 +21,7 @@ from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.formats import SUFFIXES
 from stable_data.importers.scenes.layouts import ImportedScene, scene_source, scenes_of_file
+from stable_data.importers.scenes.lint import scene_candidates
 from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.metrics.audit import audit_scene
@@ -70,7 +71,7 @@ def import_scenes(
     Raises:
         ConfigError: The folder does not exist or holds no scene file, or the run cannot be written or belongs to another import.
     """
-    found = list(scene_candidates(root)) if paths is None else list(paths)
+    found = scene_candidates(root) if paths is None else list(paths)
     if not found:
         kinds = ", ".join(sorted(SUFFIXES))
         raise ConfigError(f"{root}: no scene file, expected at least one ({kinds}); check the path", "source_missing")

@@ -33,6 +33,7 @@ from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
 from stable_data.importers.scenes.standing import Upright, stands_firmly, uprighting
+from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, Scene
@@ -285,6 +286,7 @@ def put_upright(
                 is_at_rest=at_rest.get(body.name),
                 mode=mode,
                 opens_up=partial(_opens_up, asset.mesh),
+                stands_on_end="upright" in classes_of(o.category),
             )
             if found is not None:
                 pivot = frame.inv().apply(body.center - np.array(scene_source(scene)["origin"]))

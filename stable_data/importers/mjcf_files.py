@@ -26,6 +26,8 @@ MAX_XML_BYTES = 8 * 2**20
 _MAX_DEPTH = 64  # elements within one another
 _MAX_ELEMENTS = 200_000  # elements of one XML file
 _MAX_INCLUDES = 200  # files that a model includes or attaches
+_COPYING = frozenset({"replicate", "composite", "flexcomp"})
+_MAX_COPIES = 10_000
 _TEXTURE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 _FOLDERS_OF = {
     "mesh": ("meshdir", "assetdir"),
@@ -148,6 +150,7 @@ def collect_files(boundary: Boundary, path: str) -> ModelFiles:
     """
     scan = _Scan(boundary)
     elements = _collect_model(scan, path, ())
+    _check_copies(path, elements)
     return ModelFiles(path, scan.contents, elements)
 
 
@@ -207,6 +210,22 @@ def refused_model(path: str, error: Exception) -> MeshError:
     return MeshError(
         f"{path}: MuJoCo refuses the model ({found}), expected one that it compiles; repair it", "model_unreadable"
     )
+
+
+def _check_copies(path: str, elements: Sequence[Element]) -> None:
+    """Refuses elements that make very many bodies out of a few words."""
+    copies = [1] * len(elements)
+    for k, element in enumerate(elements):
+        count = 1
+        for word in element.tag.attributes.get("count", "").split() if element.tag.name in _COPYING else ():
+            try:
+                count *= max(1, int(float(word)))
+            except (ValueError, OverflowError):
+                continue  # MuJoCo refuses it
+        copies[k] = count * (copies[element.parent] if element.parent >= 0 else 1)
+        if copies[k] > _MAX_COPIES:
+            found = f"element {element.tag.name} makes {copies[k]} copies"
+            raise MeshError(f"{element.path}: {found}, expected at most {_MAX_COPIES}; make fewer", "file_too_large")
 
 
 def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> list[Element]:

@@ -97,7 +97,7 @@ class Audit:
         num_tilted: Objects tilted by more than 5 degrees.
         tolerance: The tolerance of floating and of the card's headline figures, metres.
         is_cut_short: Whether the work limit was reached, so that verdicts are unknown.
-        num_fixed: Objects of the surroundings (``Scene.fixed``): they count in no share, and have no fault of their own.
+        fixed: Objects of the surroundings (``Scene.fixed``): they count in no share, and have no fault of their own.
     """
 
     scene_id: str
@@ -106,7 +106,12 @@ class Audit:
     num_tilted: int
     tolerance: float = TOLERANCE
     is_cut_short: bool = False
-    num_fixed: int = 0
+    fixed: frozenset[str] = frozenset()
+
+    @property
+    def num_judged(self) -> int:
+        """Number of objects that are judged: all but the fixed ones."""
+        return len(self.objects) - len(self.fixed)
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -124,7 +129,7 @@ class Audit:
         """The share of all pairs that collide deeper than a depth in metres; None if a pair is unknown."""
         if any(p.penetration is None for p in self.pairs):
             return None
-        count = math.comb(len(self.objects), 2) - math.comb(self.num_fixed, 2)
+        count = math.comb(len(self.objects), 2) - math.comb(len(self.fixed), 2)
         return sum(p.penetration is not None and p.penetration > depth for p in self.pairs) / max(1, count)
 
     def card(self) -> MetricCard:
@@ -137,13 +142,12 @@ class Audit:
         outside = [o.is_outside for o in self.objects]
         gaps = [o.gap for o in self.objects]
         num_without_mesh = sum(not o.has_mesh for o in self.objects)
-        num_judged = len(self.objects) - self.num_fixed
-        count = max(1, num_judged)
+        count = max(1, self.num_judged)
         fails = collisions > 0 or any(floats) or sunk > self.tolerance + ROUNDING or any(outside)
         # Only an exact mesh can be found clean.
         is_uncertain = num_without_mesh > 0 or unknown > 0 or None in floats
         return MetricCard(
-            num_objects=num_judged,
+            num_objects=self.num_judged,
             num_stacked=None,
             num_contained=None,
             num_tilted=self.num_tilted,
@@ -164,7 +168,7 @@ class Audit:
         )
 
     def rows(self) -> dict[str, list[dict[str, Any]]]:
-        """The columns ``pairs`` and ``verdicts`` of the table ``scenes``."""
+        """The columns ``pairs`` and ``verdicts`` of the table ``scenes``; fixed objects have no verdict."""
         pairs = [(p.first, p.second, None if p.penetration is None else 1e3 * p.penetration) for p in self.pairs]
         return {
             "pairs": [dict(zip(("first", "second", "penetration_mm"), pair, strict=True)) for pair in pairs],
@@ -180,6 +184,7 @@ class Audit:
                     "has_mesh": o.has_mesh,
                 }
                 for o in self.objects
+                if o.instance not in self.fixed
             ],
         }
 
@@ -392,7 +397,8 @@ def audit_scene(scene: Scene, shapes: Sequence[Shape], tolerance: float = TOLERA
 def audit_posed_scene(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
     """Judges a scene whose meshes are posed already; see :func:`audit_scene`."""
     pairs = []
-    is_fixed = [name in posed.scene.fixed for name in posed.instances]
+    fixed = posed.scene.fixed & set(posed.instances)
+    is_fixed = [name in fixed for name in posed.instances]
     for i, j in posed.meeting_boxes:
         if is_fixed[i] and is_fixed[j]:
             continue
@@ -405,7 +411,7 @@ def audit_posed_scene(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
     ]
     objects = _mark_support_cycles(tuple(o for o, _ in judged), {o.instance for o, is_uncertain in judged if is_uncertain})
     num_tilted = sum(o.tilt_angle > math.radians(5) for o in posed.scene.objects if o.instance not in posed.scene.fixed)
-    return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance, posed.budget.is_spent, sum(is_fixed))
+    return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance, posed.budget.is_spent, fixed)
 
 
 def _geometry(o: SceneObject) -> tuple[object, ...]:

@@ -151,7 +151,9 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "object pairs that touch or contain each other, with their penetration (null if unknown); all other pairs are apart",
                 "mm",
             ),
-            _column("verdicts", pa.list_(VERDICT), "audit verdict on each object, in the order of objects", "mm"),
+            _column(
+                "verdicts", pa.list_(VERDICT), "audit verdict on each object, in the order of objects, but for fixed ones", "mm"
+            ),
             _column("layout_path", _text, "path of the layout file, relative to the dataset"),
             _column("layout_sha256", _text, "SHA-256 of the layout file"),
             _column(

@@ -20,6 +20,7 @@ from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Tabletop
 _REACH = 0.3  # metres beside a surface within which things that do not move are obstacles
 _ABOVE = 0.5  # metres above the highest object within which they are
 _TOUCH = 1e-3  # metres above the surface that a thing must reach to be an obstacle
+_NO_NOUNS = frozenset({"body", "geom", "link", "main", "obj", "object", "root", "world"})  # of names, such as ``mug_main``
 _DIGITS = 9  # decimals of a metre in the hash of a shape
 
 
@@ -126,7 +127,7 @@ def _to_surface(points: FloatArray, surface: SupportSurface) -> FloatArray:
 def _category(name: str) -> str:
     """The words of a body's name, without numbers."""
     words = [word for word in re.split(r"[^a-z]+", asset_id_of(name).lower()) if len(word) > 1]
-    return "_".join(words) or "body"
+    return "_".join(word for word in words if word not in _NO_NOUNS) or "_".join(words) or "body"
 
 
 def _asset(body: SceneBody, parts: Sequence[Mesh]) -> SceneAsset:

@@ -24,6 +24,7 @@ from stable_data.simulation.mujoco_import import mujoco
 INITIAL = "initial"
 """Stands for the poses that a file states at its bodies, where a keyframe's name is expected."""
 
+_MOST_MEMORY = 2 * 2**30  # bytes that a model may reserve
 _HOME = "home"  # the keyframe that is used if a file has it
 _LEVEL = np.cos(np.radians(0.1))  # least vertical component of the normal of a level plane
 
@@ -64,11 +65,13 @@ def read_mjcf_scene(boundary: Boundary, path: str, key: str = "") -> MjcfScene:
     Raises:
         MeshError: The files cannot be read, or MuJoCo refuses them.
         SceneError: There is no such keyframe (``key_unknown``), no free body collides with anything (``no_free_body``), or gravity is
-            not along -z (``gravity_odd``).
+            not along -z (``gravity_odd``), poses are not finite (``not_finite``), or it is too large (``file_too_large``).
     """
     files = collect_files(boundary, path)
     with files.placed() as place:
         model = compile_model(read_spec(place, path), path)
+    if model.narena > _MOST_MEMORY:
+        raise SceneError(f"{path}: asks for {model.narena} bytes of memory, expected at most {_MOST_MEMORY}", "file_too_large")
     x, y, z = model.opt.gravity
     if z >= 0 or max(abs(x), abs(y)) > 0.01 * abs(z):
         raise SceneError(f"{path}: gravity is {x:g} {y:g} {z:g}, expected downwards, along -z; turn the scene", "gravity_odd")
@@ -78,6 +81,8 @@ def read_mjcf_scene(boundary: Boundary, path: str, key: str = "") -> MjcfScene:
         mujoco.mj_resetDataKeyframe(model, data, number)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
+    if not (np.isfinite(data.xpos).all() and np.isfinite(data.xquat).all()):
+        raise SceneError(f"{path}: poses of {pose_of} are not finite, expected numbers; correct them", "not_finite")
     notices: list[Notice] = []
     free = _free_bodies(model, path, notices)
     bodies = tuple(_bodies(model, data, free, path, notices))

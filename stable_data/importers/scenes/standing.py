@@ -1,9 +1,10 @@
 """Finds objects that have fallen over, and the rotation that puts them back on their feet.
 
 The resting poses of an object are the faces of its convex hull over which its centre of mass lies. An object is expected to stand as
-another keyframe of its file shows it; a hollow one with its opening upwards; else with the z axis of its body upwards, if it can
-stand firmly so. It has fallen if it lies on its side instead: a hollow one in any case (upside down it may be meant to be), another
-one if it lies less firmly than it would stand. One whose body stands firmly with its z axis upwards has not fallen.
+another keyframe of its file shows it; a hollow one with its opening upwards; a bottle, can or the like on its end; else with the z
+axis of its body upwards, if it can stand firmly so. It has fallen if it lies on its side instead: a hollow one and a bottle in any
+case, but not one that is upside down, which may be meant; another one if it lies less firmly than it would stand. One that stands
+firmly with the z axis of its body upwards has not fallen.
 """
 
 import math
@@ -27,6 +28,7 @@ _SAME_FACE = math.cos(math.radians(1.5))  # normals of one face
 _NEAR = math.radians(10.0)  # an object this near to a resting pose is meant to have it
 _FALLEN = math.radians(30.0)  # an object turned less than this has not fallen
 _SIDEWAYS = math.radians(45.0)  # a hollow object turned by this much, up to this much from upside down, lies on its side
+_TALLER, _AS_TALL = 1.2, 0.95  # an object lies if it could stand as much higher; two ends stand about as high
 _FIRM = math.radians(8.0)  # an object that stands firmly can be tipped as far without falling over
 _LESS_FIRM = 0.6  # a fallen object can be tipped less far than a standing one, by this share
 _EXACT = math.radians(0.05)  # a smaller turn is not worth moving anything
@@ -81,6 +83,17 @@ def resting_faces(vertices: FloatArray, center: FloatArray) -> list[RestingFace]
     return sorted(found, key=lambda face: -face.tipping)
 
 
+def _end(faces: Sequence[RestingFace], vertices: FloatArray, down: FloatArray) -> RestingFace | None:
+    """The face on which an object stands clearly higher than now, if there is one; of several the one below the z axis."""
+    height = float(np.ptp(vertices @ down))
+    heights = {id(face): float(np.ptp(vertices @ face.normal)) for face in faces if face.tipping >= _FIRM}
+    tallest = max(heights.values(), default=0.0)
+    if tallest < _TALLER * height:
+        return None
+    ends = [face for face in faces if heights.get(id(face), 0.0) > _AS_TALL * tallest]
+    return max(ends, key=lambda face: (round(-float(face.normal[2]), 1), face.tipping))
+
+
 def stands_firmly(vertices: FloatArray) -> bool:
     """Whether there is a face on which a shape (V, 3) with its mass in the middle of its box stands firmly."""
     faces = resting_faces(vertices, (vertices.min(axis=0) + vertices.max(axis=0)) / 2)
@@ -117,6 +130,7 @@ def uprighting(
     is_at_rest: bool | None = None,
     mode: Upright = "auto",
     opens_up: Callable[[FloatArray], bool] = lambda _: False,
+    stands_on_end: bool = False,
 ) -> Uprighting | None:
     """Decides whether an object must be turned to stand.
 
@@ -128,6 +142,7 @@ def uprighting(
         is_at_rest: Whether it stays as it is in the physics of its file; None if not known.
         mode: What is put on its feet.
         opens_up: Whether the object is hollow and its opening points up if a direction of its frame, (3,), points down.
+        stands_on_end: Whether it is of a kind that stands on its end, such as a bottle.
 
     Returns:
         The turn; None if it stays as it is.
@@ -150,6 +165,8 @@ def uprighting(
         opening = next((face for face in lying if opens_up(face.normal)), None)
         if opening is not None:
             return Uprighting(_turn(opening, rotation), "had fallen over: its opening did not point up")
+    if mode == "auto" and stands_on_end and not stands and (end := _end(faces, vertices, down)) is not None:
+        return Uprighting(_turn(end, rotation), "had fallen over: such a thing stands on its end")
     if standing is not None and standing.tipping >= _FIRM and _angle(standing.normal, down) > _FALLEN:
         if mode == "body":
             return Uprighting(_turn(standing, rotation), "z axis of the body turned upwards")

@@ -1,0 +1,63 @@
+"""Audits the scene files of a folder, as :func:`stable_data.mesatask.lint.lint_folder` audits a folder in the MesaTask-10K format."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from tqdm import tqdm
+
+from stable_data.assets.store import AssetStore
+from stable_data.errors import Notice, StableDataError
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.scenes.formats import SUFFIXES, is_scene_candidate
+from stable_data.importers.scenes.layouts import scenes_of_file
+from stable_data.importers.scenes.opening import read_scene_file
+from stable_data.importers.scenes.scene_assets import SceneAssets
+from stable_data.mesatask.lint import LintResult
+from stable_data.metrics.audit import audit_scene
+from stable_data.storage.schemas import Row
+
+
+def scene_candidates(root: Path) -> list[str]:
+    """The files of a folder that may be scenes, by their suffix and their first element.
+
+    Raises:
+        ConfigError: There is no such folder.
+    """
+    return [path for path in Boundary(root).files(SUFFIXES) if is_scene_candidate(root, path)]
+
+
+def lint_scene_files(root: Path, paths: Sequence[str], *, progress: bool = False) -> LintResult:
+    """Audits scene files: one row for each surface on which free bodies stand.
+
+    Files without a free body are left out; those that other files include, too, if they cannot be used alone.
+
+    Args:
+        root: The source folder; nothing outside of it is read.
+        paths: The files, relative to it.
+        progress: Whether to show a progress bar.
+    """
+    rows: list[Row] = []
+    failures: list[Notice] = []
+    warnings: list[Notice] = []
+    used: set[str] = set()
+    for path in tqdm(paths, desc="lint", unit="file", disable=not progress):
+        try:
+            opened = read_scene_file(Boundary(root), path)
+            used |= set(opened.paths) - {path}
+            warnings += opened.file.notices
+            for imported in scenes_of_file(opened.file):
+                assets = SceneAssets()
+                assets.add([imported])
+                scene, shapes, notices = AssetStore(assets).resolved(imported.scene)
+                audit = audit_scene(scene, shapes)
+                head = {"scene_id": scene.scene_id, "table_type": scene.table.table_type}
+                rows.append({**head, **asdict(audit.card()), **audit.rows()})
+                warnings += [*notices, *audit.notices]
+        except StableDataError as error:
+            failures.append(Notice(path, "read", error.code, str(error)))
+        except Exception as error:  # noqa: BLE001 - an unexpected error loses one file, not the page
+            message = f"{path}: {type(error).__name__}: {error}; please report this with the file"
+            failures.append(Notice(path, "read", "unexpected", message))
+    left = [n for n in failures if n.code != "no_free_body" and n.item_id not in used]
+    return LintResult(root, tuple(rows), tuple(left), tuple(warnings))
