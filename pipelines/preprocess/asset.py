@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from pipelines.execution.item_progress import ItemProgress
 from stable_data.assets.asset_rows import file_columns, part_columns, shape_columns, volume_columns
+from stable_data.assets.looks import LookRows, look_rows, texture_rows
 from stable_data.assets.store import AssetMesh, AssetStore, aspect_of
 from stable_data.errors import Notice
 from stable_data.geometry.mesh_colors import Paint
@@ -24,6 +25,9 @@ from stable_data.storage import schemas
 
 TextFeature: TypeAlias = npt.NDArray[np.float32]
 """An asset's row of the library's text features, (D,) float32."""
+
+
+_IN_REGISTER = 1e-5  # of the largest extent: by which the boxes of a mesh and of its look may differ
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,7 @@ class AssetRows:
     asset: schemas.Row
     mesh: schemas.Row
     grids: tuple[schemas.Row, ...]
+    textures: tuple[schemas.Row, ...]
     notices: tuple[Notice, ...]
 
 
@@ -102,7 +107,23 @@ def preprocess_asset(
     progress.step = "parts"
     paint, odd = store.paint(use.asset_id)
     mesh = _mesh_row(use.asset_id, asset, store, paint, decomposes=settings.decomposes)
-    return AssetRows(row, mesh, grids, notices + odd)
+    progress.step = "look"
+    look = _look(use.asset_id, asset, store)
+    if look.glb is not None:
+        mesh |= {"look": look.glb, "look_distance": look.distance}
+    return AssetRows(row, mesh, grids, tuple(texture_rows(look.textures)), notices + odd + look.notices)
+
+
+def _look(asset_id: str, asset: AssetMesh, store: AssetStore) -> LookRows:
+    """The look of an asset, from its file; none if the file cannot be read, as the notices of its colours say."""
+    surfaces = store.surfaces(asset_id)
+    if not surfaces:
+        return LookRows(None)
+    corners = np.concatenate([surface.triangles.reshape(-1, 3) for surface in surfaces])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if not np.allclose(high - low, asset.mesh.extents, rtol=0.0, atol=_IN_REGISTER * float(asset.mesh.extents.max())):
+        return LookRows(None)  # faces at the border of the box were dropped, so that its centre is not that of the file
+    return look_rows(surfaces, (low + high) / 2, asset_id=asset_id, mesh=asset.mesh)
 
 
 def _asset_row(

@@ -57,7 +57,7 @@ class DatasetStep(ItemStep[I]):
 class AssetStep(DatasetStep[AssetUse]):
     """Computes repaired meshes, signed-distance grids, mass properties and surface points of assets."""
 
-    TABLES: ClassVar = ("warnings", "failures", "sdf", "meshes", "assets")
+    TABLES: ClassVar = ("warnings", "failures", "sdf", "textures", "meshes", "assets")
 
     def item_id(self, item: AssetUse) -> str:
         """The asset's id."""
@@ -75,7 +75,8 @@ class AssetStep(DatasetStep[AssetUse]):
         shaping = AssetSettings(self.settings.num_points, self.settings.sdf.backend)
         made = preprocess_asset(item, dataset.annotation(item.asset_id), store, shaping, progress, embedding)
         warnings = [notice_row(n) for n in made.notices]
-        return {"assets": [made.asset], "meshes": [made.mesh], "sdf": list(made.grids), "warnings": warnings}
+        rows: Rows = {"assets": [made.asset], "meshes": [made.mesh], "textures": list(made.textures), "sdf": list(made.grids)}
+        return rows | {"warnings": warnings}
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,20 +73,22 @@ class CopyAssets(ItemStep[AssetUse]):
         has_asset = all(asset.get(name) is not None for name in _NEEDED)
         has_mesh = bool(mesh.get("parts")) or (bool(mesh) and not self.decomposes)
         notices: tuple[Notice, ...] = ()
+        textures = list(shelf.textures(item.asset_id))
         if not (has_asset and has_mesh):
             path, settings = shelf.asset_path(item.asset_id), AssetSettings(decomposes=self.decomposes)
             if path is not None:
                 item = replace(item, mesh_sha256=file_digest(path))
             made = preprocess_asset(item, shelf.annotation(item.asset_id), store, settings, progress)
-            mesh, notices = mesh if has_mesh else made.mesh, made.notices
+            notices, textures = made.notices, textures or list(made.textures)
             asset = asset if has_asset else made.asset
+            if not has_mesh:  # what cannot be computed, such as a look, is that of the row
+                mesh = made.mesh | {name: value for name, value in mesh.items() if made.mesh[name] is None}
         if has_asset:
             used = use_columns(item, store.asset(item.asset_id))
             if store.physics(item.asset_id) is not None:  # a known mass, centre and inertia hold at the scale of the row
                 used = {"resting_tilts": used["resting_tilts"]}
             asset = asset | {"text_embedding": None} | used
         notices += store.look(item.asset_id)[1]
-        textures = list(shelf.textures(item.asset_id))
         return {"assets": [asset], "meshes": [mesh], "textures": textures, "warnings": [notice_row(n) for n in notices]}
 
 

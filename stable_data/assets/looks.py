@@ -9,8 +9,10 @@ import numpy as np
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.gltf_writer import write_look
 from stable_data.geometry.images import TEXTURE_SIDE, TextureImage, encode_texture
+from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import MOST_COLOURS
 from stable_data.geometry.surface import Surface
+from stable_data.geometry.surface_matching import oriented_as
 from stable_data.geometry.surface_reduction import reduce_surfaces
 from stable_data.scene import FloatArray
 from stable_data.storage.schemas import Row
@@ -45,6 +47,7 @@ def look_rows(
     texture_side: int = TEXTURE_SIDE,
     max_faces: int = LOOK_FACES,
     asset_id: str = "",
+    mesh: Mesh | None = None,
 ) -> LookRows:
     """Converts the surfaces of an asset to what the tables store.
 
@@ -57,6 +60,8 @@ def look_rows(
         texture_side: Larger images are reduced to this, pixels.
         max_faces: Larger looks are reduced to this number of triangles.
         asset_id: The asset in notices.
+        mesh: The repaired mesh of the asset, in the frame and unit of the look, if it is known: triangles that it turned over are
+            turned over in the look too.
     """
     notices = list[Notice]()
     given = [s for s in surfaces if len(s.triangles)]
@@ -68,6 +73,8 @@ def look_rows(
     is_plain = all(s.image is None and s.corner_colours is None and s.opacity >= 1 for s in kept)
     if is_plain and len({s.colour for s in kept}) <= MOST_COLOURS:
         return LookRows(None, notices=tuple(notices))
+    if mesh is not None:
+        kept = oriented_as(mesh, kept)
     num_faces = sum(len(s.triangles) for s in kept)
     kept, distance = reduce_surfaces(kept, max_faces)
     if distance > 0:

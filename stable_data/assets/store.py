@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.assets.physics import AssetPhysics
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.gltf_reader import load_colliders, load_glb
+from stable_data.geometry.gltf_reader import load_colliders, load_glb, load_surfaces
 from stable_data.geometry.images import texture_pixels
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint, load_paint
@@ -155,6 +155,20 @@ class AssetStore:
         """
         path = self._source.asset_path(asset_id)
         return () if path is None else colliders_of(path, asset_id)
+
+    def surfaces(self, asset_id: str) -> list[Surface]:
+        """Returns the surfaces in an asset's file, in the frame of the file; none if it cannot be read.
+
+        Raises:
+            MeshError: The file cannot be read at the moment.
+        """
+        path = self._source.asset_path(asset_id)
+        try:
+            return [] if path is None else load_surfaces(path, asset_id)
+        except MeshError as error:
+            if error.code in _TRANSIENT:
+                raise
+            return []
 
     def stored_parts(self, asset_id: str) -> tuple[Mesh, ...]:
         """Returns the convex parts of an asset from a :class:`PartSource`; empty if the source has none."""

@@ -1,9 +1,10 @@
-"""Puts the textures of surfaces on a mesh that was repaired: on those of its faces that the repair left as they were."""
+"""Matches surfaces with the mesh that was made of them and repaired: triangles that the repair left where they were are equal."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from stable_data.geometry.mesh import Mesh
@@ -48,6 +49,41 @@ def surfaces_on_mesh(mesh: Mesh, look: Sequence[Surface], paint: Paint) -> list[
         red, green, blue = to_linear(np.array([int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)])).tolist()
         found.append(Surface(mesh.triangles[rows[is_left[rows]]], (red, green, blue)))
     return [surface for surface in found if len(surface.triangles)]
+
+
+def oriented_as(mesh: Mesh, surfaces: Sequence[Surface]) -> list[Surface]:
+    """Turns over those triangles that face the other way in a mesh: of a file that is inside out, renderers show the far side.
+
+    Args:
+        mesh: The repaired mesh of the surfaces.
+        surfaces: In its frame and unit; at least one triangle in all. A triangle that is no face of the mesh, or that is there twice,
+            as on both sides of a sheet, stays as it is.
+    """
+    triangles = np.concatenate([surface.triangles for surface in surfaces])
+    _, source, corner = _equal_triangles(mesh, triangles)
+    middles = cKDTree(triangles.mean(axis=1))
+    near = _NEAR * float(mesh.extents.max())
+    is_twice = middles.query_ball_point(triangles[source].mean(axis=1), near, return_length=True) > 1
+    is_odd = (corner[:, 1] - corner[:, 0]) % 3 == 2
+    turned = np.zeros(len(triangles), bool)
+    turned[source[is_odd & ~is_twice]] = True
+    ends = np.cumsum([len(surface.triangles) for surface in surfaces])
+    return [_turned(s, turned[end - len(s.triangles) : end]) for s, end in zip(surfaces, ends, strict=True)]
+
+
+def _turned(surface: Surface, rows: npt.NDArray[np.bool_]) -> Surface:
+    """A surface some of whose triangles are turned over."""
+    order = np.where(rows[:, None], [0, 2, 1], [0, 1, 2])
+
+    def chosen(values: FloatArray | None) -> FloatArray | None:
+        return None if values is None else np.take_along_axis(values, order[..., None], axis=1)
+
+    return replace(
+        surface,
+        triangles=np.take_along_axis(surface.triangles, order[..., None], axis=1),
+        corner_uv=chosen(surface.corner_uv),
+        corner_colours=chosen(surface.corner_colours),
+    )
 
 
 def _equal_triangles(mesh: Mesh, triangles: FloatArray) -> tuple[IntArray, IntArray, IntArray]:

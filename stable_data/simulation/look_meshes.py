@@ -12,14 +12,19 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from stable_data.geometry.images import texture_pixels
-from stable_data.geometry.mesh import area_vectors
+from stable_data.geometry.mesh import Edges, area_vectors, unit_normals
 from stable_data.geometry.mesh_colors import MOST_COLOURS, to_display
 from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray, QuatXyzw, Vec3
 from stable_data.simulation.mujoco_import import mujoco
+
+CREASE = float(np.cos(np.radians(35)))
+"""Edges at which the normals of two faces have a smaller cosine are sharp."""
 
 _WELD = 1e-6  # share of the largest extent; nearer corners are one, so that their normals are smooth
 _FEWEST_VERTICES = 4  # of a mesh in MuJoCo
@@ -137,9 +142,28 @@ def _mesh(
     if not is_seen.any():
         return None
     faces, uv = faces[is_seen], None if corner_uv is None else corner_uv[is_seen]
+    vertices, faces = _split_at_creases(vertices, faces)
     if len(vertices) < _FEWEST_VERTICES:
         vertices = np.pad(vertices, ((0, _FEWEST_VERTICES - len(vertices)), (0, 0)), mode="edge")
     return LookMesh(vertices, faces, uv, pixels, rgba)
+
+
+def _split_at_creases(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+    """Gives the faces on both sides of a sharp edge vertices of their own: MuJoCo makes normals that are smooth at a vertex."""
+    edges, normals = Edges.of(faces), unit_normals(vertices[faces])[0]
+    half = np.argsort(edges.of_faces.ravel(), kind="stable")  # half-edge 3 f + k goes from corner k of face f to the next one
+    half = half[(edges.count == 2)[edges.of_faces.ravel()[half]]].reshape(-1, 2)
+    half = half[(normals[half[:, 0] // 3] * normals[half[:, 1] // 3]).sum(axis=1) > CREASE]
+    start, end = half, half // 3 * 3 + (half + 1) % 3
+    corner = faces.ravel()
+    is_opposite = corner[start[:, 0]] != corner[start[:, 1]]
+    other_start = np.where(is_opposite, end[:, 1], start[:, 1])
+    other_end = np.where(is_opposite, start[:, 1], end[:, 1])
+    joined = np.r_[start[:, 0], end[:, 0]], np.r_[other_start, other_end]
+    graph = sp.coo_array((np.ones(len(joined[0]), bool), joined), (len(corner), len(corner)))
+    group = connected_components(graph, directed=False)[1]
+    _, first, vertex = np.unique(group, return_index=True, return_inverse=True)
+    return vertices[corner[first]], vertex.reshape(-1, 3)
 
 
 def add_look_material(spec: mujoco.MjSpec, mesh: LookMesh, name: str) -> str:

@@ -22,7 +22,7 @@ from stable_data.geometry.mesh import Mesh, area_vectors
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import FloatArray, Scene, SceneObject, Vec3
-from stable_data.simulation.look_meshes import ObjectLook, add_look_material, look_meshes
+from stable_data.simulation.look_meshes import CREASE, ObjectLook, add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import Picture, draw_model
 from stable_data.simulation.room import TABLE_THICKNESS, RoomPart, furnish
@@ -42,7 +42,6 @@ _HALF_VIEW = 18 / 50  # tangent of half the field of view: 36 mm sensor, 50 mm l
 _FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
 _DISTANCE, _MARGIN = 1.5, 1.02
 _MAX_FACES = 6000  # a mesh with more faces is simplified for a picture
-_CREASE = np.cos(np.radians(35))  # edges sharper than this are not smoothed
 
 PALETTE: tuple[str, ...] = (
     "#d1495b", "#edae49", "#3f88c5", "#66a182", "#8d6b94", "#e07a5f", "#457b9d", "#84a98c", "#f2cc8f", "#b56576",
@@ -353,7 +352,7 @@ def _corner_normals(faces: npt.NDArray[np.int64], areas: FloatArray) -> FloatArr
     first = order.repeat(size)
     offset = np.arange(len(first)) - (np.cumsum(size) - size).repeat(size)
     second = order[starts.repeat(counts).repeat(size) + offset]
-    near = (units[first // 3] * units[second // 3]).sum(axis=1) > _CREASE
+    near = (units[first // 3] * units[second // 3]).sum(axis=1) > CREASE
     normals = np.zeros((len(corner_vertex), 3))
     np.add.at(normals, first[near], areas[second[near] // 3])
     return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])

@@ -1,5 +1,6 @@
 """Textures travel with the assets that show them: into copies, selections and the outputs of jobs, each image once in a shard."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,18 +8,25 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipelines.correct.job import _carry_assets
+from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import Shard
-from pipelines.preprocess.asset import AssetUse
+from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.sources.asset_copies import CopyAssets
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.scenes import TableSource
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.looks import LookRows, look_rows
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore, LookSource
+from stable_data.geometry.gltf_reader import load_surfaces
+from stable_data.geometry.gltf_writer import SurfaceParts, pack, y_up
+from stable_data.geometry.surface import Surface
+from stable_data.mesatask import MesaTaskDataset, write_annotations, write_scene
+from stable_data.mesatask.writing import write_asset
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.subset import select
 from tests.stable_data.assets.test_looks import ball
-from tests.textured_assets import rows_of, scene_of, textured, thing, write_run
+from tests.textured_assets import SIZE, picture_box, rows_of, scene_of, textured, thing, write_run
 
 OTHER = rows_of("other", look_rows([ball()], np.zeros(3)))
 
@@ -92,3 +100,56 @@ def test_tables_of_meshes_and_images_have_small_row_groups(tmp_path: Path) -> No
     run.write_shard("textures", "0" * 16, [texture | {"sha256": f"{k:064x}", "image": noise} for k in range(8)])
     file = pq.ParquetFile(run.files("textures")[0])
     assert [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)] == [2, 2, 2, 2]
+
+
+def dataset_of(root: Path, *surfaces: Surface) -> MesaTaskDataset:
+    """A dataset with one asset, away from the origin of its file."""
+    parts = SurfaceParts()
+    moved = [replace(s, triangles=s.triangles + np.array([0.3, -0.2, 0.5])) for s in surfaces]
+    primitives = [parts.primitive(surface, y_up) for surface in moved]
+    scene = {"scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [{"primitives": primitives}]}
+    write_asset(root, "a", pack(scene | parts.document(parts.embedded_images()), parts.arrays, parts.images))
+    write_annotations(root, {"a": AssetAnnotation("a", "box", "a box", extents_z_up=SIZE)})
+    write_scene(root, scene_of(thing("0_box_0", "a", 0.2, 0.2)))
+    return MesaTaskDataset(root)
+
+
+def test_textures_of_a_dataset_become_looks(tmp_path: Path) -> None:
+    given = picture_box()
+    store = AssetStore(dataset_of(tmp_path, given))
+    made = preprocess_asset(use("a"), AssetAnnotation("a"), store, AssetSettings(), ItemProgress("read"))
+    (texture,) = made.textures
+    (found,) = load_surfaces(made.mesh["look"], "a", textures={texture["sha256"]: texture["image"]}.get)
+    np.testing.assert_allclose(found.triangles, given.triangles, atol=1e-6)
+    assert made.mesh["look_distance"] == 0.0
+    assert not made.notices
+    rows = CopyAssets((str(tmp_path),), "", 60.0).shard(Shard("0" * 16, (use("a"),))).rows
+    assert rows["textures"] == [texture]
+    assert rows["meshes"][0]["look"] == made.mesh["look"]
+
+
+def test_a_dataset_without_textures_has_no_looks(tmp_path: Path) -> None:
+    plain = replace(picture_box(), image=None, corner_uv=None, colour=(0.5, 0.2, 0.1))
+    store = AssetStore(dataset_of(tmp_path, plain))
+    made = preprocess_asset(use("a"), AssetAnnotation("a"), store, AssetSettings(), ItemProgress("read"))
+    assert (made.mesh["look"], made.mesh["look_distance"], made.textures) == (None, None, ())
+
+
+def test_a_look_that_does_not_lie_on_the_mesh_is_left_out(tmp_path: Path) -> None:
+    """A triangle beyond the box that is there twice, in both directions, is dropped by the repair: the centre is another one."""
+    given = picture_box()
+    far = np.array([[[0.0, 0.0, 0.1], [0.1, 0.0, 0.3], [0.0, 0.1, 0.3]]])
+    flags = Surface(np.concatenate([far, far[:, ::-1]]), (1.0, 0.0, 0.0))
+    store = AssetStore(dataset_of(tmp_path, given, flags))
+    made = preprocess_asset(use("a"), AssetAnnotation("a"), store, AssetSettings(), ItemProgress("read"))
+    assert store.asset("a").mesh.extents[2] == pytest.approx(0.12)
+    assert (made.mesh["look"], made.textures) == (None, ())
+
+
+def test_a_row_that_lacks_parts_keeps_its_look(tmp_path: Path) -> None:
+    asset, mesh, textures = textured("a")
+    run = write_run(tmp_path / "run", [(asset, mesh | {"parts": None}, textures)])
+    rows = CopyAssets((run.root,), "", 60.0).shard(Shard("0" * 16, (use("a"),))).rows
+    assert rows["meshes"][0]["parts"]
+    assert rows["meshes"][0]["look"] == mesh["look"]
+    assert rows["textures"] == textures

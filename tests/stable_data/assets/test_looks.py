@@ -18,6 +18,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.geometry.gltf_reader import load_surfaces, texture_addresses
 from stable_data.geometry.gltf_writer import write_look
 from stable_data.geometry.images import texture_pixels
+from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import texture_colours
 from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray
@@ -249,3 +250,32 @@ def test_few_images_are_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         for texture in images:
             assert table.image(texture.sha256) == texture.image
             assert len(table._recent) <= 2
+
+
+def inside_out(surface: Surface, rows: slice = slice(None)) -> Surface:
+    """A surface some of whose triangles are turned over."""
+    assert surface.corner_uv is not None
+    triangles, uv = surface.triangles.copy(), surface.corner_uv.copy()
+    triangles[rows], uv[rows] = triangles[rows][:, ::-1], uv[rows][:, ::-1]
+    return replace(surface, triangles=triangles, corner_uv=uv)
+
+
+@pytest.mark.parametrize("rows", [slice(None), slice(0, 5), slice(1, 12, 3)])
+def test_triangles_face_the_way_of_the_repaired_mesh(rows: slice) -> None:
+    given = picture_box()
+    mesh = Mesh(given.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    (found,) = read(look_rows([inside_out(given, rows)], ORIGIN, mesh=mesh))
+    (wanted,) = read(look_rows([given], ORIGIN))
+    assert found.corner_uv is not None
+    assert wanted.corner_uv is not None
+    for now, was, uv, uv_was in zip(found.triangles, wanted.triangles, found.corner_uv, wanted.corner_uv, strict=True):
+        (shift,) = [k for k in range(3) if np.allclose(np.roll(now, k, axis=0), was)]  # never the other way round
+        np.testing.assert_allclose(np.roll(uv, shift, axis=0), uv_was)
+
+
+def test_both_sides_of_a_sheet_stay() -> None:
+    given = picture_box()
+    both = [given, inside_out(given)]
+    mesh = Mesh(given.triangles.reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    (with_mesh,), (without,) = read(look_rows(both, ORIGIN, mesh=mesh)), read(look_rows(both, ORIGIN))
+    np.testing.assert_array_equal(with_mesh.triangles, without.triangles)

@@ -283,3 +283,14 @@ def test_without_its_image_an_object_is_drawn_in_its_colours(tmp_path: Path) -> 
     for scene in (geometry.scene, Scene("other", geometry.scene.table, geometry.scene.objects)):
         model = engine_spec(replace(geometry, scene=scene)).compile()
         assert model.geom_matid[model.geom("0_box_0/visual").id] == -1
+
+
+def test_sharp_edges_have_vertices_on_both_sides() -> None:
+    (cube,) = look_meshes((picture_box(),))
+    assert len(cube.vertices) == 24
+    np.testing.assert_allclose(cube.vertices[cube.faces], picture_box().triangles, atol=1e-9)
+    ball = trimesh.creation.icosphere(3)
+    (smooth,) = look_meshes((Surface(np.asarray(ball.triangles)),))
+    assert len(smooth.vertices) == len(ball.vertices)
+    (flat,) = look_meshes((Surface(np.asarray(trimesh.creation.icosphere(0).triangles)),))  # 42 degrees from face to face
+    assert len(flat.vertices) == 60
