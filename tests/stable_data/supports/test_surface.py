@@ -1,0 +1,97 @@
+"""The largest rectangle of a surface, and its picture."""
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stable_data.errors import ConfigError, SceneError
+from stable_data.geometry.mesh import join_meshes
+from stable_data.supports import SupportSurface, as_tabletop, find_surfaces
+from stable_data.supports.picture import draw_surfaces, region_triangles, surface_colour
+from tests.stable_data.supports.furniture import box, counter_with_sink, desk, moved, shelf
+
+
+def surface_of(shape: shapely.Polygon) -> SupportSurface:
+    shape = shapely.orient_polygons(shape)
+    outline, *holes = (shapely.get_coordinates(ring)[:-1] for ring in (shape.exterior, *shape.interiors))
+    return SupportSurface("top", (0.0, 0.0, 0.7), 0.0, outline, tuple(holes), None, shape.area)
+
+
+def test_a_rectangle_is_itself() -> None:
+    fit = as_tabletop(find_surfaces(desk())[0], "office_table")
+    assert fit.tabletop.table_type == "office_table"
+    assert fit.tabletop.size_xy == pytest.approx((1.2, 0.6), abs=1e-6)
+    assert fit.corner == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert fit.share == pytest.approx(1.0)
+
+
+def test_an_angle_has_its_longer_arm() -> None:
+    angle = join_meshes([box((0.0, 0.0, 0.7), (1.6, 0.6, 0.74)), box((0.0, 0.6, 0.7), (0.6, 1.4, 0.74))])
+    fit = as_tabletop(find_surfaces(angle)[0])
+    assert fit.tabletop.size_xy == pytest.approx((1.6, 0.6), abs=1e-5)
+    assert fit.share == pytest.approx(0.96 / 1.44, abs=1e-4)
+
+
+def test_a_disc_has_its_square() -> None:
+    disc = find_surfaces(moved(trimesh.creation.cylinder(0.5, 0.03, sections=128), 0.0, 0.0, 0.7))[0]
+    fit = as_tabletop(disc)
+    assert np.prod(fit.tabletop.size_xy) == pytest.approx(0.5, abs=0.02)
+    assert fit.share == pytest.approx(2 / np.pi, abs=0.03)
+
+
+def test_a_hole_is_avoided() -> None:
+    fit = as_tabletop(find_surfaces(counter_with_sink())[0])
+    assert fit.tabletop.size_xy == pytest.approx((0.6, 0.6), abs=1e-5)
+    assert fit.corner == pytest.approx((0.8, 0.0), abs=1e-5)
+
+
+def test_a_sliver_has_no_rectangle() -> None:
+    with pytest.raises(SceneError, match="no rectangle"):
+        as_tabletop(surface_of(shapely.Polygon([(0, 0), (1, 0.002), (1, 0.004)])))
+
+
+@settings(max_examples=25)
+@given(st.lists(st.tuples(st.floats(0.05, 0.95), st.floats(0.05, 0.95), st.floats(0.02, 0.2)), max_size=4))
+def test_the_rectangle_lies_in_the_region_and_is_no_smaller_than_any_tried(holes: list[tuple[float, float, float]]) -> None:
+    region = shapely.difference(
+        shapely.box(0, 0, 1, 1), shapely.union_all([shapely.Point(x, y).buffer(r) for x, y, r in holes])
+    )
+    region = max(shapely.get_parts(region), key=lambda p: p.area)
+    x_min, y_min, _, _ = shapely.bounds(region)
+    surface = surface_of(shapely.transform(region, lambda p: p - (x_min, y_min)))
+    shape = shapely.Polygon(surface.outline, surface.holes)
+    fit = as_tabletop(surface)
+    (x, y), (width, depth) = fit.corner, fit.tabletop.size_xy
+    assert shapely.buffer(shape, 0.0015).covers(shapely.box(x, y, x + width, y + depth))
+    rng = np.random.default_rng(0)
+    low = rng.uniform(0, 1, (3000, 2))
+    tried = shapely.box(*low.T, *(low + rng.uniform(0, 1, (3000, 2)) * (1 - low)).T)
+    inside = tried[shapely.covers(shape, tried)]
+    if len(inside):
+        assert width * depth > 0.9 * shapely.area(inside).max()
+
+
+def test_the_triangles_of_a_region_have_its_area() -> None:
+    for surface in find_surfaces(counter_with_sink()):
+        triangles = region_triangles(surface)
+        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
+        assert (normals[:, 2] > 0).all()
+        assert normals[:, 2].sum() == pytest.approx(surface.area, abs=1e-6)
+        np.testing.assert_allclose(triangles[..., 2], surface.height, atol=1e-9)
+
+
+@pytest.mark.sim
+def test_a_picture_shows_each_surface_in_its_colour() -> None:
+    mesh = shelf()
+    surfaces = find_surfaces(mesh)
+    try:
+        bare, seen = (draw_surfaces(mesh, found, size=(160, 160)) for found in ((), surfaces))
+    except ConfigError as error:
+        pytest.skip(str(error))
+    changed = seen[(seen != bare).any(axis=2)].astype(float)
+    for number in range(len(surfaces)):
+        colour = np.array([int(surface_colour(number)[k : k + 2], 16) for k in (1, 3, 5)])
+        assert (np.abs(changed / changed.sum(axis=1, keepdims=True) - colour / colour.sum()).max(axis=1) < 0.06).sum() > 20
