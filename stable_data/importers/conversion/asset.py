@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from stable_data.assets.asset_rows import file_columns, part_columns, shape_columns, volume_columns
 from stable_data.assets.catalog import asset_sentence
+from stable_data.assets.looks import look_rows, texture_rows
 from stable_data.assets.text_embeddings import TextEncoder, embed_texts
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.convex_decomposition import hull_of_mesh, is_true_to
@@ -407,8 +408,6 @@ def _look(
     asset: SourceAsset, made: _MadeMesh, settings: ConversionSettings
 ) -> tuple[schemas.Row, tuple[schemas.Row, ...], tuple[Notice, ...]]:
     """The columns of the look, and the rows of its textures."""
-    from stable_data.assets.looks import look_rows
-
     surfaces = [replace(surface, triangles=surface.triangles * made.unit_m) for surface in asset.surfaces]
     found = look_rows(
         surfaces,
@@ -416,6 +415,7 @@ def _look(
         texture_side=settings.texture_side,
         max_faces=settings.look_faces,
         asset_id=asset.asset_id,
+        mesh=made.mesh,
     )
     columns = {"look": found.glb, "look_distance": None if found.glb is None else found.distance}
-    return columns, tuple(asdict(texture) for texture in found.textures), found.notices
+    return columns, tuple(texture_rows(found.textures)), found.notices
