@@ -236,18 +236,8 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
         contents = partial(_contents_of_run, run)
         rows = partial(_rows_of_run, kept, cache(partial(RowsOfAssets, run, "assets")))
-        return _Place(
-            listed,
-            annotations.keys(),
-            kept.asset_path,
-            annotations.__getitem__,
-            contents,
-            kept.parts,
-            rows,
-            kept.physics,
-            kept.look,
-            kept.textures,
-        )
+        own = _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts, rows)
+        return replace(own, physics=kept.physics, look=kept.look, textures=kept.textures)
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, partial(library_of_folder, root, name, scenes=shown, keeps_sizes=True), may_be_empty=may_be_empty)

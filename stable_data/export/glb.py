@@ -12,6 +12,7 @@ from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.geometry.gltf_writer import SurfaceParts, material, pack
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint
+from stable_data.geometry.shading import corner_normals
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface import Surface
 from stable_data.rotations import quat_of
@@ -77,7 +78,8 @@ class _Document:
 
     def look(self, name: str, surfaces: Sequence[Surface]) -> int:
         """Number of a mesh with colours and textures, which is added."""
-        self._meshes.append({"name": name, "primitives": [self._parts.primitive(surface) for surface in surfaces]})
+        primitives = [self._parts.primitive(s, normals=corner_normals(s.triangles)) for s in surfaces]
+        self._meshes.append({"name": name, "primitives": primitives})
         return len(self._meshes) - 1
 
     def mesh(self, name: str, mesh: Mesh, paint: Paint, look: Sequence[Surface] | None = None) -> int:

@@ -3,7 +3,7 @@
 An export::
 
     assets/<2 digits>/<content>.obj    a convex part, metres; the visible mesh of an asset, mesh units; or a part of the table, metres
-    assets/<2 digits>/<content>.png    a texture
+    assets/<2 digits>/<content>.png    a texture of the table, or of an asset
     <scene>/scene.xml
 
 The model is that of the stability verdict (:mod:`stable_data.simulation.mujoco_model`): MuJoCo reads exactly the same numbers

@@ -120,16 +120,22 @@ class SurfaceParts:
         self._materials: list[dict[str, Any]] = []
 
     def primitive(
-        self, surface: Surface, to_file: Callable[[FloatArray], FloatArray] = lambda vertices: vertices
+        self,
+        surface: Surface,
+        to_file: Callable[[FloatArray], FloatArray] = lambda vertices: vertices,
+        normals: FloatArray | None = None,
     ) -> dict[str, Any]:
         """Adds a surface and returns its primitive; equal corners are stored once.
 
         Args:
             surface: At least one triangle.
             to_file: Turns coordinates (V, 3) into those of the file.
+            normals: Normals of the corners in the frame of the file, (F, 3, 3); without them faces are seen flat.
         """
         # Equal corners of a surface remain equal numbers; zeros lose their sign, which would make them differ.
         columns: dict[str, GltfArray] = {"POSITION": to_file(surface.triangles.reshape(-1, 3)).astype(np.float32) + 0.0}
+        if normals is not None:
+            columns["NORMAL"] = np.round(normals.reshape(-1, 3), 5).astype(np.float32) + 0.0  # rounded, so that more are equal
         if surface.corner_uv is not None:
             columns["TEXCOORD_0"] = np.nan_to_num(surface.corner_uv.reshape(-1, 2)).astype(np.float32) + 0.0
         if surface.corner_colours is not None:

@@ -12,21 +12,17 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from stable_data.geometry.images import texture_pixels
-from stable_data.geometry.mesh import Edges, area_vectors, unit_normals
+from stable_data.geometry.mesh import area_vectors
 from stable_data.geometry.mesh_colors import MOST_COLOURS, to_display
+from stable_data.geometry.shading import split_at_creases, welded_corners
 from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray, QuatXyzw, Vec3
 from stable_data.simulation.mujoco_import import mujoco
 
-CREASE = float(np.cos(np.radians(35)))
-"""Edges at which the normals of two faces have a smaller cosine are sharp."""
-
-_WELD = 1e-6  # share of the largest extent; nearer corners are one, so that their normals are smooth
+_FLAT = 1e-12  # a face of a smaller area, share of the squared extent, is not seen
 _FEWEST_VERTICES = 4  # of a mesh in MuJoCo
 _MANY_COLOURS = 4096  # more are rounded to 32 steps a channel
 
@@ -72,7 +68,7 @@ class LookMesh:
     rgba: tuple[float, float, float, float]
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def look_meshes(surfaces: tuple[Surface, ...]) -> tuple[LookMesh, ...]:
     """Returns the visible triangles of a look by texture and colour; cached for recent looks.
 
@@ -133,37 +129,15 @@ def _mesh(
     """A mesh of those triangles that have an area; None without any."""
     if not len(triangles):
         return None
-    extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
-    corners = triangles.reshape(-1, 3)
-    grid = np.rint((corners - corners.min(axis=0)) / max(_WELD * extent, 1e-300)).astype(np.int64)
-    _, first, vertex = np.unique((grid[:, 0] << 42) | (grid[:, 1] << 21) | grid[:, 2], return_index=True, return_inverse=True)
-    vertices, faces = corners[first], vertex.reshape(-1, 3)
-    is_seen = np.linalg.norm(area_vectors(vertices[faces]), axis=1) > 1e-12 * extent * extent
+    vertices, faces = welded_corners(triangles)
+    is_seen = np.linalg.norm(area_vectors(vertices[faces]), axis=1) > _FLAT * float(np.ptp(vertices, axis=0).max()) ** 2
     if not is_seen.any():
         return None
     faces, uv = faces[is_seen], None if corner_uv is None else corner_uv[is_seen]
-    vertices, faces = _split_at_creases(vertices, faces)
+    vertices, faces = split_at_creases(vertices, faces)
     if len(vertices) < _FEWEST_VERTICES:
         vertices = np.pad(vertices, ((0, _FEWEST_VERTICES - len(vertices)), (0, 0)), mode="edge")
     return LookMesh(vertices, faces, uv, pixels, rgba)
-
-
-def _split_at_creases(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Gives the faces on both sides of a sharp edge vertices of their own: MuJoCo makes normals that are smooth at a vertex."""
-    edges, normals = Edges.of(faces), unit_normals(vertices[faces])[0]
-    half = np.argsort(edges.of_faces.ravel(), kind="stable")  # half-edge 3 f + k goes from corner k of face f to the next one
-    half = half[(edges.count == 2)[edges.of_faces.ravel()[half]]].reshape(-1, 2)
-    half = half[(normals[half[:, 0] // 3] * normals[half[:, 1] // 3]).sum(axis=1) > CREASE]
-    start, end = half, half // 3 * 3 + (half + 1) % 3
-    corner = faces.ravel()
-    is_opposite = corner[start[:, 0]] != corner[start[:, 1]]
-    other_start = np.where(is_opposite, end[:, 1], start[:, 1])
-    other_end = np.where(is_opposite, start[:, 1], end[:, 1])
-    joined = np.r_[start[:, 0], end[:, 0]], np.r_[other_start, other_end]
-    graph = sp.coo_array((np.ones(len(joined[0]), bool), joined), (len(corner), len(corner)))
-    group = connected_components(graph, directed=False)[1]
-    _, first, vertex = np.unique(group, return_index=True, return_inverse=True)
-    return vertices[corner[first]], vertex.reshape(-1, 3)
 
 
 def add_look_material(spec: mujoco.MjSpec, mesh: LookMesh, name: str) -> str:

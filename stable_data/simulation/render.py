@@ -20,9 +20,10 @@ from scipy.spatial.transform import Rotation
 from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh, area_vectors
 from stable_data.geometry.mesh_colors import Paint
+from stable_data.geometry.shading import CREASE
 from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import FloatArray, Scene, SceneObject, Vec3
-from stable_data.simulation.look_meshes import CREASE, ObjectLook, add_look_material, look_meshes
+from stable_data.simulation.look_meshes import ObjectLook, add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import Picture, draw_model
 from stable_data.simulation.room import TABLE_THICKNESS, RoomPart, furnish
