@@ -226,7 +226,7 @@ def convert(
         made.mesh,
         given=tuple(quat for quat in asset.rest_quats if _unit(quat) is not None),
         is_upright=asset.is_upright,
-        upright=None if known is None else known[0].upright,
+        vertical=() if known is None else known[0].vertical,
         center_of_mass=np.array(mass["center_of_mass"]),
         searches=settings.finds_poses,
     )
