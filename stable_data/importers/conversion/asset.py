@@ -112,7 +112,9 @@ class ConversionContext:
         Args:
             assets: Assets, whose surfaces are not used, and the extents of their boxes in units of the file (:func:`extents_of`).
         """
-        return self.sizes.set_scale((self.vocabulary.name(asset).category, extents) for asset, extents in assets)
+        return self.sizes.set_scale(
+            (self.vocabulary.name(asset).category, extents) for asset, extents in assets if 0 < max(extents) < math.inf
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +135,12 @@ class ConvertedAsset:
 
 
 def extents_of(surfaces: Sequence[Surface]) -> Vec3:
-    """Returns the extents of the box of surfaces, in their unit."""
-    low = np.min([surface.triangles.min(axis=(0, 1)) for surface in surfaces], axis=0)
-    high = np.max([surface.triangles.max(axis=(0, 1)) for surface in surfaces], axis=0)
-    x, y, z = (high - low).tolist()
+    """Returns the extents of the box of surfaces, in their unit; zeros without a triangle."""
+    soups = [surface.triangles for surface in surfaces if len(surface.triangles)]
+    if not soups:
+        return (0.0, 0.0, 0.0)
+    low, high = (find([find(soup, axis=(0, 1)) for soup in soups], axis=0) for find in (np.min, np.max))
+    x, y, z = np.subtract(high, low).tolist()
     return x, y, z
 
 
@@ -227,7 +231,7 @@ def convert(
         made.mesh,
         given=tuple(quat for quat in asset.rest_quats if _unit(quat) is not None),
         is_upright=asset.is_upright,
-        upright=None if known is None else known[0].upright,
+        vertical=() if known is None else known[0].vertical,
         center_of_mass=np.array(mass["center_of_mass"]),
         searches=settings.finds_poses,
     )

@@ -5,7 +5,7 @@ category are asked first.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +30,7 @@ _DROP = 2e-3  # metres
 _SECONDS = 1.0
 _COARSE = 192  # steps of the hull's largest extent: a coarser hull has few faces and the same poses
 _GAP = 2.0  # distance of bodies that fall at the same time, in largest extents
-_FITS = (0.15, 0.4)  # log of the height, against that of the category, up to which a pose is as usual, or nearly
+_FITS = (0.15, 0.4)  # log of the height, against that of the usual pose, up to which a pose is usual, or nearly
 _UNIT_MASS = 0.2  # kilograms; a fall does not depend on it
 _HOLDS = (0.01, 0.2, 0.2, 0.1)  # least depth (m); shares of height, footprint and box of depth, mouth and volume
 
@@ -82,7 +82,7 @@ def resting_poses(
     *,
     given: Sequence[QuatXyzw] = (),
     is_upright: bool = False,
-    upright: float | None = None,
+    vertical: Collection[int] = (),
     center_of_mass: FloatArray | None = None,
     searches: bool = True,
 ) -> tuple[tuple[RestingPose, ...], str]:
@@ -92,7 +92,8 @@ def resting_poses(
         mesh: Repaired, metres.
         given: Poses that the source states; they are kept.
         is_upright: Whether the source says that z is up.
-        upright: Usual height of its category, divided by the longest side; None if unknown.
+        vertical: Which sides of its category are upright in the usual pose: 0 the longest, 1 the middle, 2 the shortest; none if that
+            is not known.
         center_of_mass: In the frame of the mesh, (3,); None: the centre of its box. Of a pose and its reverse, the one with the lower
             centre of mass is likelier: things stand on their broad ends.
         searches: Whether poses are sought by physics; else z is up.
@@ -114,7 +115,7 @@ def resting_poses(
     if not rested:  # a needle or a ball that rolls: the source's axis is all that is known
         return (RestingPose(UPRIGHT, 1),), "up_axis"
     center = np.zeros(3) if center_of_mass is None else center_of_mass
-    ranked = _ranked(_merged(rested), mesh, center, is_upright=is_upright, upright=upright)
+    ranked = _ranked(_merged(rested), mesh, center, is_upright=is_upright, vertical=vertical)
     first = ranked[0]
     total = sum(c.probability for c in ranked) or 1.0
     counts = [100, *(min(99, max(1, round(100 * c.probability / total))) for c in ranked[1:])]
@@ -230,7 +231,7 @@ def _on_face(matrix: FloatArray, hull: Mesh) -> FloatArray:
 
 
 def _ranked(
-    candidates: Sequence[_Candidate], mesh: Mesh, center: FloatArray, *, is_upright: bool, upright: float | None
+    candidates: Sequence[_Candidate], mesh: Mesh, center: FloatArray, *, is_upright: bool, vertical: Collection[int]
 ) -> list[_Candidate]:
     """Poses, the likeliest first.
 
@@ -240,14 +241,15 @@ def _ranked(
 
     def key(candidate: _Candidate) -> tuple[bool, int, bool, bool, bool, float]:
         posed = Mesh(mesh.vertices @ candidate.matrix.T, mesh.faces)
-        misfit = 0.0 if upright is None else abs(math.log(_share_of_height(posed) / upright))
+        sides, height = _sides(posed)
+        misfit = min((abs(math.log(height / sides[k])) for k in vertical), default=0.0)
         low, high = posed.vertices[:, 2].min(), posed.vertices[:, 2].max()
         level = float((candidate.matrix @ center)[2] - low) / max(float(high - low), 1e-9)
         return (
             not (candidate.is_source and is_upright),
             int(np.searchsorted(_FITS, misfit)),
             not candidate.is_source,
-            not (upright is not None and misfit < _FITS[-1] and _holds(upward_hollow(posed), posed)),
+            not (vertical and misfit < _FITS[-1] and _holds(upward_hollow(posed), posed)),
             level > _LOW,
             -candidate.probability,
         )
@@ -255,10 +257,13 @@ def _ranked(
     return [candidate for _, candidate in sorted(((key(c), c) for c in candidates), key=lambda pair: pair[0])]
 
 
-def _share_of_height(posed: Mesh) -> float:
-    """Height of a posed mesh, divided by the longest side of the smallest upright box around it."""
+def _sides(posed: Mesh) -> tuple[FloatArray, float]:
+    """Sides of the smallest upright box around a posed mesh, the longest first, (3,); and its height."""
     around = shapely.minimum_rotated_rectangle(shapely.multipoints(posed.vertices[:, :2]))
     corners = shapely.get_coordinates(around)[:3]
-    sides = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-    height = max(float(posed.extents[2]), 1e-9)
-    return height / max(height, float(sides.max(initial=0.0)))
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    height = float(posed.extents[2])
+    sides = np.zeros(3)
+    sides[: 1 + len(lengths)] = height, *lengths
+    least = 1e-4 * max(float(sides.max()), 1e-9)
+    return np.maximum(np.sort(sides)[::-1], least), max(height, least)

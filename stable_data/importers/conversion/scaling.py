@@ -16,6 +16,7 @@ SMALLEST, LARGEST = 1e-3, 5.0
 _USUAL = (0.01, 2.0)  # longest side of a thing of unknown category, metres
 _ODD = 3.0  # an asset whose size would be wrong by more than this keeps its own scale and not that of its set
 _SURE = 0.6  # confidence of that own scale
+_UNKNOWN = 2.0  # factor by which a thing may be smaller or larger than the user's default
 _NOT_SAME = 1.1  # ratio by which the proportions of a stated size may differ from those of the mesh
 
 
@@ -42,13 +43,14 @@ class ChosenScale:
     def columns(self, longest: float) -> Row:
         """The columns of ``assets``, for an asset whose longest side has a length, metres."""
         is_exact = self.source in ("given", "stated_size")
+        low, high = (self.low, self.high) if self.low else (longest / _UNKNOWN, longest * _UNKNOWN)
         return {
             "typical_scale": [1.0, 1.0, 1.0],
             "scale_source": self.source,
             "scale_inferred": not is_exact,
             "scale_confidence": self.confidence,
-            "size_low": longest if is_exact or not self.low else min(self.low, longest),
-            "size_high": longest if is_exact or not self.high else max(self.high, longest),
+            "size_low": longest if is_exact else min(low, longest),
+            "size_high": longest if is_exact else max(high, longest),
         }
 
 

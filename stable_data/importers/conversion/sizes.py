@@ -24,6 +24,7 @@ _USUAL_SPREAD = 0.35  # standard deviation of log sizes in a category of which o
 _PRIOR_COUNT = 2.0  # examples that this spread weighs as much as
 _MOST_COUNTED = 6  # examples of a source that count, so that no source outweighs the others
 _SIDE_SPREAD = np.array([1.0, 1.1, 1.5])  # spread of the longest, middle and shortest side, relative to that of the longest
+_SAME_SIDE = 0.15  # difference of the logarithms of a height and of a side that is upright
 _QUANTILE = 1.645  # of the normal distribution, for 5 and 95 %
 _OTHER_NAME, _ALIKE_ONLY = 0.15, 0.45  # further standard deviation if the row is that of another name, or of a similar category
 _NEIGHBOURS, _LEAST_ALIKE, _LIKENESS_SCALE = 10, 0.4, 0.08  # similar categories: number, least cosine of the first, decay
@@ -46,6 +47,13 @@ class CategorySize:
     spread: float
     num: int
     upright: float
+
+    @property
+    def vertical(self) -> frozenset[int]:
+        """Which sides are upright in the usual pose: 0 the longest, 1 the middle, 2 the shortest; several if they are nearly equal."""
+        misfits = np.abs(self.log_sides - self.log_sides[0] - math.log(self.upright))
+        nearly = max(_SAME_SIDE, float(misfits.min()))
+        return frozenset(k for k in range(3) if misfits[k] <= nearly)
 
     @property
     def low(self) -> float:

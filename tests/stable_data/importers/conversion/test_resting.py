@@ -8,12 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.geometry.mesh import Mesh, center_vertices
 from stable_data.importers.conversion.resting import is_container, resting_poses
+from stable_data.importers.conversion.sizes import read_sizes
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw
 from tests.stable_data.importers.conversion.sources import BOTTLE, CUP, PLATE, box, revolved
 
+VERTICAL = {name: size.vertical for name, size in read_sizes().items()}
 TURN = Rotation.from_euler("xyz", (1.0, 0.4, 0.3)).as_matrix()
-BOTTLE_UPRIGHT, PLATE_UPRIGHT = 1.0, 0.1  # heights of their categories divided by the longest sides
 
 
 def centred(mesh: Mesh, turn: FloatArray | None = None) -> Mesh:
@@ -37,7 +38,7 @@ def test_a_bottle_whose_source_says_up_stands() -> None:
 
 def test_a_turned_bottle_stands_because_bottles_do_though_it_would_fall_on_its_side() -> None:
     bottle = centred(revolved(BOTTLE), TURN)
-    poses, rests_on = resting_poses(bottle, upright=BOTTLE_UPRIGHT)
+    poses, rests_on = resting_poses(bottle, vertical=VERTICAL["bottle"])
     assert rests_on == "physics"
     assert upward(poses[0].quat_xyzw, TURN) == pytest.approx(1, abs=1e-3)
     assert height(bottle, poses[0].quat_xyzw) == pytest.approx(0.25, rel=0.01)
@@ -47,9 +48,13 @@ def test_a_turned_bottle_stands_because_bottles_do_though_it_would_fall_on_its_s
 
 def test_a_turned_plate_lies_with_its_hollow_up() -> None:
     plate = centred(revolved(PLATE), TURN)
-    poses, _ = resting_poses(plate, upright=PLATE_UPRIGHT)
+    poses, _ = resting_poses(plate, vertical=VERTICAL["plate"])
     assert upward(poses[0].quat_xyzw, TURN) == pytest.approx(1, abs=1e-3)
     assert is_container(plate, poses[0].quat_xyzw)
+
+
+def test_tables_know_which_side_is_upright() -> None:
+    assert [sorted(VERTICAL[name]) for name in ("bottle", "plate", "banana", "apple")] == [[0], [2], [2], [0, 1, 2]]
 
 
 def test_a_pose_of_the_source_that_is_not_at_rest_is_left_out() -> None:

@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import MeshError
+from stable_data.geometry.surface import Surface
+from stable_data.importers.conversion import ConversionContext, extents_of
 from stable_data.importers.conversion.scaling import choose_scale
 from stable_data.importers.conversion.sizes import SetScale, SizeTable, read_sizes
 from stable_data.importers.source import SourceAsset
@@ -104,6 +106,12 @@ def test_without_any_size_an_asset_is_refused_or_gets_the_default() -> None:
         scale(MUG, (1.0, 1.0, 1.0), "zorble")
     assert error.value.code == "scale_unknown"
     assert scale(MUG, (4.0, 1.0, 1.0), "zorble", default_longest_m=0.2) == (0.05, "option")
+
+
+def test_assets_without_a_size_do_not_count_in_a_set() -> None:
+    flat = SourceAsset("a", "mug", (Surface(np.zeros((0, 3, 3))),))
+    assert extents_of(flat.surfaces) == (0.0, 0.0, 0.0)
+    assert ConversionContext().set_scale([(flat, extents_of(flat.surfaces)), (MUG, (math.nan, 1.0, 1.0))]) is None
 
 
 @pytest.mark.parametrize(("unit", "factor"), [(1.0, "0.001"), (1e-6, "1000")])
