@@ -71,7 +71,7 @@ Assets = Annotated[
     list[str] | None,
     typer.Option(
         help="A folder in the MesaTask-10K format, or a run, to take assets from, or embedded: the embedded world's library, which "
-        "is made if it is missing. May be repeated: libraries are searched in order, and the first match is used. Default: embedded."
+        "is made if it is missing. May be repeated: libraries are searched in order for the wanted thing. Default: embedded."
     ),
 ]
 EditAssets = Annotated[
@@ -305,7 +305,10 @@ def generate(
         str | None, typer.Option(help="Take the tasks of these scenes: a run, or a folder in the MesaTask-10K format.")
     ] = None,
     where: Annotated[str, typer.Option(help="Which scenes of a run, such as \"split == 'test'\".")] = "",
-    count: Annotated[int | None, typer.Option(help="Sample this many tasks of the embedded world.")] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(help="Sample this many tasks of the embedded world, for things that the libraries have (only_served)."),
+    ] = None,
     instruction: Annotated[str | None, typer.Option(help="One task: its instruction, with --table and --size.")] = None,
     table: Annotated[
         list[str] | None,

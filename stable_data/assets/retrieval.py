@@ -144,7 +144,7 @@ Answer: TypeAlias = AssetMatch | UnmatchedQuery
 
 
 class Retriever:
-    """Finds assets in libraries, which are searched in order; the first match is used.
+    """Finds assets in libraries, which are searched in order.
 
     All libraries are searched for the wanted thing or a kind of it whose size is near the requested one, and which can hold what is in
     it; then for any one;
