@@ -56,6 +56,7 @@ class SupportLimits:
 
 
 _SNAP = 1e-6  # grid of coordinates in unions, metres
+_FLATTEST = 1e-12  # area of a slice that shades nothing, m²
 _LEAST_CEILING = 0.1  # share of a plane that must be covered so that the covered part is a surface of its own
 _FRAME_GAIN = 0.98  # a turned frame must have a box smaller than this share of the straight one
 _SMOOTH = 5e-4  # by which outlines are simplified, metres
@@ -196,8 +197,10 @@ class _Space:
         """The vertical projection of what lies between two heights near a shape, with a margin; without one walls have no area."""
         rows = np.flatnonzero((self._high > low) & (self._low < high) & self._is_near(plane))
         shapes = _slices(self._triangles[rows], low, high)
+        if not margin:
+            return _union(shapes[shapely.area(shapes) > _FLATTEST])
         # Before they are joined: the slice of a wall is a line or a sliver, which a union drops.
-        return _union(shapely.buffer(shapes, margin, quad_segs=2) if margin else shapely.buffer(shapes, 0.0))
+        return _union(shapely.buffer(shapes, margin, quad_segs=2))
 
     def _is_near(self, plane: shapely.Geometry) -> Any:
         """Whether the box of each triangle meets the box of a shape, (F,)."""
