@@ -1,5 +1,6 @@
 """The shapes of scene files as a source of assets: each becomes a GLB file in a temporary folder."""
 
+import weakref
 from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +19,9 @@ class SceneAssets:
 
     def __init__(self) -> None:
         self.assets: dict[str, SceneAsset] = {}
-        self._folder = TemporaryDirectory(prefix="stable-data-assets-")
+        folder = TemporaryDirectory(prefix="stable-data-assets-")
+        self._folder = Path(folder.name)
+        weakref.finalize(self, folder.cleanup)
 
     def add(self, scenes: Iterable[ImportedScene]) -> None:
         """Adds the assets of scenes; of equal ones the first stays."""
@@ -30,7 +33,7 @@ class SceneAssets:
         """Returns the GLB file of an asset, or None if there is no such asset."""
         if asset_id not in self.assets:
             return None
-        path = Path(self._folder.name, f"{asset_id}.glb")
+        path = self._folder / f"{asset_id}.glb"
         if not path.exists():
             path.write_bytes(write_glb(self.assets[asset_id].mesh))
         return path

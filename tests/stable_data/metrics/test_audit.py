@@ -364,3 +364,23 @@ def test_an_audit_that_was_cut_short_passes_nothing() -> None:
     assert audit.card().clean is None
     assert audit.card().num_unknown_pairs == 1
     assert (audit.objects[1].floats, audit.objects[1].gap) == (None, None)
+
+
+def test_fixed_objects_are_obstacles_but_are_not_judged() -> None:
+    """Two walls in each other, one of them through the table and over its edge, and a box in one of them."""
+    wall = box(0.02, 0.4, 0.3)
+    placed: list[Placed] = [
+        ("0_wall_0", wall, (0.0, 0.2, 0.1, 0.0)),
+        ("1_wall_0", wall, (0.01, 0.2, 0.35, 0.3)),
+        ("2_box_0", CUBE, (0.055, 0.2, 0.05, 0.0)),
+        ("3_box_0", CUBE, (0.3, 0.2, 0.05, 0.0)),
+    ]
+    scene, shapes = scene_of(placed)
+    fixed = replace(scene, fixed=frozenset({"0_wall_0", "1_wall_0"}))
+    audit = audit_scene(fixed, shapes)
+    assert [(p.first, p.second) for p in audit.pairs] == [("0_wall_0", "2_box_0")]
+    card = audit.card()
+    assert (card.num_objects, card.float_rate, card.out_of_bounds_rate, card.table_penetration_mm) == (2, 0.0, 0.0, 0.0)
+    assert card.oc == 1 / 5  # six pairs but for that of the walls
+    assert [row["instance"] for row in audit.rows()["verdicts"]] == ["2_box_0", "3_box_0"]
+    assert audit_scene(scene, shapes).card().num_collisions == 2

@@ -267,3 +267,20 @@ def test_the_order_of_objects_does_not_matter(laid_out: tuple[Scene, list[Shape]
     assert first.status == second.status
     assert first == certify(scene, shapes)
     assert {d.instance for d in first.dropped} == {d.instance for d in second.dropped}
+
+
+def test_surroundings_are_obstacles_that_nothing_carries_or_judges() -> None:
+    """A robot arm that hovers over the table beyond its edge, and a box in it."""
+    scene, shapes = laid(
+        ("0_arm_0", box(0.5, 0.06, 0.06), 0.0, 0.2, 0.05),
+        ("1_box_0", box(0.1, 0.1, 0.1), 0.2, 0.22, 0.0),
+        ("2_box_0", box(0.04, 0.04, 0.04), 0.1, 0.2, 0.0),
+    )
+    fixed = frozenset({"0_arm_0"})
+    done = certify(replace(scene, fixed=fixed), shapes, CertifyOptions(when_full="infeasible", fixed=fixed))
+    assert done.status is CorrectionStatus.CERTIFIED
+    assert done.scene is not None
+    assert done.scene["0_arm_0"] == scene["0_arm_0"]
+    assert done.scene["2_box_0"] == scene["2_box_0"]  # there is room below the arm
+    assert done.scene["1_box_0"].position != scene["1_box_0"].position
+    assert done.scene["1_box_0"].position[2] == pytest.approx(0.05)

@@ -1,0 +1,189 @@
+"""Repair of scene files: they come back upright, clean and at rest; the real consumer says so."""
+
+import shutil
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from pipelines.correct.job import correct
+from pipelines.correct.settings import CorrectSettings
+from pipelines.execution.ray_executor import WorkerPool
+from pipelines.scene_files.commands import resolve_source
+from pipelines.scene_files.folder import FileVerdict, RepairStatus, repair_folder, write_verdicts
+from pipelines.scene_files.importing import import_scenes
+from pipelines.scene_files.repair import RepairOptions, repair_file
+from stable_data.errors import ConfigError, SceneError
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.scenes.copies import CopyWriter
+from stable_data.importers.scenes.lint import lint_scene_files, scene_candidates
+from stable_data.importers.scenes.originals import export_originals
+from stable_data.simulation.run_reader import SceneSelection
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import object_row, scene_from_row, scene_row
+from tests.scene_files import COMMON, write_corner, write_model, write_stage
+
+DEFAULT = RepairOptions()
+
+
+def only(folder: Path, path: str, out: Path | None, options: RepairOptions = DEFAULT) -> FileVerdict:
+    (verdict,) = repair_folder(folder, [path], out, options)
+    return verdict
+
+
+def test_a_broken_scene_comes_back_upright_clean_and_at_rest(tmp_path: Path) -> None:
+    write_corner(tmp_path / "in")
+    verdict = only(tmp_path / "in", "scene.xml", tmp_path / "out")
+    assert verdict.status is RepairStatus.REPAIRED
+    assert (verdict.clean_before, verdict.clean_after, verdict.rest_before, verdict.rest_after) == (False, True, False, True)
+    bodies = {body.name: body for body in verdict.bodies}
+    assert "fallen over" in bodies["mug"].uprighted
+    assert bodies["mug"].turn == pytest.approx(90, abs=0.5)
+    assert bodies["box_a"].faults_before == ("40.0 mm in box_b",)
+    assert [name for name, body in bodies.items() if not body.move] == ["fine", "wedge_1"]
+    kept = ["meshes/wedge.obj", "parts/common.xml", "parts/robot.xml"]
+    assert all((tmp_path / "out" / name).read_bytes() == (tmp_path / "in" / name).read_bytes() for name in kept)
+    # MuJoCo itself steps the written file: nothing moves but the arm that nobody holds.
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "scene.xml"))
+    data = mujoco.MjData(model)
+    for _ in range(round(1 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    for name in bodies:
+        at = model.jnt_qposadr[model.body(name).jntadr[0]]
+        assert np.linalg.norm(data.qpos[at : at + 3] - model.qpos0[at : at + 3]) < 2e-3
+    # A second repair has nothing to do.
+    again = only(tmp_path / "out", "scene.xml", tmp_path / "again")
+    assert again.status is RepairStatus.FINE
+    assert (tmp_path / "again" / "scene.xml").read_bytes() == (tmp_path / "out" / "scene.xml").read_bytes()
+
+
+def test_a_usd_scene_comes_back_likewise(tmp_path: Path) -> None:
+    write_stage(tmp_path / "in.usda", is_y_up=True, unit=0.01)
+    verdict = only(tmp_path, "in.usda", tmp_path / "out")
+    assert verdict.status is RepairStatus.REPAIRED
+    assert (verdict.clean_before, verdict.clean_after, verdict.rest_before, verdict.rest_after) == (False, True, False, True)
+    assert "fallen over" in next(b for b in verdict.bodies if b.name == "/World/bottle").uprighted
+    assert (tmp_path / "out" / "in.usda").read_bytes() == (tmp_path / "in.usda").read_bytes()
+    assert only(tmp_path / "out", "in_repaired.usda", tmp_path / "again").status is RepairStatus.FINE
+
+
+def test_a_fallen_thing_that_is_at_rest_is_put_upright_unless_asked_not_to(tmp_path: Path) -> None:
+    can = '<body name="can" pos="0 0 .03" euler="90 0 0"><freejoint/><geom type="cylinder" size=".03 .06"/></body>'
+    write_model(tmp_path, can)
+    lying, kept = (repair_file(Boundary(tmp_path), "scene.xml", RepairOptions(upright=mode)) for mode in ("auto", "keep"))
+    assert lying.bodies[0].turn == pytest.approx(90, abs=0.1)
+    assert lying.is_clean
+    assert lying.is_at_rest
+    assert kept.changed == {}
+    assert kept.was_clean
+
+
+def test_what_cannot_be_solved_is_said(tmp_path: Path) -> None:
+    """A body that is wider than every free place between fixed walls."""
+    walls = "".join(f'<geom type="box" size=".02 .4 .2" pos="{x} 0 .2"/>' for x in (-0.4, -0.2, 0.0, 0.2, 0.4))
+    wide = '<body name="wide" pos=".1 0 .1"><freejoint/><geom type="box" size=".12 .12 .1"/></body>'
+    write_model(tmp_path, walls + wide)
+    verdict = only(tmp_path, "scene.xml", tmp_path / "out", RepairOptions(table="table"))
+    assert verdict.status is RepairStatus.UNSOLVED
+    assert verdict.message
+    assert verdict.clean_after is False
+    assert "wide" in verdict.lines()[1]
+
+
+def test_a_folder_has_a_verdict_for_each_scene(tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    write_corner(source)
+    cube = '<body name="cube" pos="0 0 {z}"><freejoint/><geom type="box" size=".03 .03 .03"/></body>'
+    write_model(source, cube.format(z=".03"), name="fine.xml")
+    write_model(source, cube.format(z=".1"), '<include file="/etc/hostname"/>', name="hostile.xml")
+    write_model(source, '<geom size=".1"/>', name="empty.xml")
+    (source / "note.xml").write_text("<note/>")
+    verdicts = {v.path: v for v in repair_folder(source, None, tmp_path / "out", RepairOptions())}
+    assert {path: str(v.status) for path, v in verdicts.items()} == {
+        "fine.xml": "fine",
+        "scene.xml": "repaired",
+        "hostile.xml": "failed",
+    }
+    assert verdicts["hostile.xml"].code == "path_outside"
+    write_verdicts(list(verdicts.values()), tmp_path / "verdicts.parquet")
+    rows = pq.read_table(tmp_path / "verdicts.parquet").to_pylist()
+    assert [row["path"] for row in rows] == list(verdicts)
+    assert rows[1]["bodies"][0]["name"] == "mug"
+
+
+def test_in_place_changes_only_the_poses(tmp_path: Path) -> None:
+    write_corner(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    only(tmp_path, "scene.xml", None)
+    changed = sorted(path.relative_to(tmp_path).as_posix() for path, content in before.items() if path.read_bytes() != content)
+    assert changed == ["parts/things.xml", "scene.xml"]
+
+
+def test_scenes_that_share_a_body_file_are_not_mixed(tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text("a")
+    writer = CopyWriter(tmp_path, tmp_path / "out")
+    writer.write("one.xml", ["a.xml"], {"a.xml": b"moved"})
+    writer.write("two.xml", ["a.xml"], {"a.xml": b"moved"})
+    with pytest.raises(SceneError) as caught:
+        writer.write("three.xml", ["a.xml"], {})
+    assert caught.value.code == "file_shared"
+
+
+def test_scenes_are_imported_audited_and_exported(tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    write_corner(source)
+    write_stage(source / "stage.usda")
+    counts = import_scenes(source, ["scene.xml", "stage.usda"], str(tmp_path / "run"), RepairOptions(upright="keep"))
+    assert (counts.num_files, counts.num_scenes, counts.failures) == (2, 2, ())
+    run = RunFolder(str(tmp_path / "run"))
+    rows = {row["scene_id"]: row for row in run.table("scenes").to_pylist()}
+    assert rows["scene"]["layout_path"] == "scene.xml"
+    assert rows["scene"]["clean"] is False
+    assert rows["scene"]["num_objects"] == 6
+    assets = {row["description"]: row for row in run.table("assets").to_pylist()}
+    assert assets["box_b"]["mass"] == pytest.approx(0.2)
+    assert assets["box_b"]["mass_source"] == "given"
+    assert assets["arm"]["is_static"] is True
+    assert run.num_rows("meshes") == len(assets)
+    lint = lint_scene_files(source, scene_candidates(source))
+    assert [row["clean"] for row in lint.rows] == [False, False]
+
+    moved = tmp_path / "moved"
+    shutil.copytree(tmp_path / "run", moved)
+    shutil.rmtree(moved / "scenes")
+    scene = scene_from_row(rows["scene"])
+    objects = [o.moved((o.position[0] + 0.01, *o.position[1:]), o.yaw) if o.description == "fine" else o for o in scene.objects]
+    row = rows["scene"] | {"objects": [object_row(o) for o in objects]}
+    assert scene_row(scene)["fixed"] == row["fixed"]
+    RunFolder(str(moved)).write_shard("scenes", "changed", [row])
+    result = export_originals(RunFolder(str(moved)), source, tmp_path / "out", SceneSelection())
+    assert (result.num_written, result.num_moved, result.failures) == (1, 1, ())
+    before, after = ((folder / "scene.xml").read_text().splitlines() for folder in (source, tmp_path / "out"))
+    assert [a for a, b in zip(before, after, strict=True) if a != b] == [line for line in before if 'name="fine"' in line]
+    (source / "parts" / "common.xml").write_text(COMMON + "<!-- changed -->")
+    assert "another file" in export_originals(RunFolder(str(moved)), source, tmp_path / "out2", SceneSelection()).failures[0]
+
+
+def test_sources_are_checked(tmp_path: Path) -> None:
+    path = write_corner(tmp_path / "a" / "b")
+    assert resolve_source(path, tmp_path / "a") == (tmp_path / "a", ["b/scene.xml"])
+    with pytest.raises(ConfigError, match="is not in"):
+        resolve_source(path, tmp_path / "a" / "b" / "parts")
+    with pytest.raises(ConfigError, match="does not exist"):
+        resolve_source(tmp_path / "none.xml", None)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="no scene file"):
+        list(repair_folder(tmp_path / "empty", None, tmp_path / "out", RepairOptions()))
+
+
+@pytest.mark.slow
+def test_the_correct_job_takes_an_import_and_its_result_goes_back(tmp_path: Path) -> None:
+    write_corner(tmp_path / "in")
+    import_scenes(tmp_path / "in", ["scene.xml"], str(tmp_path / "run"), RepairOptions(upright="auto"))
+    settings = CorrectSettings(weights="none", when_full="infeasible", settle=True, num_pictures=0)
+    correct(str(tmp_path / "run"), str(tmp_path / "corrected"), settings, WorkerPool(), report=False)
+    result = export_originals(RunFolder(str(tmp_path / "corrected")), tmp_path / "in", tmp_path / "out", SceneSelection())
+    assert (result.num_written, result.failures) == (1, ())
+    assert only(tmp_path / "out", "scene.xml", tmp_path / "again").status is RepairStatus.FINE
