@@ -20,7 +20,7 @@ from stable_data.assets.physics import IS_WEIGHED, PHYSICS_COLUMNS, AssetPhysics
 from stable_data.assets.ranking import may_be_used
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.retrieval_settings import RetrievalSettings
-from stable_data.assets.run_assets import RowsOfAssets, RunAnnotations, RunAssets
+from stable_data.assets.run_assets import RowsOfAssets, RunAssets, run_annotations
 from stable_data.assets.store import colliders_of
 from stable_data.assets.text_embeddings import share_rows
 from stable_data.content_id import content_id
@@ -232,7 +232,7 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
     if "://" in place or RunFolder(place).files("assets"):
         run = RunFolder(place)
         kept = RunAssets(run, mesh_cache())
-        annotations = RunAnnotations(run)
+        annotations = run_annotations(run)
         listed = _listed(partial(library_of_run, run, name), may_be_empty=may_be_empty)
         contents = partial(_contents_of_run, run)
         rows = partial(_rows_of_run, kept, cache(partial(RowsOfAssets, run, "assets")))

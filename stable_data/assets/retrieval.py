@@ -172,6 +172,7 @@ class Retriever:
             raise ConfigError(f"libraries are named {', '.join(names)}, expected different names; pass name=", "library_name")
         for library in libraries:
             _check_encoder(library, encoder)
+        self._places = {name: place for place, name in enumerate(names)}
         self._libraries = _scores(libraries, self.settings)
         if not self._libraries:
             licences = "any" if self.settings.licences is None else ", ".join(sorted(self.settings.licences)) or "none"
@@ -229,11 +230,11 @@ class Retriever:
     def _answers(
         self, queries: Sequence[AssetQuery], rows: dict[str, Rows], seed: int, libraries: Sequence[tuple[str, AssetScores]]
     ) -> list[tuple[Answer, int]]:
-        """Returns the answers, and after how many searches of a library each was found."""
+        """Returns the answers, and the number of the search that found each: searches of earlier passes and libraries have lower ones."""
         answers: list[tuple[Answer, int]] = [(_wordless(), 0) for _ in queries]
         waiting = [k for k, query in enumerate(queries) if query.sentence()]
         for number, (least, must_fit) in enumerate(_PASSES):
-            for place, (name, scores) in enumerate(libraries):
+            for name, scores in libraries:
                 # Without a category any noun fits, so that one search is enough. Where nothing is limited, everything fits.
                 asked = [k for k in waiting if queries[k].category or least is NounFit.OTHER]
                 if not asked or (number == 1 and not scores.is_limited):
@@ -250,7 +251,7 @@ class Retriever:
                     least=least,
                     must_fit=must_fit,
                 )
-                order = number * len(libraries) + place
+                order = number * len(self._places) + self._places[name]
                 for k, answer in zip(asked, self._read(name, scores, choices, asked_queries), strict=True):
                     previous = answers[k][0]
                     if answer is not None and (
@@ -306,8 +307,8 @@ class Retriever:
         scale, box = (factor, factor, factor), (factor * x, factor * y, factor * z)
         if self.settings.stretch:
             stretched, distortion = stretched_scale(wanted, rest.extents, rest.quat_xyzw)
-            if asset.size_range is not None:
-                note = "is scaled uniformly: its size is known"
+            if not self._may_be_stretched(asset, stretched):
+                note = "is scaled uniformly: stretching would give it a size that such an asset does not have"
             elif stretched is not None and distortion <= self.settings.max_distortion:
                 scale, box = stretched, wanted
             elif stretched is None:
@@ -316,6 +317,14 @@ class Retriever:
                 allowed = f"expected at most {self.settings.max_distortion:g}"
                 note = f"is scaled uniformly: stretching would distort it by a factor of {distortion:.2g}, {allowed}"
         return AssetMatch(asset.asset_id, "", asset.category, 0.0, 0.0, 0.0, rest.quat_xyzw, scale, box, note=note)
+
+    def _may_be_stretched(self, asset: Asset, scale: Vec3 | None) -> bool:
+        """Whether an asset has a free size, or a range of sizes that includes the stretched one."""
+        if asset.size_range is None or scale is None:
+            return True
+        (low, high), slack = asset.size_range, self.settings.metric_slack
+        longest = max(s * e for s, e in zip(scale, asset.extents, strict=True))
+        return low < high and low / slack <= longest <= high * slack
 
     def _unmatched(self, name: str, nearest: Asset, text: float, query: AssetQuery) -> UnmatchedQuery:
         found = f"{quote_value(nearest.words)} of library {name} at {text:.2f}"

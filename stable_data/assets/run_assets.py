@@ -293,12 +293,17 @@ def run_store(run: Uri) -> AssetStore:
     return store
 
 
-class RunAnnotations(Mapping[str, AssetAnnotation]):
-    """Asset id -> annotation, from the table ``assets`` of a run. An annotation is made when it is asked for.
+def run_annotations(run: RunFolder) -> Mapping[str, AssetAnnotation]:
+    """Returns asset id -> annotation from the table ``assets`` of a run.
 
     Raises:
         ConfigError: The run has no such table, or the table cannot be read.
     """
+    return _RunAnnotations(run)
+
+
+class _RunAnnotations(Mapping[str, AssetAnnotation]):
+    """The annotations of a run, each made when it is asked for, because those of a large library need much memory."""
 
     def __init__(self, run: RunFolder) -> None:
         columns = ["asset_id", "category", "description", "caption", "licence", "source", "extents", "mass", "is_container"]

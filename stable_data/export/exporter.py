@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.licences import licence_terms, normalise_licence
-from stable_data.assets.run_assets import RunAnnotations
+from stable_data.assets.run_assets import run_annotations
 from stable_data.atomic_files import write_file_atomically
 from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
@@ -72,7 +72,7 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
         raise ConfigError(
             f"{run.uri}: no scene is selected, expected at least one; change --where, --scene or --limit", "scene_unknown"
         )
-    annotations = RunAnnotations(run)
+    annotations = run_annotations(run)
     with target.locked():
         _check_same(target, run, name, choice)
         try:

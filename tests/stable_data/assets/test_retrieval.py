@@ -213,6 +213,15 @@ def test_sizes_are_exact_or_in_their_range() -> None:
             assert slack > 1 or lengths[:2] == pytest.approx([0.12, bowl])
 
 
+def test_an_asset_is_stretched_only_to_sizes_that_it_has() -> None:
+    ranges = {"exact": (0.2, 0.2), "within": (0.1, 0.3), "small": (0.01, 0.15)}
+    for name, limits in ranges.items():
+        answer = ask(retriever(thing(name, "a box", size_range=limits), stretch=True), "a box", (0.2, 0.15, 0.15))
+        assert isinstance(answer, AssetMatch)
+        assert (answer.size == (0.2, 0.15, 0.15)) is (name == "within")
+        assert ("a size that such an asset does not have" in answer.note) is (name != "within")
+
+
 def test_of_two_that_fit_that_of_the_true_size_is_preferred() -> None:
     small = thing("small", "a bowl", category="bowl", size_range=(0.1, 0.1))
     large = thing("large", "a bowl", category="bowl", size_range=(0.3, 0.3))
@@ -276,6 +285,10 @@ def test_a_barred_licence_is_said_with_the_substitute() -> None:
     assert str(answer.barred) == "asset best of library first, whose licence 'CC BY-NC 4.0' is not allowed"
     assert ask(tool, "a mug", category="mug").barred is None  # the allowed one is the best match itself
     assert ask(retriever(best, other), "a red mug of clay", category="mug").barred is None
+    later = Retriever(
+        [library(best), library(other, name="later")], BagOfWords(), RetrievalSettings(licences=frozenset({"CC0"}))
+    )  # nothing of the first library is allowed
+    assert ask(later, "a mug", category="mug").barred == BarredAsset("best", "first", "CC BY-NC 4.0")
     unknown = thing("unknown", "a steel fork", licence=None)
     lost = ask(retriever(unknown, other, licences=frozenset({"CC0"})), "a steel fork", category="fork")
     assert isinstance(lost, UnmatchedQuery)

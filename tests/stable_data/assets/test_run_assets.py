@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.assets.run_assets import RunAnnotations, RunAssets
+from stable_data.assets.run_assets import RunAssets, run_annotations
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.gltf_writer import write_glb
@@ -93,7 +93,7 @@ def test_annotations_come_from_the_table(tmp_path: Path) -> None:
     known: Row = {"category": "mug", "licence": "CC0", "extents": [1.0, 2.0, 3.0], "mass": 0.2, "is_container": True}
     rows: list[Row] = [{"asset_id": "known", **known}, {"asset_id": "bare", "extents": [1.0, 1.0, 1.0]}]
     run.write_shard("assets", "0" * 16, [dict.fromkeys(SCHEMAS["assets"].names) | row for row in rows])
-    annotations = RunAnnotations(run)
+    annotations = run_annotations(run)
     assert annotations["known"] == AssetAnnotation("known", "mug", mass=0.2, is_container=True, extents_z_up=(1.0, 2.0, 3.0))
     assert annotations["known"].licence == "CC0"
     assert annotations["bare"].licence is None
