@@ -207,14 +207,14 @@ class _Space:
         low, high = flat.min(axis=1), flat.max(axis=1)
         return ((high >= (x_min - 0.01, y_min - 0.01)) & (low <= (x_max + 0.01, y_max + 0.01))).all(axis=1)
 
-    def _clearance(self, region: shapely.Polygon, height: float) -> float:
-        """Height of the lowest thing above a region, beyond the least clearance."""
+    def _clearance(self, region: shapely.Polygon, height: float) -> float | None:
+        """Height of the lowest thing above a region, beyond the least clearance; None if only its edge is covered."""
         low, high = height + self._limits.clearance, height + self._limits.high
         rows = np.flatnonzero((self._high >= low) & (self._low < high) & self._is_near(region))
         inner = shapely.buffer(region, -2 * self._limits.margin)  # what touches the region's edge is beside it
         shapely.prepare(inner)
         above = rows[shapely.intersects(inner, _slices(self._triangles[rows], low, high))]
-        return float(np.maximum(self._low[above], low).min(initial=high)) - height
+        return float(np.maximum(self._low[above], low).min()) - height if len(above) else None
 
     def _can_be_reached(self, region: shapely.Polygon, height: float, clearance: float | None) -> bool:
         """Whether one can look out from above a region: not from the inside of a closed body."""
