@@ -157,8 +157,7 @@ class _Space:
         """The free regions of a plane at a height, whose faces are triangles (F, 3, 3)."""
         limits = self._limits
         plane = _union(shapely.polygons(faces[..., :2]))
-        plane = shapely.buffer(plane, limits.gap / 2, join_style="mitre")
-        plane = shapely.buffer(plane, -limits.gap / 2, join_style="mitre")
+        plane = _grown(_grown(plane, limits.gap / 2), -limits.gap / 2)
         if not any(True for _ in self._usable(plane)):
             return
         bottom = height + limits.flatness + 1e-3
@@ -185,8 +184,7 @@ class _Space:
     def _usable(self, shape: shapely.Geometry) -> Iterator[shapely.Polygon]:
         """The polygons of a shape that are large and wide enough, without their fins."""
         limits = self._limits
-        inner = shapely.buffer(shape, -limits.fin / 2, join_style="mitre")
-        opened = _common(shapely.buffer(inner, limits.fin / 2, join_style="mitre"), shape)
+        opened = _common(_grown(_grown(shape, -limits.fin / 2), limits.fin / 2), shape)
         for part in shapely.get_parts(opened):
             if part.geom_type != "Polygon" or part.area < limits.area:
                 continue
@@ -195,7 +193,7 @@ class _Space:
 
     def _shadow(self, plane: shapely.Geometry, low: float, high: float, margin: float) -> shapely.Geometry:
         """The vertical projection of what lies between two heights near a shape, with a margin; without one walls have no area."""
-        rows = np.flatnonzero((self._high > low) & (self._low < high) & self._is_near(plane))
+        rows = np.flatnonzero((self._high >= low) & (self._low < high) & self._is_near(plane))
         shapes = _slices(self._triangles[rows], low, high)
         if not margin:
             return _union(shapes[shapely.area(shapes) > _FLATTEST])
@@ -209,14 +207,14 @@ class _Space:
         low, high = flat.min(axis=1), flat.max(axis=1)
         return ((high >= (x_min - 0.01, y_min - 0.01)) & (low <= (x_max + 0.01, y_max + 0.01))).all(axis=1)
 
-    def _clearance(self, region: shapely.Polygon, height: float) -> float:
-        """Height of the lowest thing above a region, beyond the least clearance."""
+    def _clearance(self, region: shapely.Polygon, height: float) -> float | None:
+        """Height of the lowest thing above a region, beyond the least clearance; None if only its edge is covered."""
         low, high = height + self._limits.clearance, height + self._limits.high
-        rows = np.flatnonzero((self._high > low) & (self._low < high) & self._is_near(region))
+        rows = np.flatnonzero((self._high >= low) & (self._low < high) & self._is_near(region))
         inner = shapely.buffer(region, -2 * self._limits.margin)  # what touches the region's edge is beside it
         shapely.prepare(inner)
         above = rows[shapely.intersects(inner, _slices(self._triangles[rows], low, high))]
-        return float(np.maximum(self._low[above], low).min()) - height
+        return float(np.maximum(self._low[above], low).min()) - height if len(above) else None
 
     def _can_be_reached(self, region: shapely.Polygon, height: float, clearance: float | None) -> bool:
         """Whether one can look out from above a region: not from the inside of a closed body."""
@@ -263,6 +261,11 @@ def _polygons(shape: shapely.Geometry) -> shapely.Geometry:
     parts = [part for part in shapely.get_parts(shape) if part.geom_type in ("Polygon", "MultiPolygon")]
     found = shapely.multipolygons(shapely.get_parts(parts)) if parts else shapely.Polygon()
     return found if shapely.is_valid(found) else _polygons(shapely.make_valid(found))
+
+
+def _grown(shape: shapely.Geometry, by: float) -> shapely.Geometry:
+    """A shape that is wider by a distance on all sides, with sharp corners; such a buffer is not always valid."""
+    return _polygons(shapely.buffer(shape, by, join_style="mitre"))
 
 
 def _common(one: shapely.Geometry, other: shapely.Geometry) -> shapely.Geometry:

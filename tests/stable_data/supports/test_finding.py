@@ -2,14 +2,17 @@
 
 from pathlib import Path
 
+import igl
 import numpy as np
 import pytest
+import shapely
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh, join_meshes
+from stable_data.scene import FloatArray
 from stable_data.supports import SupportLimits, SupportSurface, find_surfaces
 from tests.stable_data.supports.furniture import box, counter_with_sink, desk, lamp, moved, shelf, tray, turned
 
@@ -173,6 +176,34 @@ def test_a_turned_and_moved_table_has_the_same_surface_in_its_own_frame(degrees:
     np.testing.assert_allclose(back[:, 2], 0.75, atol=1e-9)
     assert (back[:, :2] >= mesh.vertices[:, :2].min(axis=0) - 1e-3).all()
     assert (back[:, :2] <= mesh.vertices[:, :2].max(axis=0) + 1e-3).all()
+
+
+@settings(max_examples=6)
+@given(st.integers(0, 2**32 - 1))
+def test_rays_from_any_point_of_a_surface_meet_it_below_and_nothing_up_to_its_clearance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(0.0, 0.8, (14, 3)).round(2)
+    boxes = join_meshes(
+        [box(tuple(a), tuple(a + b)) for a, b in zip(low, rng.uniform(0.02, 0.5, (14, 3)).round(2), strict=True)]
+    )
+    mesh = turned(boxes, rng.uniform(0.0, 90.0), (0.0, 0.0, 1.0))
+    tree = igl.AABB()
+    tree.init(mesh.vertices, mesh.faces)
+
+    def distances(points: FloatArray, up: float) -> FloatArray:
+        along = np.tile([0.0, 0.0, up], (len(points), 1))
+        face, distance, _ = tree.intersect_ray_first(mesh.vertices, mesh.faces, points, along)
+        return np.where(face < 0, np.inf, distance)
+
+    for surface in find_surfaces(mesh):
+        region = shapely.Polygon(surface.outline, surface.holes)
+        assert region.is_valid
+        assert region.area == pytest.approx(surface.area, rel=1e-6)
+        points = rng.uniform((0.0, 0.0), surface.size_xy, (400, 2))
+        points = points[shapely.contains_xy(shapely.buffer(region, -0.002), points)]
+        above = surface.to_support(np.column_stack([points, np.full(len(points), 0.004)]))
+        assert distances(above, -1.0).max(initial=0.0) < 0.007
+        assert distances(above, 1.0).min(initial=np.inf) >= (1.0 if surface.clearance is None else surface.clearance) - 0.0041
 
 
 def test_the_same_mesh_gives_the_same_surfaces() -> None:
