@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from stable_data.cli import SOME_FAILED, with_clear_errors
-from stable_data.errors import ConfigError
+from stable_data.cli import DONE, SOME_FAILED, with_clear_errors
+from stable_data.errors import ConfigError, cannot_write
+from stable_data.importers.scenes.formats import SUFFIXES, is_usd
 
 if TYPE_CHECKING:
     from pipelines.scene_files.repair import RepairOptions
@@ -23,6 +24,13 @@ Table = Annotated[
     str, typer.Option(help="Body that carries all free bodies. Default: for each free body, the surface below it.")
 ]
 Key = Annotated[str, typer.Option(help="Keyframe of the poses, or initial. Default: home if the file has it, else initial.")]
+RepairKey = Annotated[
+    str,
+    typer.Option(
+        "--key",
+        help="Keyframe of the poses, initial, or all: each that the file states. Default: home if there is one, else initial.",
+    ),
+]
 UprightMode = Annotated[
     str,
     typer.Option(
@@ -35,11 +43,16 @@ UprightMode = Annotated[
 @with_clear_errors
 def repair(
     source: Source,
-    out: Annotated[Path | None, typer.Option(help="Folder for the repaired copies, each with all files that it needs.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the repaired copies, each with all files that it needs; or, for a file, a new file beside it."
+        ),
+    ] = None,
     in_place: Annotated[bool, typer.Option("--in-place", help="Change the files themselves.")] = False,
     root: Root = None,
     table: Table = "",
-    key: Key = "",
+    key: RepairKey = "",
     upright: UprightMode = "auto",
     verdicts: Annotated[
         Path | None,
@@ -56,6 +69,8 @@ def repair(
     if (out is None) == (not in_place):
         raise ConfigError("expected a folder with --out, or --in-place; name one of them", "usage")
     folder, paths = resolve_source(source, root)
+    if out is not None and out.suffix.lower() in SUFFIXES:
+        raise typer.Exit(_repair_to_file(folder, paths, out, scene_options(table, key, upright), verdicts))
     if out is not None and folder.resolve() in (out.resolve(), *out.resolve().parents):
         raise ConfigError(f"{out}: is inside the folder of the scene files, expected another folder", "output_invalid")
     found = []
@@ -69,6 +84,43 @@ def repair(
     typer.echo(f"{source}: {len(found)} scene files: {counts or 'none has a free body'}" + (f"; {place}" if place else ""))
     if any(v.status in (RepairStatus.UNSOLVED, RepairStatus.FAILED) for v in found):
         raise typer.Exit(SOME_FAILED)
+
+
+def _repair_to_file(folder: Path, paths: list[str] | None, out: Path, options: "RepairOptions", verdicts: Path | None) -> int:
+    """Writes the repaired version of one file beside it; returns the exit status.
+
+    Raises:
+        ConfigError: The output is not beside the file, or poses stand in other files (``output_invalid``).
+    """
+    from pipelines.scene_files.folder import FileVerdict, RepairStatus, write_verdicts
+    from pipelines.scene_files.repair import repair_states
+    from stable_data.atomic_files import write_file_atomically
+    from stable_data.importers.boundary import Boundary
+
+    source = folder / paths[0] if paths else folder
+    if paths is None or source.parent.resolve() != out.parent.resolve():
+        raise ConfigError(
+            f"{out}: expected a folder, or a file beside the scene file, whose names of files hold there", "output_invalid"
+        )
+    repairs = repair_states(Boundary(folder), paths[0], options)
+    changed = repairs[-1].changed
+    if len(changed) > 1 or (changed and Path(next(iter(changed))).parent != Path(paths[0]).parent):
+        raise ConfigError(
+            f"{out}: poses stand in {', '.join(sorted(changed))}, expected one file; name a folder", "output_invalid"
+        )
+    if changed and not is_usd(paths[0]) and paths[0] not in changed:
+        raise ConfigError(
+            f"{out}: poses stand in {next(iter(changed))} alone, expected the file itself; name a folder", "output_invalid"
+        )
+    try:
+        write_file_atomically(out, next(iter(changed.values())) if changed else source.read_bytes())
+    except OSError as error:
+        raise cannot_write(str(out), error) from error
+    found = [FileVerdict.of(repair) for repair in repairs]
+    typer.echo("\n".join(line for verdict in found for line in verdict.lines()))
+    if verdicts is not None:
+        write_verdicts(found, verdicts)
+    return DONE if all(v.status in (RepairStatus.FINE, RepairStatus.REPAIRED) for v in found) else SOME_FAILED
 
 
 @with_clear_errors

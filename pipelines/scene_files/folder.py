@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure
-from pipelines.scene_files.repair import BodyReport, Repair, RepairOptions, repair_file
+from pipelines.scene_files.repair import BodyReport, Repair, RepairOptions, repair_states
 from stable_data.errors import ConfigError, MeshError, SceneError, StableDataError, cannot_write
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.copies import CopyWriter
@@ -73,7 +73,8 @@ class FileVerdict:
     def of(cls, repair: Repair) -> "FileVerdict":
         """The row of a repair."""
         solved = repair.is_clean is True and repair.is_at_rest is True
-        status = (RepairStatus.REPAIRED if repair.changed else RepairStatus.FINE) if solved else RepairStatus.UNSOLVED
+        has_moved = any(body.move or body.turn for body in repair.bodies)
+        status = (RepairStatus.REPAIRED if has_moved else RepairStatus.FINE) if solved else RepairStatus.UNSOLVED
         left = [s.reason for s in repair.surfaces if s.reason and s.audit_after.card().clean is not True]
         left += [f"{b.name} does not stay at rest" for b in repair.bodies if b.rest_after is False]
         verdicts = (repair.was_clean, repair.is_clean, repair.was_at_rest, repair.is_at_rest)
@@ -122,7 +123,8 @@ def repair_folder(
         progress: Whether to show a progress bar.
 
     Yields:
-        The verdict on each file. Files of a folder that hold no free body, or are parts of others, are left out.
+        The verdict on each file, or on each of its states with the key ``all``. Files of a folder that hold no free body, or are
+        parts of others, are left out.
 
     Raises:
         ConfigError: The folder does not exist, holds no scene file, or the output cannot be written.
@@ -138,15 +140,15 @@ def repair_folder(
     with IsolatedProcess() as process:
         for path in tqdm(found, desc="repair", unit="file", disable=not progress):
             try:
-                repair = call_for_file(process if isolates else None, _repair, root, path, options)
-                used |= set(repair.files) - {path}
-                writer.write(path, repair.files, repair.changed)
+                repairs = call_for_file(process if isolates else None, _repair, root, path, options)
+                used |= set(repairs[-1].files) - {path}
+                writer.write(path, repairs[-1].files, repairs[-1].changed)
             except ConfigError:
                 raise
             except StableDataError as error:
                 failures.append(FileVerdict.failed(path, error))
                 continue
-            yield FileVerdict.of(repair)
+            yield from map(FileVerdict.of, repairs)
     for verdict in failures:
         is_part = isolates and (verdict.code == "no_free_body" or verdict.path in used)
         if not is_part:
@@ -203,8 +205,8 @@ def _guarded(
         return SceneError(f"{path}: unexpected {type(error).__name__}: {error}; please report it with the file", "unexpected")
 
 
-def _repair(root: Path, path: str, options: RepairOptions) -> Repair:
-    return repair_file(Boundary(root), path, options)
+def _repair(root: Path, path: str, options: RepairOptions) -> tuple[Repair, ...]:
+    return repair_states(Boundary(root), path, options)
 
 
 _BODY = pa.struct(

@@ -20,7 +20,9 @@ from stable_data.errors import Notice
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.shape import Shape
 from stable_data.importers.boundary import Boundary
+from stable_data.importers.mjcf_files import Element, collect_files
 from stable_data.importers.scenes.file_physics import BodyMotion
+from stable_data.importers.scenes.formats import is_usd
 from stable_data.importers.scenes.layouts import (
     ImportedScene,
     moved_bodies,
@@ -29,6 +31,7 @@ from stable_data.importers.scenes.layouts import (
     settled_object,
     turned_object,
 )
+from stable_data.importers.scenes.mjcf_scenes import INITIAL
 from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
@@ -37,6 +40,9 @@ from stable_data.instructions.wording.vocabulary import classes_of
 from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, Scene
+
+ALL_KEYS = "all"
+"""Stands for all start states of a file, where a keyframe's name is expected."""
 
 _ROUNDS = 4  # corrections of a file, each from where its physics brings what was not at rest
 _FALLS = 30.0  # degrees: a body that turns as far has fallen
@@ -48,13 +54,17 @@ class RepairOptions:
 
     Attributes:
         table: The body that carries all free bodies; empty: for each free body, the surface below it.
-        key: Keyframe of the poses, or ``initial``; empty: ``home`` if there is one, else the initial poses.
+        key: Keyframe of the poses, or ``initial``; empty: ``home`` if there is one, else the initial poses; ``all``: the initial poses
+            and each keyframe, one after the other.
         upright: What is put on its feet.
     """
 
     table: str = ""
     key: str = ""
     upright: Upright = "auto"
+
+
+_DEFAULT = RepairOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,18 +161,53 @@ def _all(verdicts: Iterable[bool | None]) -> bool | None:
     return False if False in found else None if None in found else True
 
 
-def repair_file(boundary: Boundary, path: str, options: RepairOptions = RepairOptions()) -> Repair:
-    """Repairs a scene file; the file itself is not changed.
+def repair_states(boundary: Boundary, path: str, options: RepairOptions = _DEFAULT) -> tuple[Repair, ...]:
+    """Repairs the poses of a scene file that are asked for: one, or with the key ``all`` each start state that it states.
 
     Args:
         boundary: The source folder.
         path: The file, relative to it.
         options: What the user says about it.
 
+    Returns:
+        The repairs. With ``all`` they are named ``PATH#KEY``, and each changes the files that those before it have left.
+
     Raises:
         StableDataError: The file cannot be read, or its poses cannot be changed.
     """
-    source = read_scene_file(boundary, path, options.key)
+    if options.key != ALL_KEYS or is_usd(path):
+        return (repair_file(boundary, path, options),)
+    files = collect_files(boundary, path)
+    changed: dict[str, bytes] = {}
+    found: list[Repair] = []
+    for key in (INITIAL, *_stated_keys(files.elements)):
+        with files.placed(changed) as place:
+            root = Boundary(place.parents[path.count("/")], boundary.limits)
+            repair = repair_file(root, path, replace(options, key=key), is_everywhere=False)
+        changed |= repair.changed
+        found.append(replace(repair, path=f"{path}#{key.removeprefix('#')}", changed=dict(changed)))
+    return tuple(found)
+
+
+def _stated_keys(elements: Sequence[Element]) -> list[str]:
+    """The keyframes that state joint positions: their names, or ``#`` with their numbers."""
+    keys = [e.tag.attributes for e in elements if e.tag.name == "key"]
+    return [key.get("name") or f"#{k}" for k, key in enumerate(keys) if key.get("qpos", "").strip()]
+
+
+def repair_file(boundary: Boundary, path: str, options: RepairOptions = _DEFAULT, *, is_everywhere: bool = True) -> Repair:
+    """Repairs a scene file; the file itself is not changed.
+
+    Args:
+        boundary: The source folder.
+        path: The file, relative to it.
+        options: What the user says about it.
+        is_everywhere: Whether all places of a MuJoCo file that state the same pose of a body get its new one.
+
+    Raises:
+        StableDataError: The file cannot be read, or its poses cannot be changed.
+    """
+    source = read_scene_file(boundary, path, options.key, is_everywhere=is_everywhere)
     before = source.watch()
     at_rest = {name: motion.is_at_rest for name, motion in before.items()}
     correction = FileCorrection(source.file, options, at_rest)

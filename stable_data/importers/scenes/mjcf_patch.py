@@ -23,6 +23,7 @@ from stable_data.simulation.mujoco_import import mujoco
 
 _ORIENTATIONS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
 _SAME_POSE = 1e-9  # difference of numbers of poses that are one pose
+_NO_CHANGE = 1e-12  # metres, and parts of a unit quaternion: what is rounding
 _EXACT = 1e-6  # metres, and parts of a unit quaternion: largest difference of a written pose
 # What MuJoCo derives from the initial poses; nothing of it is stated by the file.
 _DERIVED = (
@@ -64,18 +65,19 @@ class PatchedModel:
     places: Mapping[str, tuple[str, ...]]
 
 
-def patch_poses(scene: MjcfScene, poses: Mapping[str, BodyPose]) -> PatchedModel:
+def patch_poses(scene: MjcfScene, poses: Mapping[str, BodyPose], *, is_everywhere: bool = True) -> PatchedModel:
     """Puts new poses into a scene file.
 
     Args:
         scene: The file.
         poses: Name of a free body -> its new pose, in the frame of the file.
+        is_everywhere: Whether other places that state the same pose change with it; else only the place that was read.
 
     Raises:
         SceneError: A pose stands where it cannot be changed (``not_patchable``), or the changed file differs in more than
             these poses (``patch_differs``).
     """
-    edits = _Edits(scene)
+    edits = _Edits(scene, is_everywhere=is_everywhere)
     for name, pose in poses.items():
         edits.move(name, pose)
     changed = edits.contents()
@@ -88,8 +90,8 @@ def patch_poses(scene: MjcfScene, poses: Mapping[str, BodyPose]) -> PatchedModel
 class _Edits:
     """Replacements of bytes in the XML files of a model."""
 
-    def __init__(self, scene: MjcfScene) -> None:
-        self._scene, self._model = scene, scene.model
+    def __init__(self, scene: MjcfScene, *, is_everywhere: bool) -> None:
+        self._scene, self._model, self._is_everywhere = scene, scene.model, is_everywhere
         self._replaced: dict[str, dict[tuple[int, int], bytes]] = {}
         self._keys: dict[int, list[bytes]] = {}  # the numbers of a keyframe's qpos that changes
         self.places: dict[str, list[str]] = {}
@@ -102,13 +104,14 @@ class _Edits:
         scene, model, at = self._scene, self._model, self._scene.address(name)
         before, now = scene.qpos[at : at + 7], np.array([*pose[0], *wxyz(pose[1])])
         self.places[name] = []
-        if scene.key < 0 or np.allclose(model.qpos0[at : at + 7], before, rtol=0, atol=_SAME_POSE):
+        is_initial = np.allclose(model.qpos0[at : at + 7], before, rtol=0, atol=_SAME_POSE)
+        if scene.key < 0 or (self._is_everywhere and is_initial):
             element = self._element_of(name)
             frame = self._frame_of(name, element, model.qpos0[at : at + 7])
             self._change_body(name, element, *(_within(frame, pose) for pose in (before, now)))
             self.places[name].append(f"{element.path}: body")
         for k in range(model.nkey):
-            same = np.allclose(model.key_qpos[k, at : at + 7], before, rtol=0, atol=_SAME_POSE)
+            same = self._is_everywhere and np.allclose(model.key_qpos[k, at : at + 7], before, rtol=0, atol=_SAME_POSE)
             if k == scene.key or same:
                 self._change_key(k, at, before, now, name, must=k == scene.key)
 
@@ -171,12 +174,11 @@ class _Edits:
         content = self._scene.files.contents[element.path]
         spans = self._replaced.setdefault(element.path, {})
         inserted: list[bytes] = []
-        if not np.array_equal(before[:3], now[:3]):
-            self._set(content, element, ("pos",), "pos", now[:3], spans, inserted)
-        if not np.allclose(before[3:], now[3:], rtol=0, atol=1e-12) and not np.allclose(
-            before[3:], -now[3:], rtol=0, atol=1e-12
-        ):
-            self._set(content, element, _ORIENTATIONS, "quat", now[3:], spans, inserted)
+        kept = np.abs(before[:3] - now[:3]) <= _NO_CHANGE
+        if not kept.all():
+            self._set(content, element, ("pos",), "pos", now[:3], kept, spans, inserted)
+        if not any(np.allclose(before[3:], sign * now[3:], rtol=0, atol=_NO_CHANGE) for sign in (1, -1)):
+            self._set(content, element, _ORIENTATIONS, "quat", now[3:], np.zeros(4, bool), spans, inserted)
         if inserted:
             end = element.tag.offset + 1 + len(element.tag.name.encode())
             if not content[element.tag.offset : end] == b"<" + element.tag.name.encode():
@@ -190,10 +192,11 @@ class _Edits:
         old: Sequence[str],
         new: str,
         values: FloatArray,
+        kept: npt.NDArray[np.bool_],
         spans: dict[tuple[int, int], bytes],
         inserted: list[bytes],
     ) -> None:
-        """Replaces one of the old attributes of an element by a new one, or inserts it."""
+        """Replaces one of the old attributes of an element by a new one, or inserts it; kept numbers stay as they are written."""
         text = b" ".join(_number(v) for v in values)
         for attribute in old:
             found = _attribute(content, element, attribute)
@@ -205,6 +208,12 @@ class _Edits:
                     text += quote[-1:]
                     spans[first, last] = quote + text
                 else:
+                    pieces = re.split(rb"(\s+)", content[first + 1 : last - 1])
+                    numbers = [i for i, piece in enumerate(pieces) if piece.strip()]
+                    if len(numbers) == len(values):
+                        for i, value, stays in zip(numbers, values, kept, strict=True):
+                            pieces[i] = pieces[i] if stays else _number(value)
+                        text = b"".join(pieces)
                     spans[first, last] = quote + text + quote
                 return
         inserted.append(b" " + new.encode() + b'="' + text + b'"')
@@ -233,7 +242,7 @@ class _Edits:
         if len(numbers) != model.nq:
             raise self._refused(name, f"has its pose in {where}, which is written in an unusual way")
         for i in range(7):
-            if not np.array_equal(before[i], now[i]):
+            if abs(before[i] - now[i]) > _NO_CHANGE:
                 pieces[numbers[at + i]] = _number(float(now[i]))
         self.places[name].append(where)
 

@@ -5,6 +5,7 @@ count, because a repaired scene must be at rest in MuJoCo.
 """
 
 import hashlib
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -60,7 +61,8 @@ def read_mjcf_scene(boundary: Boundary, path: str, key: str = "") -> MjcfScene:
     Args:
         boundary: The source folder.
         path: The file, relative to it.
-        key: Keyframe of the poses, or ``initial``; empty: the keyframe ``home`` if there is one, else the initial poses.
+        key: Keyframe of the poses, by its name or as ``#`` with its number, or ``initial``; empty: the keyframe ``home`` if there is
+            one, else the initial poses.
 
     Raises:
         MeshError: The files cannot be read, or MuJoCo refuses them.
@@ -102,6 +104,8 @@ def _keyframe(model: mujoco.MjModel, path: str, key: str) -> tuple[int, str]:
     """Index and name of the keyframe of the poses; -1 and ``initial`` for the initial poses."""
     names = [model.key(k).name for k in range(model.nkey)]
     wanted = key or (_HOME if _HOME in names else INITIAL)
+    if re.fullmatch(r"#\d+", wanted) and int(wanted[1:]) < len(names):
+        return int(wanted[1:]), wanted
     if wanted in names:
         return names.index(wanted), wanted
     if wanted != INITIAL:

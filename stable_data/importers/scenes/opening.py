@@ -48,6 +48,7 @@ class OpenedScene(Protocol):
 @dataclass(frozen=True, slots=True, eq=False)
 class _OpenedMjcf:
     scene: "MjcfScene"
+    is_everywhere: bool
 
     @property
     def file(self) -> SceneFile:
@@ -66,17 +67,18 @@ class _OpenedMjcf:
         from stable_data.importers.scenes.file_physics import watch_file
         from stable_data.importers.scenes.mjcf_patch import patch_poses
 
-        patched = patch_poses(self.scene, poses)
+        patched = patch_poses(self.scene, poses, is_everywhere=self.is_everywhere)
         return patched.changed, watch_file(self.scene, patched.model, patched.qpos)
 
 
-def read_scene_file(boundary: Boundary, path: str, key: str = "") -> OpenedScene:
+def read_scene_file(boundary: Boundary, path: str, key: str = "", *, is_everywhere: bool = True) -> OpenedScene:
     """Reads a scene file.
 
     Args:
         boundary: The source folder.
         path: The file, relative to it.
         key: Keyframe of a MuJoCo file, see :func:`~stable_data.importers.scenes.mjcf_scenes.read_mjcf_scene`.
+        is_everywhere: Whether new poses of a MuJoCo file go to all places that state the same pose; else to the place that is read.
 
     Raises:
         StableDataError: It cannot be read.
@@ -87,4 +89,4 @@ def read_scene_file(boundary: Boundary, path: str, key: str = "") -> OpenedScene
         return read_usd_scene(boundary, path)
     from stable_data.importers.scenes.mjcf_scenes import read_mjcf_scene
 
-    return _OpenedMjcf(read_mjcf_scene(boundary, path, key))
+    return _OpenedMjcf(read_mjcf_scene(boundary, path, key), is_everywhere)

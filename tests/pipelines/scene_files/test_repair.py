@@ -7,14 +7,16 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from typer.testing import CliRunner
 
+from pipelines.__main__ import app
 from pipelines.correct.job import correct
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.scene_files.commands import resolve_source
 from pipelines.scene_files.folder import FileVerdict, RepairStatus, repair_folder, write_verdicts
 from pipelines.scene_files.importing import import_scenes
-from pipelines.scene_files.repair import RepairOptions, repair_file
+from pipelines.scene_files.repair import RepairOptions, repair_file, repair_states
 from stable_data.errors import ConfigError, SceneError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.copies import CopyWriter
@@ -187,3 +189,39 @@ def test_the_correct_job_takes_an_import_and_its_result_goes_back(tmp_path: Path
     result = export_originals(RunFolder(str(tmp_path / "corrected")), tmp_path / "in", tmp_path / "out", SceneSelection())
     assert (result.num_written, result.failures) == (1, ())
     assert only(tmp_path / "out", "scene.xml", tmp_path / "again").status is RepairStatus.FINE
+
+
+def test_each_start_state_of_a_file_is_repaired_by_itself(tmp_path: Path) -> None:
+    can, cube = "0 0 .06 1 0 0 0", ".2 0 .03 1 0 0 0"
+    keys = [f"{can} .04 0 .03 1 0 0 0", f"0 0 .03 .7071068 .7071068 0 0 {cube}", f"{can} .2 0 .13 1 0 0 0"]
+    names = ('name="a"', "", 'name="c"')
+    frames = "".join(f'<key {name} qpos="{key}"/>' for name, key in zip(names, keys, strict=True))
+    bodies = '<body name="can" pos="0 0 .06"><freejoint/><geom type="cylinder" size=".03 .06"/></body>'
+    bodies += '<body name="cube" pos=".2 0 .03"><freejoint/><geom type="box" size=".03 .03 .03"/></body>'
+    path = write_model(tmp_path, bodies)
+    path.write_text(path.read_text().replace("</mujoco>", f"<keyframe>{frames}</keyframe></mujoco>"))
+    repairs = repair_states(Boundary(tmp_path), "scene.xml", RepairOptions(key="all"))
+    assert [repair.path for repair in repairs] == [f"scene.xml#{key}" for key in ("initial", "a", "1", "c")]
+    assert [str(FileVerdict.of(repair).status) for repair in repairs] == ["fine", "repaired", "repaired", "repaired"]
+    text = repairs[-1].changed["scene.xml"].decode()
+    assert text.split("<keyframe>")[0] == path.read_text().split("<keyframe>")[0]
+    assert f'<key name="c" qpos="{can} .2 0 0.0' in text
+    assert f"0 0 0.06 1.0 0.0 0 0 {cube}" in text
+
+
+def test_one_file_is_written_beside_the_original(tmp_path: Path) -> None:
+    write_model(tmp_path, '<body name="cube" pos=".2 0 .13"><freejoint/><geom type="box" size=".03 .03 .03"/></body>')
+    runner = CliRunner()
+    done = runner.invoke(app, ["repair", str(tmp_path / "scene.xml"), "--out", str(tmp_path / "fixed.xml")])
+    assert done.exit_code == 0, done.output
+    before, after = ((tmp_path / name).read_text() for name in ("scene.xml", "fixed.xml"))
+    assert after == before.replace(".2 0 .13", after.split('name="cube" pos="')[1].split('"')[0])
+    refused = runner.invoke(app, ["repair", str(tmp_path / "scene.xml"), "--out", str(tmp_path / "other" / "fixed.xml")])
+    assert refused.exit_code == 2
+    write_corner(tmp_path / "corner")
+    refused = runner.invoke(
+        app, ["repair", str(tmp_path / "corner" / "scene.xml"), "--out", str(tmp_path / "corner" / "b.xml")]
+    )
+    assert "poses stand in parts/things.xml, scene.xml" in refused.output
+    for wrong in (["--out", "x", "--in-place"], ["--upright", "maybe", "--out", str(tmp_path / "o")]):
+        assert runner.invoke(app, ["repair", str(tmp_path / "scene.xml"), *wrong]).exit_code == 2
