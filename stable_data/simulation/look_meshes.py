@@ -68,7 +68,7 @@ class LookMesh:
     rgba: tuple[float, float, float, float]
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def look_meshes(surfaces: tuple[Surface, ...]) -> tuple[LookMesh, ...]:
     """Returns the visible triangles of a look by texture and colour; cached for recent looks.
 
