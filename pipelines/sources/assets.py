@@ -42,6 +42,10 @@ _CONTENT_COLUMNS = (
 )
 """Columns of ``meshes`` that name the geometry of an asset. No scene depends on its look."""
 
+REAL = "real"
+"""Stands for the library of real meshes in the repository, where the place of a library is expected."""
+
+_REAL_RUNS = Path(__file__).with_name("real_library")
 _MOST_LICENCES = 5  # that a notice names
 _LARGE = 1 << 25  # bytes of features that are shared by all processes: 22,000 assets
 
@@ -81,7 +85,8 @@ class AssetLibraries:
 
     Args:
         places: Folders in the MesaTask-10K format (layouts may be missing), or runs with the tables ``assets`` and ``meshes``;
-            ``embedded`` is the embedded world's library, which is made if it is missing. Empty: the embedded library alone.
+            ``embedded`` is the embedded world's library, which is made if it is missing; ``real`` are the real meshes in the
+            repository. Empty: the embedded library alone.
         scenes: A source of scenes whose own library is the first, before those of the places, of which there may then be none. It
             may contain no usable asset.
 
@@ -93,7 +98,8 @@ class AssetLibraries:
     """
 
     def __init__(self, places: Sequence[str] = (), *, scenes: str | None = None) -> None:
-        every = (tuple(places) or (EMBEDDED,)) if scenes is None else (scenes, *places)
+        named = [run for place in places for run in (_real_runs() if place == REAL else (place,))]
+        every = (tuple(named) or (EMBEDDED,)) if scenes is None else (scenes, *named)
         twice = {name for name, count in Counter(map(_name, every)).items() if count > 1}
         self._places = [
             _opened(place, place if _name(place) in twice else _name(place), may_be_empty=scenes is not None and k == 0)
@@ -205,7 +211,12 @@ class AssetLibraries:
 
 def absolute_places(places: Sequence[str]) -> tuple[str, ...]:
     """Places of libraries with absolute paths, which workers in other folders can open too."""
-    return tuple(p if p == EMBEDDED else absolute_uri(p) for p in places)
+    return tuple(p if p in (EMBEDDED, REAL) else absolute_uri(p) for p in places)
+
+
+def _real_runs() -> list[str]:
+    """The runs of the library of real meshes."""
+    return sorted(str(folder) for folder in _REAL_RUNS.iterdir() if folder.is_dir())
 
 
 def _cache() -> Path:
