@@ -17,7 +17,7 @@ from pipelines.preprocess.asset import AssetUse
 from pipelines.preprocess.plan import file_digest
 from pipelines.sources import assets
 from pipelines.sources.asset_copies import CopyAssets
-from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.assets import REAL, AssetLibraries, absolute_places
 from pipelines.sources.generation_tasks import TaskSource
 from stable_data.assets.retrieval_settings import RetrievalSettings
 from stable_data.assets.run_assets import run_store
@@ -306,3 +306,20 @@ def test_what_is_served_is_what_libraries_of_others_have(library: Path) -> None:
     missing = {a.category for a in AssetLibraries().libraries[0].assets} - {a.category for a in own.assets}
     assert not all(map(serves, missing))
     assert not AssetLibraries().serves(RetrievalSettings())("mug")
+
+
+def test_the_real_meshes_of_the_repository_are_a_library() -> None:
+    real = AssetLibraries((REAL,))
+    assert absolute_places((REAL,)) == (REAL,)
+    assets = [asset for library in real.libraries for asset in library.assets]
+    assert len(assets) == 93
+    assert {asset.licence for asset in assets} == {"CC0-1.0", "CC-BY-4.0"}
+    store = AssetStore(real)
+    for name in ("bowl", "ycb_025_mug"):
+        assert store.physics(name) is not None
+        look, notices = store.look(name)
+        assert look
+        assert any(surface.image for surface in look)
+        assert not notices
+    mug = next(asset for asset in assets if asset.asset_id == "ycb_025_mug")
+    assert mug.size_low == mug.size_high == pytest.approx(0.117, abs=0.001)
