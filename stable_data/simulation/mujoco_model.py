@@ -50,7 +50,7 @@ def body_name(instance: str) -> str:
 def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
     """Describes a scene for MuJoCo.
 
-    Body k + 1 is object k; the body, its free joint and its geoms have the object's name (:func:`body_name`). Mass and inertia
+    Body k + 1 is object k; the body, its free joint unless it is fixed, and its geoms have the object's name (:func:`body_name`). Mass and inertia
     of a body are explicit, as MuJoCo derives them from its convex parts.
 
     Args:
@@ -80,7 +80,9 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
         body, name = spec.bodies[k + 1], body_name(o.instance)
         body.explicitinertial, body.mass = True, model.body_mass[k + 1]
         body.ipos, body.iquat, body.inertia = model.body_ipos[k + 1], model.body_iquat[k + 1], model.body_inertia[k + 1]
-        body.name = body.joints[0].name = name
+        body.name = name
+        for joint in body.joints:  # a fixed object has none
+            joint.name = name
         for number, geom in enumerate(body.geoms):
             geom.name, geom.group = f"{name}/part_{number}", COLLIDER_GROUP
         _add_visuals(spec, body, visual, geometry, k, meshes)

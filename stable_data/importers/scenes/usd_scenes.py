@@ -17,7 +17,7 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from scipy.spatial.transform import Rotation
 
-from stable_data.errors import MeshError, Notice, SceneError
+from stable_data.errors import MeshError, Notice, SceneError, StableDataError
 from stable_data.geometry.convex_decomposition import collider_parts
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_repair import repair_mesh
@@ -85,13 +85,18 @@ def read_usd_scene(boundary: Boundary, path: str) -> UsdScene:
     contents = _collect_layers(boundary, path)
     with TemporaryDirectory(prefix="stable-data-stage-") as folder:
         stage = _placed_stage(Path(folder), contents, path)
-        unit, is_y_up = float(UsdGeom.GetStageMetersPerUnit(stage)), UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
-        if not (math.isfinite(unit) and 0 < unit <= 1000):
-            raise SceneError(f"{path}: metersPerUnit is {unit}, expected a positive number; correct it", "unit_implausible")
-        _check_gravity(stage, path, is_y_up)
         notices: list[Notice] = []
-        reader = _StageReader(stage, path, unit, is_y_up, notices)
-        bodies, grounds = reader.read()
+        try:
+            unit, is_y_up = float(UsdGeom.GetStageMetersPerUnit(stage)), UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
+            if not (math.isfinite(unit) and 0 < unit <= 1000):
+                raise SceneError(f"{path}: metersPerUnit is {unit}, expected a positive number; correct it", "unit_implausible")
+            _check_gravity(stage, path, is_y_up)
+            bodies, grounds = _StageReader(stage, path, unit, is_y_up, notices).read()
+        except StableDataError:
+            raise
+        except Exception as error:
+            found = " ".join(str(error).split())[:300]
+            raise MeshError(f"{path}: has values that USD cannot use ({found}); repair it", "model_unreadable") from error
     if not any(body.is_free for body in bodies):
         found = "has no free rigid body with a shape, expected prims with UsdPhysics.RigidBodyAPI"
         raise SceneError(f"{path}: {found}; is it part of another scene?", "no_free_body")
@@ -360,7 +365,7 @@ def _triangles(prim: Usd.Prim, path: str) -> Mesh | None:
     points = np.array(mesh.GetPointsAttr().Get() or [], np.float64).reshape(-1, 3)
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], np.int64)
-    if not len(points) or not len(corners):
+    if not len(points) or not len(corners) or not len(counts):
         return None
     if counts.min() < 0 or counts.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
         raise MeshError(
