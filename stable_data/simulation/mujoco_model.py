@@ -50,8 +50,8 @@ def body_name(instance: str) -> str:
 def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) -> mujoco.MjSpec:
     """Describes a scene for MuJoCo.
 
-    Body k + 1 is object k; the body, its free joint unless it is fixed, and its geoms have the object's name (:func:`body_name`). Mass and inertia
-    of a body are explicit, as MuJoCo derives them from its convex parts.
+    Body k + 1 is object k; the body, its free joint and its geoms have the object's name (:func:`body_name`); a fixed object has no
+    joint. Mass and inertia of a body are explicit, as MuJoCo derives them from its convex parts.
 
     Args:
         geometry: The scene with its geometry.

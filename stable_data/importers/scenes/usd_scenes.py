@@ -23,6 +23,7 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes import convex_solids
+from stable_data.importers.scenes.formats import repaired_name
 from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, Vec3
@@ -33,7 +34,6 @@ if TYPE_CHECKING:  # MuJoCo takes long to import
 _MAX_LAYERS = 500  # layers of one scene
 _MAX_LAYER_BYTES = 256 * 2**20
 _MAX_FACES = 200_000  # triangles of one collider
-_REPAIRED = "_repaired"  # what is added to the name of a repaired file
 _EXACT = 1e-6  # metres, and parts of a unit quaternion: largest difference of a written pose
 _SINGLE = ("convexHull", "boundingCube", "boundingSphere")  # approximations of a collider by one convex shape
 
@@ -401,8 +401,7 @@ def write_overrides(scene: UsdScene, poses: Mapping[str, BodyPose]) -> dict[str,
             (``patch_differs``).
     """
     path = scene.file.path
-    stem, _ = posixpath.splitext(path)
-    target = f"{stem}{_REPAIRED}.usda"
+    target = repaired_name(path)
     if target in scene.contents:
         raise SceneError(f"{path}: composes {target} itself, expected a free name; rename it", "not_patchable")
     with TemporaryDirectory(prefix="stable-data-stage-") as folder:

@@ -234,3 +234,9 @@ def test_an_import_is_exported_with_its_surroundings_fixed(tmp_path: Path) -> No
     export_run(RunFolder(str(tmp_path / "run")), tmp_path / "out", "mjcf", SceneSelection())
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "scene" / "scene.xml"))
     assert (model.nbody, model.njnt) == (1 + 6 + 2, 6)
+
+
+def test_what_a_repair_wrote_is_no_scene_of_its_own(tmp_path: Path) -> None:
+    for name in ("a.usda", "a_repaired.usda", "b_repaired.usda"):
+        (tmp_path / name).write_text("#usda 1.0\n")
+    assert scene_candidates(tmp_path) == ["a.usda", "b_repaired.usda"]
