@@ -71,7 +71,8 @@ Assets = Annotated[
     list[str] | None,
     typer.Option(
         help="A run or a folder in the MesaTask-10K format to take assets from; real: the 93 real meshes in the repository; or embedded: "
-        "the embedded world's library, which is made if it is missing. May be repeated: libraries are searched in order for the wanted thing. Default: embedded."
+        "the embedded world's library, which is made if it is missing. May be repeated: libraries are searched in order "
+        "for the wanted thing. Default: embedded."
     ),
 ]
 EditAssets = Annotated[

@@ -322,6 +322,8 @@ def start_tags(content: bytes, path: str) -> tuple[StartTag, ...]:
     parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = start, end, declare
     try:
         parser.Parse(content, True)
-    except expat.ExpatError as error:
+    except MeshError:
+        raise
+    except (expat.ExpatError, LookupError, ValueError) as error:  # also an encoding that is not known
         raise MeshError(f"{path}: is not XML ({error}), expected a MuJoCo model; repair it", "model_unreadable") from error
     return tuple(found)

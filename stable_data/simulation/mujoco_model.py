@@ -53,8 +53,8 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
 
     The geom ``table`` is the collider of the verdict. What is seen of the table and its room are geoms that collide with nothing,
     named ``table/…``, ``restricted_zone`` and ``room/…``. Body k + 1 is object k; the body, its free joint and its geoms have the
-    object's name (:func:`body_name`). Mass and inertia of a body are explicit: those that are known of its asset, or those that
-    MuJoCo derives from its convex parts.
+    object's name (:func:`body_name`); a fixed object has no joint. Mass and inertia of a body are explicit: those that are known of
+    its asset, or those that MuJoCo derives from its convex parts.
 
     Args:
         geometry: The scene with its geometry.
@@ -83,7 +83,9 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
         body.explicitinertial, body.mass = True, model.body_mass[k + 1]
         body.fullinertia = [np.nan, 0, 0, 0, 0, 0]  # not given, because MuJoCo takes only one form of the inertia
         body.ipos, body.iquat, body.inertia = model.body_ipos[k + 1], model.body_iquat[k + 1], model.body_inertia[k + 1]
-        body.name = body.joints[0].name = name
+        body.name = name
+        for joint in body.joints:  # a fixed object has none
+            joint.name = name
         for number, geom in enumerate(body.geoms):
             geom.name, geom.group = f"{name}/part_{number}", COLLIDER_GROUP
         if not _add_look(spec, body, visual, geometry, k, meshes):

@@ -69,8 +69,6 @@ def watch_file(
 def watch_shapes(file: SceneFile, poses: Mapping[str, BodyPose], seconds: float = WATCH_SECONDS) -> Mapping[str, BodyMotion]:
     """Simulates the shapes of a scene file of another format in MuJoCo and watches its free bodies.
 
-    A body without a mass has the density of this library; friction is that of its verdicts.
-
     Args:
         file: The file.
         poses: Name of a body -> its pose, where it is another one than in the file.
@@ -78,6 +76,24 @@ def watch_shapes(file: SceneFile, poses: Mapping[str, BodyPose], seconds: float 
 
     Returns:
         Name of each free body -> its motion.
+    """
+    model = model_of_shapes(file, poses)
+    data = mujoco.MjData(model)
+    free = {body.name: index for index, body in enumerate(file.bodies, 1) if body.is_free}
+    return _watch(model, data, np.array(data.qpos), free, seconds)
+
+
+def model_of_shapes(file: SceneFile, poses: Mapping[str, BodyPose]) -> mujoco.MjModel:
+    """Makes a MuJoCo model of the shapes of a scene file; body k + 1 is its body k.
+
+    A body without a mass has the density of this library; friction is that of its verdicts.
+
+    Args:
+        file: The file.
+        poses: Name of a body -> its pose, where it is another one than in the file.
+
+    Raises:
+        MeshError: MuJoCo refuses the model (``model_unreadable``).
     """
     spec = mujoco.MjSpec()
     options = PhysicsOptions()
@@ -88,7 +104,6 @@ def watch_shapes(file: SceneFile, poses: Mapping[str, BodyPose], seconds: float 
     geom.solimp = [*options.solimp, 0.5, 2.0]
     for ground in file.grounds:
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, ground.height])
-    free: dict[str, int] = {}
     for index, body in enumerate(file.bodies, 1):
         position, quat = poses.get(body.name, (body.position, body.quat_xyzw))
         added = spec.worldbody.add_body(pos=list(position), quat=wxyz(quat))
@@ -96,16 +111,13 @@ def watch_shapes(file: SceneFile, poses: Mapping[str, BodyPose], seconds: float 
         mass = body.mass if body.mass is not None else max(1e-3, DENSITY * sum(volumes))
         if body.is_free:
             added.add_freejoint()
-            free[body.name] = index
         for k, (part, volume) in enumerate(zip(body.parts, volumes, strict=True)):
             if volume > 0:
                 mesh = spec.add_mesh(name=f"{index}_{k}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
                 mesh.uservert = part.vertices.ravel()
                 share = mass * volume / sum(volumes)
                 added.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, mass=share)
-    model = compile_model(spec, file.path)
-    data = mujoco.MjData(model)
-    return _watch(model, data, np.array(data.qpos), free, seconds)
+    return compile_model(spec, file.path)
 
 
 def _watch(

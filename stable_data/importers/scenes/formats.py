@@ -1,5 +1,6 @@
 """The formats of scene files, by their suffixes."""
 
+import posixpath
 from pathlib import Path, PurePosixPath
 
 from stable_data.errors import StableDataError
@@ -19,6 +20,11 @@ SUFFIXES = MJCF_SUFFIXES | USD_SUFFIXES
 def is_usd(path: str) -> bool:
     """Whether a file is a USD file by its suffix."""
     return PurePosixPath(path).suffix.lower() in USD_SUFFIXES
+
+
+def repaired_name(path: str) -> str:
+    """The file that is written over a USD file: ``NAME_repaired.usda`` beside it."""
+    return f"{posixpath.splitext(path)[0]}_repaired.usda"
 
 
 def is_scene_candidate(root: Path, path: str) -> bool:

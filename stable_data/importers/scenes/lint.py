@@ -9,7 +9,7 @@ from tqdm import tqdm
 from stable_data.assets.store import AssetStore
 from stable_data.errors import Notice, StableDataError
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.scenes.formats import SUFFIXES, is_scene_candidate
+from stable_data.importers.scenes.formats import SUFFIXES, is_scene_candidate, is_usd, repaired_name
 from stable_data.importers.scenes.layouts import scenes_of_file
 from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_assets import SceneAssets
@@ -19,12 +19,14 @@ from stable_data.storage.schemas import Row
 
 
 def scene_candidates(root: Path) -> list[str]:
-    """The files of a folder that may be scenes, by their suffix and their first element.
+    """The files of a folder that may be scenes, by their suffix and their first element; not what a repair wrote beside its original.
 
     Raises:
         ConfigError: There is no such folder.
     """
-    return [path for path in Boundary(root).files(SUFFIXES) if is_scene_candidate(root, path)]
+    found = list(Boundary(root).files(SUFFIXES))
+    repaired = {repaired_name(path) for path in found if is_usd(path)}
+    return [path for path in found if path not in repaired and is_scene_candidate(root, path)]
 
 
 def lint_scene_files(root: Path, paths: Sequence[str], *, progress: bool = False) -> LintResult:

@@ -163,6 +163,9 @@ def _bodies(
         owner = int(model.body_rootid[body]) if int(model.body_rootid[body]) in of_root else body
         hfields += model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD
         mesh = _geom_mesh(model, int(geom))
+        if mesh is None and int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_MESH):
+            message = f"{path}: a mesh of {body_name(model, body)} has no volume; it is no obstacle"
+            notices.append(Notice(path, "read", "mesh_empty", message))
         if mesh is not None:
             turn = data.xmat[owner].reshape(3, 3)
             placed = mesh.vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]

@@ -17,12 +17,13 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 from scipy.spatial.transform import Rotation
 
-from stable_data.errors import MeshError, Notice, SceneError
+from stable_data.errors import MeshError, Notice, SceneError, StableDataError
 from stable_data.geometry.convex_decomposition import collider_parts
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes import convex_solids
+from stable_data.importers.scenes.formats import repaired_name
 from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, Vec3
@@ -33,7 +34,6 @@ if TYPE_CHECKING:  # MuJoCo takes long to import
 _MAX_LAYERS = 500  # layers of one scene
 _MAX_LAYER_BYTES = 256 * 2**20
 _MAX_FACES = 200_000  # triangles of one collider
-_REPAIRED = "_repaired"  # what is added to the name of a repaired file
 _EXACT = 1e-6  # metres, and parts of a unit quaternion: largest difference of a written pose
 _SINGLE = ("convexHull", "boundingCube", "boundingSphere")  # approximations of a collider by one convex shape
 
@@ -85,13 +85,18 @@ def read_usd_scene(boundary: Boundary, path: str) -> UsdScene:
     contents = _collect_layers(boundary, path)
     with TemporaryDirectory(prefix="stable-data-stage-") as folder:
         stage = _placed_stage(Path(folder), contents, path)
-        unit, is_y_up = float(UsdGeom.GetStageMetersPerUnit(stage)), UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
-        if not (math.isfinite(unit) and 0 < unit <= 1000):
-            raise SceneError(f"{path}: metersPerUnit is {unit}, expected a positive number; correct it", "unit_implausible")
-        _check_gravity(stage, path, is_y_up)
         notices: list[Notice] = []
-        reader = _StageReader(stage, path, unit, is_y_up, notices)
-        bodies, grounds = reader.read()
+        try:
+            unit, is_y_up = float(UsdGeom.GetStageMetersPerUnit(stage)), UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
+            if not (math.isfinite(unit) and 0 < unit <= 1000):
+                raise SceneError(f"{path}: metersPerUnit is {unit}, expected a positive number; correct it", "unit_implausible")
+            _check_gravity(stage, path, is_y_up)
+            bodies, grounds = _StageReader(stage, path, unit, is_y_up, notices).read()
+        except StableDataError:
+            raise
+        except Exception as error:
+            found = " ".join(str(error).split())[:300]
+            raise MeshError(f"{path}: has values that USD cannot use ({found}); repair it", "model_unreadable") from error
     if not any(body.is_free for body in bodies):
         found = "has no free rigid body with a shape, expected prims with UsdPhysics.RigidBodyAPI"
         raise SceneError(f"{path}: {found}; is it part of another scene?", "no_free_body")
@@ -360,7 +365,7 @@ def _triangles(prim: Usd.Prim, path: str) -> Mesh | None:
     points = np.array(mesh.GetPointsAttr().Get() or [], np.float64).reshape(-1, 3)
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], np.int64)
-    if not len(points) or not len(corners):
+    if not len(points) or not len(corners) or not len(counts):
         return None
     if counts.min() < 0 or counts.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
         raise MeshError(
@@ -396,8 +401,7 @@ def write_overrides(scene: UsdScene, poses: Mapping[str, BodyPose]) -> dict[str,
             (``patch_differs``).
     """
     path = scene.file.path
-    stem, _ = posixpath.splitext(path)
-    target = f"{stem}{_REPAIRED}.usda"
+    target = repaired_name(path)
     if target in scene.contents:
         raise SceneError(f"{path}: composes {target} itself, expected a free name; rename it", "not_patchable")
     with TemporaryDirectory(prefix="stable-data-stage-") as folder:

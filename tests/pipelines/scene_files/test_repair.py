@@ -18,6 +18,7 @@ from pipelines.scene_files.folder import FileVerdict, RepairStatus, repair_folde
 from pipelines.scene_files.importing import import_scenes
 from pipelines.scene_files.repair import RepairOptions, repair_file, repair_states
 from stable_data.errors import ConfigError, SceneError
+from stable_data.export.exporter import export_run
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.copies import CopyWriter
 from stable_data.importers.scenes.lint import lint_scene_files, scene_candidates
@@ -225,3 +226,17 @@ def test_one_file_is_written_beside_the_original(tmp_path: Path) -> None:
     assert "poses stand in parts/things.xml, scene.xml" in refused.output
     for wrong in (["--out", "x", "--in-place"], ["--upright", "maybe", "--out", str(tmp_path / "o")]):
         assert runner.invoke(app, ["repair", str(tmp_path / "scene.xml"), *wrong]).exit_code == 2
+
+
+def test_an_import_is_exported_with_its_surroundings_fixed(tmp_path: Path) -> None:
+    write_corner(tmp_path / "in")
+    import_scenes(tmp_path / "in", ["scene.xml"], str(tmp_path / "run"), RepairOptions(upright="keep"))
+    export_run(RunFolder(str(tmp_path / "run")), tmp_path / "out", "mjcf", SceneSelection())
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "scene" / "scene.xml"))
+    assert (model.nbody, model.njnt) == (1 + 6 + 2, 6)
+
+
+def test_what_a_repair_wrote_is_no_scene_of_its_own(tmp_path: Path) -> None:
+    for name in ("a.usda", "a_repaired.usda", "b_repaired.usda"):
+        (tmp_path / name).write_text("#usda 1.0\n")
+    assert scene_candidates(tmp_path) == ["a.usda", "b_repaired.usda"]

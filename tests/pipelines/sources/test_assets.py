@@ -322,4 +322,4 @@ def test_the_real_meshes_of_the_repository_are_a_library() -> None:
         assert any(surface.image for surface in look)
         assert not notices
     mug = next(asset for asset in assets if asset.asset_id == "ycb_025_mug")
-    assert mug.size_low == mug.size_high == pytest.approx(0.117, abs=0.001)
+    assert mug.size_range == pytest.approx((0.117, 0.117), abs=0.001)
