@@ -60,9 +60,12 @@ def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tm
         "/data/mesatask-clean": tmp_path / "clean",
         "/data/scenes": tmp_path / "scenes",
         "/data/apple": tmp_path / "apple",
+        "/data/gazebo_models": ROOT / "tests" / "data" / "import" / "gazebo",
+        "/data/ycb": tmp_path / "ycb",
+        "/data/real-scenes": tmp_path / "real-scenes",
     }
     places |= {"audit.parquet": tmp_path / "audit.parquet", "/data/world": tmp_path / "world"}
-    few = {"--scenes 1000": "--scenes 3", "COUNT=1000": "COUNT=3"}  # as many as a test has time for
+    few = {"--scenes 1000": "--scenes 3", "COUNT=1000": "COUNT=3", "COUNT=200": "COUNT=3"}  # as many as a test has time for
     few["--workers 2"] = "--workers 0"  # `make preprocess` is the command that starts a Ray here
     for written, here in (places | few).items():
         command = command.replace(written, str(here))
@@ -72,7 +75,7 @@ def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tm
     command += more
     if "--address" in command:
         command += " --dry-run"  # there is no cluster here
-    elif re.match(r"python -m pipelines (correct|generate)", command):
+    elif re.match(r"python -m pipelines (correct|generate)|stable-data import", command):
         command += " --workers 0"
     done = subprocess.run(
         ["bash", "-c", command],

@@ -5,8 +5,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
-import pyarrow as pa
-
 from models.text_encoder import load_default
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows
@@ -18,7 +16,7 @@ from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.storage.table_rows import notice_row
 
 MEASURED = "measured"
-"""Table of the sizes of assets whose unit is not known, from which the unit of their set is estimated."""
+"""Table of the sizes of assets whose unit is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +58,6 @@ class MeasureStep(SourceStep):
     """Measures the boxes of assets whose unit is not known. The step of assets reports those that cannot be read."""
 
     TABLES: ClassVar = ("failures", MEASURED)
-    SCHEMAS: ClassVar = {
-        MEASURED: pa.schema(
-            [
-                pa.field("asset_id", pa.string(), metadata={"meaning": "identifier of the asset"}),
-                pa.field("category", pa.string(), metadata={"meaning": "category"}),
-                pa.field(
-                    "extents",
-                    pa.list_(pa.float64()),
-                    metadata={"meaning": "extents of the bounding box in the unit of the file, z up"},
-                ),
-            ]
-        )
-    }
 
     def prepare(self, item: SourceRef) -> None:
         """Loads the text encoder."""

@@ -20,7 +20,9 @@ from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
 
 _REDRAWS = 50  # of a task whose objects the libraries lack
-_FEWEST_SERVED = 3  # tasks of the first 50 of a table type that must be served; of one more task in 25 then no draw is served
+_FEWEST_SERVED = (
+    8  # tasks of the first 50 of a table type that must be served; of a thousand more tasks one then has no served draw
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ class TaskSource:
 def served_tasks(source: TaskSource, serves: Callable[[str], bool]) -> TaskSource:
     """Returns a source whose sampled tasks ask only for objects that the libraries have, with its other tasks as they are.
 
-    Table types are left out of which fewer than three of 50 tasks are served, each with a notice.
+    Table types are left out of which fewer than eight of 50 tasks are served, each with a notice.
 
     Raises:
         ConfigError: The libraries serve no table type (``tasks_not_served``).

@@ -441,6 +441,17 @@ SCHEMAS: dict[str, pa.Schema] = {
             ),
         ]
     ),
+    "measured": pa.schema(
+        [
+            _column(
+                "asset_id",
+                _text,
+                "identifier of an asset whose file states no unit; they give the unit of the set",
+            ),
+            _column("category", _text, "category of the asset"),
+            _column("extents", _numbers, "extents of the asset's bounding box, z up", "units of the file"),
+        ]
+    ),
     "textures": pa.schema(
         [
             _column("sha256", _text, "SHA-256 of image"),
@@ -494,6 +505,7 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "sdf": tuple(SCHEMAS["sdf"].names[:7]),
     "features": ("asset_id", "aspect", "tilt_quat_xyzw", "feature", "encoder_fingerprint"),
     "meshes": ("asset_id", "glb", "sha256"),
+    "measured": ("asset_id", "category", "extents"),
     "textures": ("sha256", "image"),
 }
 """Name of a table -> the columns that every file needs. Any other column may be missing: it is read as null."""

@@ -534,6 +534,7 @@ def test_the_report_tells_of_scenes_time_and_cost(
 
 
 def test_drawn_tasks_are_drawn_where_they_are_needed(dataset: Path, settings: GenerateSettings, tmp_path: Path) -> None:
+    settings = replace(settings, only_served="never")
     manifest = generate(sample_tasks(3, 1), str(tmp_path), settings, ALONE, [str(dataset)])
     rows = rows_of(tmp_path, "scenes")
     assert manifest["counts"]["failed_scenes"] == 3 - len(rows)
