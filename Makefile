@@ -29,7 +29,7 @@ $(READY): pyproject.toml constraints.txt
 demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a contact sheet: embedded set, preprocess, generate
 	$(BIN)/stable-data synth data/embedded
 	$(BIN)/python -m pipelines preprocess --data data/embedded --out runs/demo
-	$(BIN)/python -m pipelines generate --count 54 --out runs/demo-scenes --set num_pictures=50 --set scenes_per_shard=27 || [ $$? -eq 1 ]
+	$(BIN)/python -m pipelines generate --count 54 --assets real --assets embedded --out runs/demo-scenes --set num_pictures=50 --set scenes_per_shard=27 || [ $$? -eq 1 ]
 	@$(BIN)/python -c "from stable_data.storage.run_folder import RunFolder; n = RunFolder('runs/demo-scenes').num_rows('scenes'); n < 50 and exit(f'runs/demo-scenes has {n} accepted scenes, expected at least 50; its table failures says why')"
 	@echo "open runs/demo/report/index.html, runs/demo-scenes/report/index.html and its contact_sheet.png"
 
