@@ -48,11 +48,18 @@ SourceFolder = Annotated[
 LibraryOut = Annotated[
     str, typer.Option(metavar="LIBRARY", help="Run folder for the library, outside of DIR; --assets takes it.")
 ]
-Preset = Annotated[str, typer.Option(help="For mesh, the layout of a known set: objaverse, graspnet_infinite, ycb or kaykit.")]
+Preset = Annotated[
+    str,
+    typer.Option(
+        help="For mesh, the layout of a known set: objaverse, graspnet_infinite, graspnet, ycb, kaykit or sweethome3d."
+    ),
+]
 Manifest = Annotated[
     str, typer.Option(help="For mesh, a CSV or JSONL file in DIR with a row for each asset; docs/import.md lists its columns.")
 ]
-Licence = Annotated[str, typer.Option(help="The licence of assets that state none, such as CC-BY-4.0; else they are refused.")]
+Licence = Annotated[
+    str, typer.Option(help="The licence of assets whose source names no known one, such as CC-BY-4.0; else they are refused.")
+]
 AllowedLicence = Annotated[
     list[str] | None,
     typer.Option("--allow-licence", help="Also take assets of this licence, such as CC-BY-NC-4.0; may be repeated."),
@@ -133,9 +140,10 @@ def import_assets(
         f"{out}: {counts['assets']} of {manifest_['num_assets']} assets, {counts['textures']} textures, {counts['warnings']} warnings, "
         f"{counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html"
     )
-    if counts["failures_by_code"].keys() & {"licence_refused", "licence_unknown"}:
+    if counts["failures_by_code"].keys() & {"licence_refused", "licence_unknown", "licence_conflict"}:
         typer.echo(
-            "assets were refused for their licence; --allow-licence takes another, --licence states one that is missing",
+            "assets were refused for their licence (table failures): --licence NAME states one that the source does not name, "
+            "--allow-licence NAME allows a further one; use a new --out",
             err=True,
         )
     if counts["failures"]:

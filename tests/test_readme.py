@@ -61,7 +61,7 @@ def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tm
         "/data/scenes": tmp_path / "scenes",
         "/data/apple": tmp_path / "apple",
         "/data/gazebo_models": ROOT / "tests" / "data" / "import" / "gazebo",
-        "/data/ycb": tmp_path / "ycb",
+        "/data/gazebo-library": tmp_path / "library",
         "/data/real-scenes": tmp_path / "real-scenes",
     }
     places |= {"audit.parquet": tmp_path / "audit.parquet", "/data/world": tmp_path / "world"}

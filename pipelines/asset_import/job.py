@@ -20,6 +20,7 @@ from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.preprocess.plan import file_digest
+from stable_data.assets.licences import normalise_licence
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice
 from stable_data.importers.boundary import Boundary
@@ -74,6 +75,11 @@ class ImportJob(ShardJob):
     settings: ImportSettings
 
     def __init__(self, kind: str, source: str, settings: ImportSettings) -> None:
+        if settings.licence and normalise_licence(settings.licence) is None:
+            message = f"--licence {settings.licence!r}: is no known licence, expected a name such as CC-BY-4.0"
+            raise ConfigError(message, "licence_invalid")
+        if kind != "mesh" and (settings.preset or settings.manifest):
+            raise ConfigError(f"--preset and --manifest are for kind mesh, but the kind is {kind}; leave them out", "usage")
         self.kind, self.settings = kind, settings
         self.root = Path(source).expanduser().resolve()
         self.reader = reader_of(kind)
@@ -93,9 +99,9 @@ class ImportJob(ShardJob):
             taken.add(name)
             lost.append(replace(notice, item_id=name))
         if not found:
-            reasons = f" ({lost[0].message})" if lost else ""
-            message = f"{self.root}: no assets of kind {self.kind}{reasons}, expected some; is it another kind?"
-            raise ConfigError(message, "source_empty")
+            found_here = f"all {len(lost)} assets are unusable, the first: {lost[0].message}" if lost else "no assets"
+            hint = "" if lost else "; is it another kind?"
+            raise ConfigError(f"{self.root}: {found_here} (kind {self.kind}), expected some{hint}", "source_empty")
         return _Listing(found, tuple(lost))
 
     @cached_property

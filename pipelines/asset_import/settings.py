@@ -15,7 +15,8 @@ class ImportSettings(Settings):
     section: ClassVar[str] = "import"
 
     preset: str = ""
-    """The layout of a known set: ``objaverse``, ``graspnet_infinite``, ``ycb`` or ``kaykit``. Empty finds every model file."""
+    """The layout of a known set: ``objaverse``, ``graspnet_infinite``, ``graspnet``, ``ycb``, ``kaykit`` or
+    ``sweethome3d``. Empty finds every model file."""
 
     manifest: str = ""
     """A CSV or JSONL file in the folder with a row for each asset (docs/import.md lists its columns). Empty uses none."""
@@ -35,7 +36,7 @@ class ImportSettings(Settings):
     """Metres; the longest side of an asset whose unit is not known and whose category has no known size. 0 refuses such assets."""
 
     licence: str = ""
-    """The licence of assets that state none, such as ``CC-BY-4.0``. Empty refuses them."""
+    """The licence of assets whose source names no known one, such as ``CC-BY-4.0``. Empty refuses them."""
 
     licences: frozenset[str] = frozenset()
     """Licences that are allowed besides those that permit any use, at most with the author's name (docs/import.md)."""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from models.text_encoder import load_default
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.shard_step import ItemStep, Rows
+from pipelines.execution.shard_step import ItemStep, Rows, Shard, ShardResult
 from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.conversion import ConversionContext, ConversionSettings, convert, extents_of
@@ -58,6 +58,11 @@ class MeasureStep(SourceStep):
     """Measures the boxes of assets whose unit is not known. The step of assets reports those that cannot be read."""
 
     TABLES: ClassVar = ("failures", MEASURED)
+
+    def shard(self, shard: Shard[SourceRef], *, isolated: bool = False) -> ShardResult:
+        """Measures the assets of a shard; one that fails is left out here."""
+        made = super(MeasureStep, self).shard(shard, isolated=isolated)
+        return ShardResult({MEASURED: made.rows.get(MEASURED, ())})
 
     def prepare(self, item: SourceRef) -> None:
         """Loads the text encoder."""

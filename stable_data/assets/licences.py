@@ -73,7 +73,9 @@ _ALL_RIGHTS = re.compile(r"(?:copyright|\(c\)|©)[^;]{0,120}?all rights reserved
 
 _CREATIVE_COMMONS = re.compile(
     r"creativecommons\.org/licenses/by(?:-\w\w)*"
-    r"|(?:\bcc\b|\bcreative commons\b)[ :-]{0,3}(?:by|attribution)\b|\bcc-?by(?=[\d -]|nc|nd|sa|$)|^(?:by|attribution)\b(?=$|[ \d-])"
+    r"|(?:\bcc\b|\bcreative commons\b)[ :-]{0,3}(?:by|attribution)\b|\bcc-?by(?=[\d -]|nc|nd|sa|$)"
+    r"|^(?:by|attribution)(?=(?:[ -]+(?:nc|nd|sa|non[ -]?commercial|no[ -]?deriv\w*|share[ -]?alike))*(?:[ -]+\d\.\d)?"
+    r"(?: international)?$)"
 )
 _VERSION = re.compile(r"(?<![\d.])[1-4]\.\d(?![\d.])")
 _OTHERS = tuple(
@@ -96,12 +98,12 @@ _OTHERS = tuple(
         (r"\bunlicense\b", "Unlicense"),
     )
 )
-_NON_COMMERCIAL = re.compile(r"non[ -]*commercial|(?<![a-z])nc(?![a-z])|by-?nc|\bnicht[ -]?kommerziell")
+_NON_COMMERCIAL = re.compile(r"(?:non?|not(?: for)?)[ -]*commercial|(?<![a-z])nc(?![a-z])|by-?nc|\bnicht[ -]?kommerziell")
 _NO_DERIVATIVES = re.compile(r"no[ -]*deriv|(?<![a-z])nd(?![a-z])|(?:by|nc)-?nd")
 _SHARE_ALIKE = re.compile(r"share[ -]*alike|(?<![a-z])sa(?![a-z])|(?:by|nc)-?sa")
 _UNKNOWN = re.compile(
     r"\b(?:only|research|academic|educational|personal|editorial|proprietary|reserved|not|except|royalty|gpl\w*|lgpl\w*|agpl\w*|mpl|"
-    r"odbl|eula)\b"
+    r"odbl|eula|prohibited|forbidden|unless|without permission|required)\b"
 )
 
 

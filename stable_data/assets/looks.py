@@ -100,8 +100,8 @@ def _texture(image: bytes, has_alpha: bool, side: int, asset_id: str, notices: l
 
 def _with_texture(surface: Surface, texture: TextureImage | None, center: FloatArray) -> Surface:
     """A surface with its image as it is stored, or without one."""
-    image, uv = (None, None) if texture is None else (texture.image, surface.corner_uv)
-    has_alpha = surface.has_alpha and texture is not None
+    image, uv = (None, None) if texture is None or surface.corner_uv is None else (texture.image, surface.corner_uv)
+    has_alpha = surface.has_alpha and image is not None
     return replace(surface, triangles=surface.triangles - np.asarray(center), image=image, corner_uv=uv, has_alpha=has_alpha)
 
 

@@ -229,7 +229,8 @@ class RunTextures:
 
     @cached_property
     def _files(self) -> TableFiles | None:
-        return TableFiles(self._run.uri, "textures", None) if self._run.files("textures") else None
+        run = RunFolder(self._run.uri)  # not that of a process before a fork
+        return TableFiles(run.uri, "textures", None) if run.files("textures") else None
 
     @cached_property
     def _group_of(self) -> dict[str, int]:
@@ -307,6 +308,7 @@ class _RunAnnotations(Mapping[str, AssetAnnotation]):
 
     def __init__(self, run: RunFolder) -> None:
         columns = ["asset_id", "category", "description", "caption", "licence", "source", "extents", "mass", "is_container"]
+        columns += ["author", "source_url"]
         table = run.table("assets", columns)
         self._columns = {name: table[name].to_pylist() for name in columns}
         self._place = {asset_id: k for k, asset_id in enumerate(self._columns["asset_id"])}
@@ -334,5 +336,5 @@ def _annotation(row: dict[str, object]) -> AssetAnnotation:
         mass=mass if isinstance(mass, float) else None,
         is_container=row["is_container"] if isinstance(row["is_container"], bool) else None,
         extents_z_up=None if x is None or y is None or z is None else (x, y, z),
-        raw={"licence": row["licence"]} if row["licence"] else {},
+        raw={name: row[name] for name in ("licence", "author", "source_url") if row[name]},
     )

@@ -150,13 +150,15 @@ def _attribution(assets: Sequence[AssetAnnotation]) -> str:
     lines = [
         "# Attribution",
         "",
-        "The assets of these scenes. Their meshes were repaired, scaled and posed. Authors and the texts of licences are with the sources.",
+        "The assets of these scenes. Their meshes were repaired, scaled and posed. The texts of licences are with the sources.",
         "",
     ]
     for licence, own in sorted(of_licence.items()):
         lines += [f"## {licence}", "", _asked(licence), ""]
         for a in own:
-            said = f"; stated as {a.licence}" if a.licence and " ".join(a.licence.split()) != licence else ""
+            said = "".join(f"; {a.raw[name]}" for name in ("author", "source_url") if a.raw.get(name))
+            if a.licence and " ".join(a.licence.split()) != licence:
+                said += f"; stated as {a.licence}"
             text = f"- {a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}{said}"
             lines.append(" ".join(text.split()))
         lines.append("")

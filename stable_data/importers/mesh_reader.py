@@ -14,7 +14,7 @@ from stable_data.importers.mesh_entries import MeshEntry, manifest_entries
 from stable_data.importers.mesh_files import AXES, files_beside, read_mesh_file, transformed, z_up
 from stable_data.importers.mesh_presets import plain_meshes, preset_meshes
 from stable_data.importers.source import Axis, GivenInertial, GivenLicence, ReaderOptions, SourceAsset, SourceRef
-from stable_data.importers.stated_licences import LicenceFiles, licence_of_field, licence_of_file
+from stable_data.importers.stated_licences import LicenceFiles, licence_of_field, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
 from stable_data.scene import Vec3
 
@@ -132,8 +132,8 @@ def _licences(root: Boundary, entry: MeshEntry, file: MeshFile, path: str) -> tu
         found.append(GivenLicence(entry["licence"][:1000], entry.get("licence_where", "")))
     if (inside := licence_of_field(file.licence, PurePosixPath(path).name)) is not None:
         found.append(inside)
-    if "licence_file" in entry and (beside := licence_of_file(root, entry["licence_file"])) is not None:
-        found.append(beside)
+    if "licence_file" in entry:
+        found += licences_of_file(root, entry["licence_file"])
     return tuple(found)
 
 

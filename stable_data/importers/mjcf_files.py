@@ -135,6 +135,7 @@ class _Scan:
     contents: dict[str, bytes] = field(default_factory=dict)
     tags: dict[str, tuple[StartTag, ...]] = field(default_factory=dict)
     included: dict[tuple[str, int], str] = field(default_factory=dict)
+    collected: list[str] = field(default_factory=list)  # models, each as often as it is attached
 
 
 def collect_files(boundary: Boundary, path: str) -> ModelFiles:
@@ -230,6 +231,9 @@ def _check_copies(path: str, elements: Sequence[Element]) -> None:
 
 def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> list[Element]:
     """Collects a model file with what it includes, then the assets that all of these name; returns its elements."""
+    scan.collected.append(path)
+    if len(scan.collected) > _MAX_INCLUDES:
+        raise MeshError(f"{path}: is one of over {_MAX_INCLUDES} attached models, expected fewer", "file_too_large")
     _collect_document(scan, path, path, set(above))
     elements = merged_elements(path, scan.tags, scan.included)
     tags = [element.tag for element in elements]

@@ -24,9 +24,9 @@ from stable_data.importers.formats.model_xml import (
 )
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
 from stable_data.importers.mesh_files import SUFFIXES, files_beside
-from stable_data.importers.rigid_models import WORLD, Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
+from stable_data.importers.rigid_models import MOST_LINKS, WORLD, Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
-from stable_data.importers.stated_licences import LicenceFiles, licence_of_file, licence_of_text
+from stable_data.importers.stated_licences import LicenceFiles, licence_of_text, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
 from stable_data.rotations import normalise_quat, rotation_matrix
 from stable_data.scene import FloatArray
@@ -84,14 +84,14 @@ class SdformatReader:
         name = config.name or model.name or ref.entry["name"]
         stated = licence_of_text(config.description, CONFIG)
         beside = ref.entry.get("licence_file")
-        licences = (stated, licence_of_file(root, beside) if beside else None)
+        licences = (*(() if stated is None else (stated,)), *(licences_of_file(root, beside) if beside else ()))
         renamed = renamed_notice(ref.asset_id, ref.entry["name"])
         return replace(
             asset,
             name=name,
             description=config.description,
             author=config.author,
-            licences=tuple(licence for licence in licences if licence is not None),
+            licences=licences,
             notices=(*(() if renamed is None else (renamed,)), *asset.notices),
         )
 
@@ -179,6 +179,7 @@ class _SdfFile:
     asset_id: str
     trail: tuple[str, ...]
     notices: list[Notice] = field(default_factory=list)
+    read: list[str] = field(default_factory=list)  # files that were read for the whole model, one for each time
 
     def fail(self, found: str, expected: str, code: str = "model_unreadable") -> MeshError:
         return MeshError(f"{self.path}: {found}, expected {expected}", code)
@@ -187,6 +188,9 @@ class _SdfFile:
         if self.path in self.trail or len(self.trail) >= _DEPTH:
             found = "includes itself" if self.path in self.trail else f"is included over {_DEPTH} levels"
             raise self.fail(found, "models that end", "cyclic_reference")
+        self.read.append(self.path)
+        if len(self.read) > MOST_LINKS:
+            raise self.fail(f"is one of over {MOST_LINKS} files that are included", "fewer", "mesh_too_large")
         root = parse_xml(self.root.read_bytes(self.path, most=MOST_BYTES), self.path)
         if root.tag != "sdf":
             raise self.fail(f"starts with <{root.tag[:40]}>", "<sdf>; is it another format?")
@@ -212,7 +216,7 @@ class _SdfFile:
             path = _Config.read(self.root, _included(self.root, f"{uri.rstrip('/')}/{CONFIG}", self.path)).model
         if not path.lower().endswith(".sdf"):
             raise self.fail(f"includes {path}", "an .sdf file; other formats are not read here")
-        model = _SdfFile(self.root, path, self.asset_id, (*self.trail, self.path)).model()
+        model = _SdfFile(self.root, path, self.asset_id, (*self.trail, self.path), read=self.read).model()
         is_static = _is_true(text_of(include, "static")) or model.is_static
         return replace(model, name=text_of(include, "name") or model.name, is_static=is_static)
 

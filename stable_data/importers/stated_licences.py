@@ -51,20 +51,21 @@ class LicenceFiles:
             return (folder / name).as_posix()
         for name in filter(_README.match, texts):
             path = (folder / name).as_posix()
-            if licence_of_file(self.root, path) is not None:
+            if licences_of_file(self.root, path):
                 return path
         return None
 
 
-def licence_of_file(root: Boundary, path: str) -> GivenLicence | None:
-    """Returns the licence that a file states.
+def licences_of_file(root: Boundary, path: str) -> tuple[GivenLicence, ...]:
+    """Returns the licences that a file states.
 
     Args:
         root: The boundary of the source folder.
         path: A licence file or README, relative to the folder.
 
     Returns:
-        The lines that name a licence; of a licence file without such a line its beginning, of a README without one None.
+        The lines that name a licence, each that of another one; of a licence file without such a line its beginning, of a README
+        without one nothing.
     """
     text = root.read_head(path, _HEAD).decode("utf-8", "replace")
     lines = [" ".join(line.split()).strip("#*_ ") for line in text.splitlines()]
@@ -72,15 +73,15 @@ def licence_of_file(root: Boundary, path: str) -> GivenLicence | None:
     if _README.match(PurePosixPath(path).name):
         # The rows of a table speak of several things.
         found = [line for line in lines if _WORDS.search(line) and normalise_licence(line) and not line.startswith("|")]
-        return _given(found[:1], path) if len(set(map(normalise_licence, found))) == 1 else None
+        return (_given(found[:1], path),) if len(set(map(normalise_licence, found))) == 1 else ()
     restricted = [line for line in lines if _RESTRICTED.search(line)]  # with it, the words name no other licence
     top = lines[:_TITLE_LINES]
     for candidates in (top, [f"{a} {b}" for a, b in itertools.pairwise(top)]):  # Apache's name takes two lines
         titles = [line for k, line in enumerate(candidates) if _WORDS.search(line) or (k == 0 and len(line) <= _TITLE)]
         named = {name: line for line in reversed(titles) if (name := normalise_licence(line))}
         if named:
-            return _given([*reversed(named.values()), *restricted], path)
-    return _given(lines or ["empty file"], path)
+            return tuple(_given([line, *restricted], path) for line in reversed(named.values()))
+    return (_given(lines or ["empty file"], path),)
 
 
 def licence_of_text(text: str, where: str) -> GivenLicence | None:

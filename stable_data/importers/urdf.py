@@ -24,7 +24,7 @@ from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
 from stable_data.importers.mesh_files import files_beside
 from stable_data.importers.rigid_models import MOST_LINKS, Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
-from stable_data.importers.stated_licences import LicenceFiles, licence_of_file
+from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
 from stable_data.scene import FloatArray
 
@@ -54,12 +54,11 @@ class UrdfReader:
         model = read_model(root, ref.path, ref.asset_id)
         asset = assemble(model, root, ref.asset_id, max_faces=options.max_faces)
         stem, beside = PurePosixPath(ref.path).stem, ref.entry.get("licence_file")
-        licence = licence_of_file(root, beside) if beside else None
         renamed = renamed_notice(ref.asset_id, stem)
         return replace(
             asset,
             name=stem,
-            licences=() if licence is None else (licence,),
+            licences=licences_of_file(root, beside) if beside else (),
             notices=(*(() if renamed is None else (renamed,)), *asset.notices),
         )
 

@@ -169,7 +169,7 @@ def convert(
     """
     progress.step = "licence"
     if asset.num_joints:
-        message = f"asset {asset.asset_id}: has {asset.num_joints} movable joints, expected one rigid body; fix its joints in the file"
+        message = f"asset {asset.asset_id}: has {asset.num_joints} movable joints, expected one rigid body; make them fixed in the file"
         raise MeshError(message, "articulated")
     licence, notices = judge_licence(asset.asset_id, asset.licences, settings.licence, settings.allowed_licences)
     notices = (*asset.notices, *notices)

@@ -59,7 +59,7 @@ def judge_licence(
         found = f"states {_shown(unclear[0])}, which names no known licence" if unclear else "states no licence"
         message = f"asset {asset_id}: {found}, expected one that is allowed; state it in the manifest or with --licence"
         raise MeshError(message, "licence_unknown")
-    restricted = [given for given in unclear if is_restricted(given.text)] if known[0].where != OPTION else []
+    restricted = [given for given in unclear if is_restricted(given.text)]
     refused = [each for each in known if not is_licence_allowed(each.name, allowed)]
     strictest = max(known, key=lambda each: _strictness(each.name))
     differs = len({each.name for each in known}) > 1 or bool(restricted)

@@ -95,7 +95,7 @@ def choose_scale(
         else:
             message = (
                 f"asset {asset.asset_id}: its file states no unit and no size of a {category.replace('_', ' ')} is known, expected "
-                "either; state the unit or size in the manifest, or a default with --set default_longest_cm=…"
+                "either; state the unit or size in a manifest, or a default in metres with --set longest_side_m=0.2"
             )
             raise MeshError(message, "scale_unknown")
         sure = "" if chosen.confidence is None else f" (right within a factor of 1.5 with probability {chosen.confidence:.2f})"

@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+from dataclasses import replace
 from typing import Any, NoReturn
 from urllib.parse import unquote_to_bytes
 
@@ -53,7 +54,7 @@ def _as_in_the_file(surface: Surface) -> Surface:
     """A surface of ``load_surfaces``, which is z up, in the axes of the file."""
     turned = surface.triangles[..., [0, 2, 1]] * (1.0, 1.0, -1.0)
     image = surface.image if surface.corner_uv is not None else None
-    return Surface(turned, surface.colour, surface.corner_colours, image, surface.corner_uv, surface.opacity)
+    return replace(surface, triangles=turned, image=image)
 
 
 def _opened(content: bytes) -> tuple[dict[str, Any], bytes | None]:

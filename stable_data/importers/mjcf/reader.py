@@ -35,7 +35,7 @@ from stable_data.importers.boundary import Boundary, renamed_notice
 from stable_data.importers.mjcf.text import IsolatedModel, MjcfText
 from stable_data.importers.model_names import name_of_path, nameless_notice
 from stable_data.importers.source import GivenInertial, GivenLicence, ReaderOptions, SourceAsset, SourceRef
-from stable_data.importers.stated_licences import LicenceFiles, licence_of_file
+from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
 from stable_data.scene import FloatArray, Vec3
 
@@ -136,8 +136,8 @@ class _ModelReader:
         colliders = [shapes.collider(int(geom)) for geom in np.flatnonzero(collides)]
         licence, licence_file = self.text.statement("license", "licence", "copyright"), self.ref.entry.get("licence_file")
         licences = [GivenLicence(licence, PurePosixPath(self.ref.path).name)] if licence else []
-        if licence_file and (stated := licence_of_file(self.root, licence_file)) is not None:
-            licences.append(stated)
+        if licence_file:
+            licences += licences_of_file(self.root, licence_file)
         return SourceAsset(
             asset_id=self.ref.asset_id,
             name=name,
@@ -160,11 +160,15 @@ class _ModelReader:
     def _check(self, shapes: "_Shapes") -> None:
         """Refuses what is no single object."""
         if shapes.has_plane():
-            self._fail("has a plane as ground", "one object; import it as a scene", "composite")
+            self._fail("has a plane as ground", "one object; use stable-data import scenes", "composite")
         if shapes.num_free > 1:
             self._fail(f"has {shapes.num_free} free bodies", "one object; give each a model of its own", "composite")
         if shapes.has_surroundings():
-            self._fail("has bodies and things around them that are fixed", "one object; import it as a scene", "composite")
+            self._fail(
+                "has bodies and things around them that are fixed",
+                "one object; use stable-data import scenes",
+                "composite",
+            )
 
     def _surface(self, shapes: "_Shapes", geom: int, isolated: IsolatedModel) -> Surface:
         local = shapes.mesh(geom).triangles

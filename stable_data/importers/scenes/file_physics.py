@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stable_data.errors import MeshError
 from stable_data.importers.mjcf_files import compile_model
 from stable_data.importers.scenes.mjcf_scenes import MjcfScene
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
@@ -117,6 +118,10 @@ def model_of_shapes(file: SceneFile, poses: Mapping[str, BodyPose]) -> mujoco.Mj
                 mesh.uservert = part.vertices.ravel()
                 share = mass * volume / sum(volumes)
                 added.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, mass=share)
+        if body.center_of_mass is not None and body.inertia is not None:
+            tensor = body.inertia
+            added.explicitinertial, added.mass, added.ipos = True, mass, body.center_of_mass
+            added.fullinertia = [*tensor.diagonal(), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
     return compile_model(spec, file.path)
 
 
@@ -131,7 +136,10 @@ def _watch(
     held_q, held_v = np.ones(model.nq, bool), np.ones(model.nv, bool)
     for q, v in free.values():
         held_q[q : q + 7], held_v[v : v + 6] = False, False
-    steps = min(_MOST_STEPS, max(1, round(seconds / model.opt.timestep)))
+    steps = max(1, round(seconds / model.opt.timestep))
+    if steps > _MOST_STEPS:  # a shorter watch would not show what falls slowly
+        found = f"its time step of {model.opt.timestep:g} s needs {steps} steps for {seconds:g} s"
+        raise MeshError(f"{found}, expected at most {_MOST_STEPS}; use a longer time step", "time_step_too_short")
     stride = max(1, round(_SAMPLE_SECONDS / model.opt.timestep))
     moves, turns = dict.fromkeys(free, 0.0), dict.fromkeys(free, 0.0)
     flags = int(model.opt.disableflags)

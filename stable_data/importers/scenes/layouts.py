@@ -134,7 +134,10 @@ def _asset(body: SceneBody, parts: Sequence[Mesh]) -> SceneAsset:
     mesh = join_meshes(parts)
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     x, y, z = middle.tolist()
-    digest = hashlib.sha256(np.round(mesh.vertices - middle, _DIGITS).tobytes() + mesh.faces.tobytes()).hexdigest()
+    # Bodies of one shape are one asset only if they also weigh the same.
+    inertia = None if body.inertia is None else body.inertia.tolist()
+    physics = repr((body.is_free, body.mass, body.center_of_mass, inertia, body.friction)).encode()
+    digest = hashlib.sha256(np.round(mesh.vertices - middle, _DIGITS).tobytes() + mesh.faces.tobytes() + physics).hexdigest()
     category = _category(body.name)
     centred = tuple(Mesh(part.vertices - middle, part.faces) for part in parts)
     centred_mesh = Mesh(mesh.vertices - middle, mesh.faces)

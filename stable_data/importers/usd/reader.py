@@ -29,7 +29,7 @@ from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary, renamed_notice
 from stable_data.importers.model_names import name_of_path, nameless_notice
 from stable_data.importers.source import GivenLicence, ReaderOptions, SourceAsset, SourceRef
-from stable_data.importers.stated_licences import LicenceFiles, licence_of_file
+from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
 from stable_data.importers.usd.layers import SUFFIXES, LayerLoader, quiet_usd
 from stable_data.importers.usd.materials import UsdMaterial, material_of
 from stable_data.importers.usd.physics import (
@@ -170,7 +170,7 @@ class _StageReader:
         around = [c for c in colliders if bodies and not any(c.prim.GetPath().HasPrefix(b.GetPath()) for b in bodies)]
         if around:
             found = f"has a rigid body and, beside it, what collides ({around[0].prim.GetPath()})"
-            self._fail(found, "one object; import it as a scene", "composite")
+            self._fail(found, "one object; use stable-data import scenes", "composite")
         if not surfaces:
             if joints.num_movable:
                 self._fail(f"has {joints.num_movable} joints and nothing that is seen", "a rigid object", "articulated")
@@ -187,8 +187,8 @@ class _StageReader:
             self.notices.append(renamed)
         licences = list(words.licences)
         licence_file = self.ref.entry.get("licence_file")
-        if licence_file and (stated := licence_of_file(self.root, licence_file)) is not None:
-            licences.append(stated)
+        if licence_file:
+            licences += licences_of_file(self.root, licence_file)
         return SourceAsset(
             asset_id=self.ref.asset_id,
             name=name,

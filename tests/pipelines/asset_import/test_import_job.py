@@ -158,7 +158,9 @@ def test_two_assets_of_one_name_are_both_there(tmp_path: Path) -> None:
     [
         (["import", "fbx", "{source}", "--out", "{out}"], "expected one of mesh"),
         (["import", "mesh", "{source}/missing", "--out", "{out}"], "expected the source folder"),
-        (["import", "usd", "{source}", "--out", "{out}"], "no assets of kind usd"),
+        (["import", "usd", "{source}", "--out", "{out}"], "no assets (kind usd)"),
+        (["import", "usd", "{source}", "--out", "{out}", "--preset", "ycb"], "for kind mesh"),
+        (["import", "mesh", "{source}", "--out", "{out}", "--licence", "foo"], "no known licence"),
         (["import", "mesh", "{source}", "--out", "{source}/out"], "choose one outside"),
         (["import", "mesh", "{source}", "--out", "{out}", "--manifest", "none.csv"], "none.csv"),
         (["import", "mesh", "{source}", "--out", "{out}", "--preset", "nothing"], "preset"),

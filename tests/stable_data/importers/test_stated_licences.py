@@ -6,7 +6,7 @@ import pytest
 
 from stable_data.assets.licences import normalise_licence
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.stated_licences import LicenceFiles, licence_of_field, licence_of_file, licence_of_text
+from stable_data.importers.stated_licences import LicenceFiles, licence_of_field, licence_of_text, licences_of_file
 
 APACHE = "                                 Apache License\n                           Version 2.0, January 2004\n" + (
     "   1. Definitions.\n      by such Contributor that are necessarily infringed by their\n"
@@ -24,19 +24,20 @@ KAYKIT = "KayKit : Bits (1.0)\n\n------\n\nLicense: (Creative Commons Zero, CC0)
         ("LICENSE", "Attribution 4.0 International\n\n=====\n\nCreative Commons Corporation is not a law firm\n", "CC-BY-4.0"),
         ("COPYING", "GNU GENERAL PUBLIC LICENSE\nVersion 3\n", None),
         ("LICENSE", "MIT License for code.\nMeshes are for non-commercial use.\n", None),
-        ("LICENSE", "Code: MIT License\nData: CC BY 4.0 license\n", None),
+        ("LICENSE", "Code: MIT License\nData: CC BY 4.0 license\n", {"MIT", "CC-BY-4.0"}),
         ("LICENSE", "All rights reserved.\n", None),
         ("LICENSE", "", None),
     ],
 )
-def test_licence_files(tmp_path: Path, name: str, text: str, expected: str | None) -> None:
+def test_licence_files(tmp_path: Path, name: str, text: str, expected: str | set[str] | None) -> None:
     (tmp_path / name).write_text(text)
     (tmp_path / "sub").mkdir()
     root = Boundary(tmp_path)
     assert LicenceFiles(root).nearest("sub/a.obj") == name
-    given = licence_of_file(root, name)
-    assert given is not None
-    assert (normalise_licence(given.text), given.where) == (expected, name)
+    given = licences_of_file(root, name)
+    names = {normalise_licence(each.text) for each in given}
+    assert names == (expected if isinstance(expected, set) else {expected})
+    assert {each.where for each in given} == {name}
 
 
 def test_a_readme_counts_if_it_names_one_licence(tmp_path: Path) -> None:
