@@ -32,6 +32,7 @@ from stable_data.storage.run_folder import RunFolder
 
 S = TypeVar("S", bound=SourceStep)
 
+_MAY_LACK_UNIT = ("mesh", "usd")  # kinds whose files need not state their unit; that of the others is the metre
 _MOST_MEASURED = 200  # assets from which the unit of a set is estimated
 
 
@@ -135,8 +136,7 @@ class ImportJob(ShardJob):
 
     def plan(self) -> Sequence[StepShards[Any]]:
         """The step that measures a sample of the assets, if the unit of some may not be known."""
-        # Files of all other kinds state their unit.
-        refs = self._listing.found if self.kind == "mesh" and not self.settings.unit_m else ()
+        refs = self._listing.found if self.kind in _MAY_LACK_UNIT and not self.settings.unit_m else ()
         chosen = refs[:: max(1, -(-len(refs) // _MOST_MEASURED))]
         return [StepShards(self._step(MeasureStep), self._shards(chosen, MEASURED))] if chosen else []
 

@@ -56,7 +56,7 @@ class Geometry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class LinkShape:
     """A visual or a collision of a link.
 
     Attributes:
@@ -93,8 +93,8 @@ class Link:
 
     name: str
     model_from_link: FloatArray
-    visuals: tuple[Shape, ...] = ()
-    collisions: tuple[Shape, ...] = ()
+    visuals: tuple[LinkShape, ...] = ()
+    collisions: tuple[LinkShape, ...] = ()
     mass: float | None = None
     link_from_inertial: FloatArray | None = None
     inertia: FloatArray | None = None
@@ -236,7 +236,7 @@ class _Reading:
     def note(self, code: str, message: str) -> None:
         self.notices.append(Notice(self.asset_id, "read", code, f"asset {self.asset_id}: {message}"))
 
-    def surfaces(self, link: Link, shape: Shape, *, is_turned: bool = False) -> tuple[Surface, ...]:
+    def surfaces(self, link: Link, shape: LinkShape, *, is_turned: bool = False) -> tuple[Surface, ...]:
         """The triangles of a shape in the frame of the model, metres.
 
         Args:
@@ -253,7 +253,7 @@ class _Reading:
             )
         return transformed(tuple(_with_look(surface, shape) for surface in found), matrix)
 
-    def _mesh(self, shape: Shape, is_turned: bool) -> tuple[Surface, ...]:
+    def _mesh(self, shape: LinkShape, is_turned: bool) -> tuple[Surface, ...]:
         geometry = shape.geometry
         file = self._file(geometry.path, shape.image)
         turn = z_up(file.up) if is_turned != _is_gltf(geometry.path) else np.eye(4)
@@ -284,14 +284,14 @@ class _Reading:
             self.files[path, image] = file
         return self.files[path, image]
 
-    def other_axis(self, shapes: Sequence[tuple[Link, Shape]]) -> str:
+    def other_axis(self, shapes: Sequence[tuple[Link, LinkShape]]) -> str:
         """The first file of shapes whose upward axis can be read in two ways; empty if there is none."""
         paths = [shape.geometry.path for _, shape in shapes if shape.geometry.kind == "mesh"]
         return next((path for (path, _), file in self.files.items() if path in paths and file.up in ("x", "y")), "")
 
 
 def _seen(
-    reading: _Reading, visuals: Sequence[tuple[Link, Shape]], solid: Sequence[tuple[Surface, ...]]
+    reading: _Reading, visuals: Sequence[tuple[Link, LinkShape]], solid: Sequence[tuple[Surface, ...]]
 ) -> tuple[Surface, ...]:
     """The surfaces of what is seen."""
     hard = tuple(surface for group in solid for surface in group)
@@ -325,14 +325,16 @@ def _boxes_agree(a: tuple[Surface, ...], b: tuple[Surface, ...]) -> bool:
     return bool(((sides[0] <= _AGREE * sides[1] + slack) & (sides[1] <= _AGREE * sides[0] + slack)).all())
 
 
-def _with_look(surface: Surface, shape: Shape) -> Surface:
+def _with_look(surface: Surface, shape: LinkShape) -> Surface:
     """A surface with the look that the model states, where the mesh has none of its own."""
     has_own = surface.colour is not None or surface.corner_colours is not None or surface.image is not None
     colour = surface.colour if has_own else shape.colour
     return replace(surface, colour=colour, opacity=surface.opacity * shape.opacity)
 
 
-def _colliders(collisions: Sequence[tuple[Link, Shape]], solid: Sequence[tuple[Surface, ...]]) -> tuple[tuple[Mesh, ...], int]:
+def _colliders(
+    collisions: Sequence[tuple[Link, LinkShape]], solid: Sequence[tuple[Surface, ...]]
+) -> tuple[tuple[Mesh, ...], int]:
     """The closed ones of collision shapes, and the number of the others."""
     meshes = [welded(joined_triangles(surfaces)) for surfaces in solid]
     closed = tuple(mesh for mesh in meshes if len(mesh.faces) and is_closed(mesh))

@@ -24,7 +24,17 @@ from stable_data.importers.formats.model_xml import (
 )
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
 from stable_data.importers.mesh_files import SUFFIXES, files_beside
-from stable_data.importers.rigid_models import MOST_LINKS, WORLD, Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
+from stable_data.importers.rigid_models import (
+    MOST_LINKS,
+    WORLD,
+    Geometry,
+    Joint,
+    Link,
+    LinkShape,
+    RigidModel,
+    assemble,
+    mesh_paths,
+)
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licence_of_text, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
@@ -345,7 +355,7 @@ class _ModelElement:
         texts = {name: text_of(element, name) or "0" for name in names}
         return inertia_of({k: float(numbers(v, 1, f"{k} of link {link}", self.file.path)[0]) for k, v in texts.items()})
 
-    def _shape(self, element: ET.Element, link: str) -> Shape | None:
+    def _shape(self, element: ET.Element, link: str) -> LinkShape | None:
         """A visual or collision; None if it is empty."""
         geometry = self._geometry(element.find("geometry"))
         if geometry is None:
@@ -359,7 +369,7 @@ class _ModelElement:
             if material is not None:
                 colour = linear_colour(text_of(material, "diffuse") or None)
                 image = self._image(text_of(material, "pbr/metal/albedo_map") or text_of(material, "pbr/specular/albedo_map"))
-        return Shape(self._of_link(element, link), geometry, colour, image, opacity, self._friction(element))
+        return LinkShape(self._of_link(element, link), geometry, colour, image, opacity, self._friction(element))
 
     def _image(self, reference: str) -> str:
         """File of a texture; empty if it is missing or refused, which is noted."""

@@ -22,7 +22,7 @@ from stable_data.importers.formats.model_xml import (
 )
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
 from stable_data.importers.mesh_files import files_beside
-from stable_data.importers.rigid_models import MOST_LINKS, Geometry, Joint, Link, RigidModel, Shape, assemble, mesh_paths
+from stable_data.importers.rigid_models import MOST_LINKS, Geometry, Joint, Link, LinkShape, RigidModel, assemble, mesh_paths
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
@@ -192,14 +192,14 @@ class _UrdfFile:
                 found[link] = float(numbers(mu.get("value") or mu.text, 1, "mu1", self.path)[0])
         return {link: value for link, value in found.items() if value >= 0}
 
-    def _shape(self, element: ET.Element, friction: float | None) -> Shape:
+    def _shape(self, element: ET.Element, friction: float | None) -> LinkShape:
         own = [
             self._value(child_of(element, f"drake:proximity_properties/drake:{n}"), "value")
             for n in ("mu_static", "mu_dynamic")
         ]
         stated = next((value for value in own if value is not None), friction)
         colour, image, opacity = self._look(element.find("material"))
-        return Shape(self._origin(element), self._geometry(element.find("geometry")), colour, image, opacity, stated)
+        return LinkShape(self._origin(element), self._geometry(element.find("geometry")), colour, image, opacity, stated)
 
     def _look(self, material: ET.Element | None) -> tuple[tuple[float, float, float] | None, str, float]:
         """Colour, texture and opacity of a material; one without content is defined elsewhere in the file."""

@@ -20,10 +20,10 @@ from stable_data.geometry.mesh_repair import MeshReport, drop_duplicate_faces, r
 from stable_data.geometry.reduction import join_triangles, reduce_mesh
 from stable_data.geometry.shape_hash import shape_hash
 from stable_data.geometry.surface import Surface
-from stable_data.importers.conversion.inertials import Inertial, inertial_of
+from stable_data.importers.conversion.inertials import AssetInertial, inertial_of
 from stable_data.importers.conversion.licensing import Licence, judge_licence
 from stable_data.importers.conversion.naming import Name, Vocabulary, words_of_name
-from stable_data.importers.conversion.resting import RestingPose, is_container, resting_poses
+from stable_data.importers.conversion.resting import StablePose, is_container, resting_poses
 from stable_data.importers.conversion.scaling import choose_scale
 from stable_data.importers.conversion.sizes import SetScale, SizeTable
 from stable_data.importers.source import SourceAsset
@@ -370,7 +370,7 @@ def _name_columns(name: Name, encoder: TextEncoder | None) -> schemas.Row:
     }
 
 
-def _rest_columns(poses: Sequence[RestingPose], rest_source: str, mesh: Mesh) -> schemas.Row:
+def _rest_columns(poses: Sequence[StablePose], rest_source: str, mesh: Mesh) -> schemas.Row:
     return {
         "resting_tilts": [{"tilt_quat_xyzw": pose.quat_xyzw, "count": pose.count} for pose in poses],
         "rest_source": rest_source,
@@ -378,7 +378,7 @@ def _rest_columns(poses: Sequence[RestingPose], rest_source: str, mesh: Mesh) ->
     }
 
 
-def _mass_columns(inertial: Inertial, made: _MadeMesh) -> schemas.Row:
+def _mass_columns(inertial: AssetInertial, made: _MadeMesh) -> schemas.Row:
     """The columns of mass; where the source states no centre of mass or inertia, those of the homogeneous mesh."""
     homogeneous = volume_columns(made.mesh, made.report, (1.0, 1.0, 1.0))
     com, inertia = inertial.center_of_mass, inertial.inertia

@@ -33,7 +33,7 @@ _MOST_DENSE = 2.0  # density of a thing of a dense material, relative to that of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Inertial:
+class AssetInertial:
     """Mass properties of an asset, in the frame of its mesh (centred box), metres.
 
     Attributes:
@@ -60,7 +60,7 @@ def inertial_of(
     category: str,
     words: Iterable[str] = (),
     center: FloatArray | None = None,
-) -> tuple[Inertial, tuple[Notice, ...]]:
+) -> tuple[AssetInertial, tuple[Notice, ...]]:
     """Checks what a source states about the mass of an asset, and fills what it does not.
 
     Args:
@@ -77,7 +77,7 @@ def inertial_of(
     if given is None or not given.is_weighed or not 0 < given.mass < float("inf"):
         density, source = _density(material, category)
         found = mass_properties(mesh, density=density, is_sheet=not report.is_solid)
-        return Inertial(max(_LIGHTEST, found.mass), source, material, None, None), _not_a_mass(asset_id, given)
+        return AssetInertial(max(_LIGHTEST, found.mass), source, material, None, None), _not_a_mass(asset_id, given)
     notices: tuple[Notice, ...] = ()
     if volume > 0 and not _LIKELY[0] <= given.mass / volume <= _LIKELY[1]:
         message = (
@@ -87,7 +87,7 @@ def inertial_of(
         notices += (Notice(asset_id, "inertial", "mass_implausible", message),)
     com, wrong = _center_of_mass(given, mesh, np.zeros(3) if center is None else center, asset_id)
     inertia, odd = _inertia(given, com, asset_id)
-    return Inertial(given.mass, "given", material, com, inertia), (*notices, *wrong, *odd)
+    return AssetInertial(given.mass, "given", material, com, inertia), (*notices, *wrong, *odd)
 
 
 def material_of(words: Iterable[str]) -> str | None:

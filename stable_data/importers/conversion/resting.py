@@ -36,7 +36,7 @@ _HOLDS = (0.01, 0.2, 0.2, 0.1)  # least depth (m); shares of height, footprint a
 
 
 @dataclass(frozen=True, slots=True)
-class RestingPose:
+class StablePose:
     """A pose at rest.
 
     Attributes:
@@ -85,7 +85,7 @@ def resting_poses(
     vertical: Collection[int] = (),
     center_of_mass: FloatArray | None = None,
     searches: bool = True,
-) -> tuple[tuple[RestingPose, ...], str]:
+) -> tuple[tuple[StablePose, ...], str]:
     """Finds the poses in which an object rests.
 
     Args:
@@ -104,16 +104,16 @@ def resting_poses(
     if given:
         weights = range(len(given), 0, -1)
         return tuple(
-            RestingPose(_canonical(rotation_matrix(normalise_quat(q))), n) for q, n in zip(given, weights, strict=True)
+            StablePose(_canonical(rotation_matrix(normalise_quat(q))), n) for q, n in zip(given, weights, strict=True)
         ), "given"
     own = _Candidate(np.eye(3), 0.0, is_source=True)
     if not searches:
-        return (RestingPose(UPRIGHT, 1),), "up_axis"
+        return (StablePose(UPRIGHT, 1),), "up_axis"
     hull = hull_of_mesh(mesh)
     candidates = [own, *_quasi_static(hull, center_of_mass)]
     rested = _dropped(candidates, hull)
     if not rested:  # a needle or a ball that rolls: the source's axis is all that is known
-        return (RestingPose(UPRIGHT, 1),), "up_axis"
+        return (StablePose(UPRIGHT, 1),), "up_axis"
     center = np.zeros(3) if center_of_mass is None else center_of_mass
     ranked = _ranked(_merged(rested), mesh, center, is_upright=is_upright, vertical=vertical)
     first = ranked[0]
@@ -122,7 +122,7 @@ def resting_poses(
     rests_on = "up_axis" if first.is_source and is_upright else "physics"
     # Counts never rise, so that whoever sorts by them keeps the order.
     falling = np.minimum.accumulate(counts).tolist()
-    return tuple(RestingPose(_canonical(c.matrix), n) for c, n in zip(ranked, falling, strict=True)), rests_on
+    return tuple(StablePose(_canonical(c.matrix), n) for c, n in zip(ranked, falling, strict=True)), rests_on
 
 
 def _canonical(matrix: FloatArray) -> QuatXyzw:

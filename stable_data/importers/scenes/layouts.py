@@ -13,7 +13,7 @@ from stable_data.errors import SceneError
 from stable_data.geometry.mesh import Mesh, join_meshes
 from stable_data.importers.boundary import asset_id_of
 from stable_data.importers.scenes.scene_file import BodyPose, SceneBody, SceneFile
-from stable_data.importers.scenes.supports import SupportSurface, find_supports
+from stable_data.importers.scenes.supports import SceneSurface, find_supports
 from stable_data.rotations import heading, quat_of, rotation_matrix, tilt_of, yaw_quat
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
 
@@ -74,7 +74,7 @@ def scenes_of_file(file: SceneFile, table: str = "") -> list[ImportedScene]:
     return [_scene_on(file, surface, scene_id) for surface, scene_id in zip(surfaces, ids, strict=True)]
 
 
-def _scene_on(file: SceneFile, surface: SupportSurface, scene_id: str) -> ImportedScene:
+def _scene_on(file: SceneFile, surface: SceneSurface, scene_id: str) -> ImportedScene:
     assets: dict[str, SceneAsset] = {}
     objects: list[SceneObject] = []
     counts: dict[str, int] = {}
@@ -111,7 +111,7 @@ def _scene_on(file: SceneFile, surface: SupportSurface, scene_id: str) -> Import
     return ImportedScene(Scene(scene_id, table, tuple(objects), source=source, fixed=fixed), assets)
 
 
-def _is_near(body: SceneBody, part: Mesh, surface: SupportSurface, highest: float) -> bool:
+def _is_near(body: SceneBody, part: Mesh, surface: SceneSurface, highest: float) -> bool:
     """Whether a shape that does not move can be in the way of objects on a surface."""
     points = _to_surface(body.placed(part), surface)
     low, high, size = points.min(axis=0), points.max(axis=0), np.array(surface.size_xy)
@@ -119,7 +119,7 @@ def _is_near(body: SceneBody, part: Mesh, surface: SupportSurface, highest: floa
     return bool(not beside and high[2] > _TOUCH and low[2] < highest + _ABOVE)
 
 
-def _to_surface(points: FloatArray, surface: SupportSurface) -> FloatArray:
+def _to_surface(points: FloatArray, surface: SceneSurface) -> FloatArray:
     moved: FloatArray = (points - np.array(surface.origin)) @ rotation_matrix(yaw_quat(surface.yaw))
     return moved
 
@@ -144,7 +144,7 @@ def _asset(body: SceneBody, parts: Sequence[Mesh]) -> SceneAsset:
     return SceneAsset(f"{category}_{digest[:12]}", category, centred_mesh, centred, body, (x, y, z))
 
 
-def _object(instance: str, body: SceneBody, asset: SceneAsset, center: Vec3, surface: SupportSurface) -> SceneObject:
+def _object(instance: str, body: SceneBody, asset: SceneAsset, center: Vec3, surface: SceneSurface) -> SceneObject:
     """The object of a body whose shape has its centre at a point of the body's frame."""
     frame = Rotation.from_euler("z", surface.yaw)
     rotation = quat_of(frame.inv() * Rotation.from_quat(body.quat_xyzw))

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from stable_data.scene import FloatArray, QuatXyzw
@@ -48,7 +48,7 @@ class RestingFace:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Uprighting:
+class UprightTurn:
     """A turn that an object needs.
 
     Attributes:
@@ -115,7 +115,7 @@ def _tipping(corners: FloatArray, normal: FloatArray, center: FloatArray) -> flo
     flat, middle = corners @ axes, center @ axes
     try:
         outline = ConvexHull(flat)
-    except Exception:  # noqa: BLE001 - Qhull's error for points on a line: nothing stands on an edge
+    except QhullError:  # points on a line: nothing stands on an edge
         return -1.0
     margin = -float((outline.equations[:, :2] @ middle + outline.equations[:, 2]).max())
     return math.atan2(margin, max(height, 1e-6))
@@ -131,7 +131,7 @@ def uprighting(
     mode: Upright = "auto",
     opens_up: Callable[[FloatArray], bool] = lambda _: False,
     stands_on_end: bool = False,
-) -> Uprighting | None:
+) -> UprightTurn | None:
     """Decides whether an object must be turned to stand.
 
     Args:
@@ -157,28 +157,28 @@ def uprighting(
         stated = _nearest(faces, Rotation.from_quat(quat).inv().apply([0.0, 0.0, -1.0]), _NEAR)
         is_other = stated is not None and stated.tipping >= _FIRM and _angle(stated.normal, down) > _FALLEN
         if stated is not None and is_other and (present is None or present.tipping < stated.tipping):
-            return Uprighting(_turn(stated, rotation), "lies; it stands in another pose of the file")
+            return UprightTurn(_turn(stated, rotation), "lies; it stands in another pose of the file")
     standing = _nearest(faces, np.array([0.0, 0.0, -1.0]), _NEAR)
     lying = [face for face in faces if face.tipping >= _FIRM and _SIDEWAYS < _angle(face.normal, down) < math.pi - _SIDEWAYS]
     stands = standing is not None and standing is present and standing.tipping >= _FIRM
     if mode == "auto" and not stands and not (present is not None and opens_up(present.normal)):
         opening = next((face for face in lying if opens_up(face.normal)), None)
         if opening is not None:
-            return Uprighting(_turn(opening, rotation), "had fallen over: its opening did not point up")
+            return UprightTurn(_turn(opening, rotation), "had fallen over: its opening did not point up")
     if mode == "auto" and stands_on_end and not stands and (end := _end(faces, vertices, down)) is not None:
-        return Uprighting(_turn(end, rotation), "had fallen over: such a thing stands on its end")
+        return UprightTurn(_turn(end, rotation), "had fallen over: such a thing stands on its end")
     if standing is not None and standing.tipping >= _FIRM and _angle(standing.normal, down) > _FALLEN:
         if mode == "body":
-            return Uprighting(_turn(standing, rotation), "z axis of the body turned upwards")
+            return UprightTurn(_turn(standing, rotation), "z axis of the body turned upwards")
         is_less_firm = present is not None and present.tipping < _LESS_FIRM * standing.tipping
         if is_less_firm or (present is None and is_at_rest is not True):
-            return Uprighting(_turn(standing, rotation), "had fallen over")
+            return UprightTurn(_turn(standing, rotation), "had fallen over")
     if is_at_rest:
         return None
     target = present if present is not None else _nearest(faces, down, math.pi)
     if target is None or target.tipping < _FIRM or _angle(target.normal, down) < _EXACT:
         return None
-    return Uprighting(_turn(target, rotation), "did not stand level")
+    return UprightTurn(_turn(target, rotation), "did not stand level")
 
 
 def _nearest(faces: Sequence[RestingFace], down: FloatArray, within: float) -> RestingFace | None:

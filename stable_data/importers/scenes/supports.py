@@ -23,7 +23,7 @@ _CELLS = 96  # raster of an outline that is no rectangle, along each side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SupportSurface:
+class SceneSurface:
     """A level rectangle on which things stand.
 
     Attributes:
@@ -48,7 +48,7 @@ class _Top:
     outline: shapely.Geometry | None  # None: unlimited
 
 
-def find_supports(file: SceneFile, table: str = "") -> list[SupportSurface]:
+def find_supports(file: SceneFile, table: str = "") -> list[SceneSurface]:
     """Finds the surfaces on which the free bodies of a scene stand, or over which they hang.
 
     Args:
@@ -127,7 +127,7 @@ def _is_below(top: _Top, body: SceneBody) -> bool:
     return top.outline is None or bool(shapely.distance(top.outline, shapely.Point(centre[:2])) <= _BESIDE)
 
 
-def _surface(top: _Top, bodies: Sequence[SceneBody]) -> SupportSurface:
+def _surface(top: _Top, bodies: Sequence[SceneBody]) -> SceneSurface:
     names = tuple(body.name for body in bodies)
     if top.outline is None:
         points = np.concatenate([body.placed(part)[:, :2] for body in bodies for part in body.parts])
@@ -136,7 +136,7 @@ def _surface(top: _Top, bodies: Sequence[SceneBody]) -> SupportSurface:
     else:
         origin, yaw, size = _rectangle(top)
     x, y = origin.tolist()
-    return SupportSurface(top.owner, (x, y, top.height), yaw, (float(size[0]), float(size[1])), names)
+    return SceneSurface(top.owner, (x, y, top.height), yaw, (float(size[0]), float(size[1])), names)
 
 
 def _rectangle(top: _Top) -> tuple[FloatArray, float, FloatArray]:

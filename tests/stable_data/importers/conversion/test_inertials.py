@@ -5,7 +5,7 @@ import pytest
 
 from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh_repair import repair_mesh
-from stable_data.importers.conversion.inertials import DEFAULT_DENSITY, Inertial, inertial_of, material_of
+from stable_data.importers.conversion.inertials import DEFAULT_DENSITY, AssetInertial, inertial_of, material_of
 from stable_data.importers.source import GivenInertial
 from stable_data.scene import FloatArray
 from tests.stable_data.importers.conversion.sources import CUP, box, revolved
@@ -16,7 +16,7 @@ VOLUME = 0.1 * 0.2 * 0.3
 
 def of_box(
     given: GivenInertial | None, category: str = "zorble", words: tuple[str, ...] = (), center: FloatArray | None = None
-) -> tuple[Inertial, list[str]]:
+) -> tuple[AssetInertial, list[str]]:
     found, notices = inertial_of(given, BOX, REPORT, asset_id="a", category=category, words=words, center=center)
     return found, [n.code for n in notices]
 
