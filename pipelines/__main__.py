@@ -86,7 +86,8 @@ EditAssets = Annotated[
     list[str] | None,
     typer.Option(
         "--assets",
-        help="A folder in the MesaTask-10K format, a run, or embedded (the embedded world's library, which is made if it is missing), "
+        help="A folder in the MesaTask-10K format, a run, real (the real meshes in the repository), or embedded (the embedded world's "
+        "library, which is made if it is missing), "
         "to take assets from that the scenes' own library lacks. May be repeated: libraries are searched in order, after that of "
         "the scenes. Default: embedded. none: only the scenes' own library.",
     ),

@@ -134,16 +134,21 @@ class ImportJob(ShardJob):
         groups = split_groups(refs, self.settings.assets_per_shard)
         return [Shard(content_id("import", shaping, self.kind, self._content(g), *more), tuple(g)) for g in groups]
 
+    @property
+    def _sample(self) -> Sequence[SourceRef]:
+        """The assets from which the unit of a set is estimated; none if the files state it."""
+        refs = self._listing.found if self.kind in _MAY_LACK_UNIT and not self.settings.unit_m else ()
+        return refs[:: max(1, -(-len(refs) // _MOST_MEASURED))]
+
     def plan(self) -> Sequence[StepShards[Any]]:
         """The step that measures a sample of the assets, if the unit of some may not be known."""
-        refs = self._listing.found if self.kind in _MAY_LACK_UNIT and not self.settings.unit_m else ()
-        chosen = refs[:: max(1, -(-len(refs) // _MOST_MEASURED))]
-        return [StepShards(self._step(MeasureStep), self._shards(chosen, MEASURED))] if chosen else []
+        sample = self._sample
+        return [StepShards(self._step(MeasureStep), self._shards(sample, MEASURED))] if sample else []
 
     def later_plans(self, folder: RunFolder) -> Iterator[Sequence[StepShards[Any]]]:
         """The step of all assets, with the unit that the sample shows."""
         found = None
-        if self.plan():
+        if self._sample:
             rows = sorted(folder.table(MEASURED).to_pylist(), key=lambda row: str(row["asset_id"]))
             sizes = ConversionContext(load_default()).sizes
             found = sizes.set_scale((row["category"], row["extents"]) for row in rows)
