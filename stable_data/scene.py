@@ -91,11 +91,13 @@ class Tabletop:
         table_type: Kind of table, such as ``office_table``.
         size_xy: Extent along x and y, metres.
         restricted_zone: Rectangle on which nothing may stand (a sink), (x_min, x_max, y_min, y_max), metres.
+        clearance: Free height above it, metres, such as to the next board of a shelf; None: no limit.
     """
 
     table_type: str
     size_xy: tuple[float, float]
     restricted_zone: Rectangle | None = None
+    clearance: float | None = None
 
     def __post_init__(self) -> None:
         """Refuses a rectangle without area."""
@@ -104,6 +106,34 @@ class Tabletop:
         zone = self.restricted_zone
         if zone is not None and not (all(map(math.isfinite, zone)) and zone[0] < zone[1] and zone[2] < zone[3]):
             raise SceneError(f"restricted zone is {zone}, expected (x_min, x_max, y_min, y_max)", "zone_invalid")
+        if self.clearance is not None and not (math.isfinite(self.clearance) and self.clearance > 0):
+            raise SceneError(f"clearance is {self.clearance}, expected a positive height in metres", "zone_invalid")
+
+
+@dataclass(frozen=True, slots=True)
+class SupportFrame:
+    """Where the table top of a scene lies on a support, such as a board of a shelf.
+
+    Attributes:
+        support: Name of the support; scenes with the same name stand on the same piece.
+        surface: Name of the surface, unique on the support.
+        origin: The origin of the table's frame in the frame of the support, metres; its z is the height of the surface.
+        yaw: Rotation of the table's frame about +z in the frame of the support, radians.
+        asset_id: The mesh of the support, whose frame, z up and in metres, is that of the support; None without a mesh.
+    """
+
+    support: str
+    surface: str
+    origin: Vec3
+    yaw: float = 0.0
+    asset_id: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuses a pose that is not finite."""
+        if not all(map(math.isfinite, (*self.origin, self.yaw))):
+            raise SceneError(
+                f"surface {self.surface} has origin {self.origin} and yaw {self.yaw}, expected finite", "not_finite"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +243,7 @@ class Scene:
         source: Top-level entries of the file without the objects. Not compared.
         fixed: Instances that belong to the surroundings, such as a robot or a shelf: they are obstacles and may carry objects, but
             do not move, and are not judged themselves.
+        frame: The surface of a support that is the table top; None: the table is a piece of its own.
     """
 
     scene_id: str
@@ -222,6 +253,17 @@ class Scene:
     relations: tuple[Relation, ...] = ()
     source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
     fixed: frozenset[str] = frozenset()
+    frame: SupportFrame | None = None
+
+    @property
+    def movable(self) -> tuple[SceneObject, ...]:
+        """The objects that do not belong to the surroundings."""
+        return tuple(o for o in self.objects if o.instance not in self.fixed) if self.fixed else self.objects
+
+    @property
+    def surroundings(self) -> tuple[SceneObject, ...]:
+        """The objects that are fixed."""
+        return tuple(o for o in self.objects if o.instance in self.fixed)
 
     def __post_init__(self) -> None:
         """Refuses two objects with the same name, and an object with the name of the table."""

@@ -187,7 +187,7 @@ def scene_graph(
     Nodes are the instances and ``table``. An object's node has ``category``, ``support`` (see :func:`supports`), ``container``,
     ``cell`` and ``facing``. Edges run from subject to target; their key is the :class:`RelationKind`. An object on another one
     in a container has both relations. The graph's ``rows`` are the equally spaced rows, (instances, axis). Of two opposite
-    relations, only the one whose subject comes first in the scene is included.
+    relations, only the one whose subject comes first in the scene is included. Fixed objects only carry others.
 
     Args:
         scene: The scene.
@@ -210,8 +210,9 @@ def scene_graph(
             container=layout.containers.get(o.instance),
             cell=cell_of(o.position, scene.table.size_xy),
             facing=facing_of(o.yaw),
+            is_fixed=o.instance in scene.fixed,
         )
-    for child in carriers:
+    for child in carriers.keys() - scene.fixed if scene.fixed else carriers:
         _link_to_parent(graph, layout, carriers, child, len(contacts.get(child, ())))
     for one, other in _near_pairs(scene):
         kind = _spatial_relation(scene, layout, one, other)
@@ -236,9 +237,9 @@ def _link_to_parent(
 
 
 def _near_pairs(scene: Scene) -> list[tuple[str, str]]:
-    """Each object with its nearest objects within reach, each pair once, in the scene's order."""
-    names = [o.instance for o in scene.objects]
-    centres = scene.poses()[:, :2]
+    """Each movable object with its nearest ones within reach, each pair once, in the scene's order."""
+    names = [o.instance for o in scene.movable]
+    centres = np.array([o.position[:2] for o in scene.movable], np.float64).reshape(-1, 2)
     distance = np.linalg.norm(centres[:, None] - centres[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     pairs = set()
@@ -338,7 +339,7 @@ def facing_of(yaw: float) -> str:
 
 def _rows(scene: Scene, carriers: Mapping[str, str | None]) -> tuple[tuple[tuple[str, ...], str], ...]:
     """Longest evenly spaced rows of three or more objects that stand on the table."""
-    standing = [o for o in scene.objects if carriers[o.instance] == TABLE]
+    standing = [o for o in scene.movable if carriers[o.instance] == TABLE]
     found: list[tuple[tuple[str, ...], str]] = []
     for axis in (0, 1):
         ordered = sorted(standing, key=lambda o: (o.position[axis], o.instance))
@@ -375,7 +376,7 @@ def relations_of(graph: SceneGraph) -> tuple[Relation, ...]:
     """
     found = [Relation(subject, RelationKind(kind), target) for subject, target, kind in graph.edges(keys=True)]
     for name, about in graph.nodes(data=True):
-        if name != TABLE:
+        if name != TABLE and not about.get("is_fixed"):
             found += [Relation(name, RelationKind.FACE_TO, about["facing"]), Relation(name, RelationKind.IS_AT, about["cell"])]
     found += [Relation(", ".join(row), RelationKind.EQUALLY_SPACED, axis) for row, axis in graph.graph["rows"]]
     return tuple(sorted(found))

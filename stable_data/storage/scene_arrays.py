@@ -17,13 +17,23 @@ import pyarrow.compute as pc
 
 from stable_data.scene import IntArray, Relation, RelationKind, Scene, SceneObject, Stage, Tabletop
 from stable_data.storage.schemas import OBJECT, TASK
-from stable_data.storage.table_rows import task_from_row
+from stable_data.storage.table_rows import surface_from_row, task_from_row
 
 T = TypeVar("T")
 
 _OBJECT_LEAVES = tuple(f"objects.list.element.{f.name}" for f in OBJECT if f.name != "source_json")
 _TASK_LEAVES = tuple(f"task.{f.name}" for f in TASK if f.name != "source_json")
-SCENE_LEAVES = ("scene_id", "table_type", "table_size", "restricted_zone", *_TASK_LEAVES, *_OBJECT_LEAVES, "relations")
+SCENE_LEAVES = (
+    "scene_id",
+    "table_type",
+    "table_size",
+    "restricted_zone",
+    *_TASK_LEAVES,
+    *_OBJECT_LEAVES,
+    "relations",
+    "fixed",
+    "surface",
+)
 """Leaves of ``scenes`` that :func:`scenes_from_table` needs, as Parquet names them."""
 
 ARRAY_LEAVES = (
@@ -52,11 +62,14 @@ def scenes_from_table(table: pa.Table) -> list[Scene]:
         table: Rows with at least SCENE_LEAVES.
     """
     sizes, zones = _vectors(table["table_size"], 2), _vectors(table["restricted_zone"], 4)
-    tables = map(Tabletop, table["table_type"].to_pylist(), sizes, zones)
+    surfaces = [surface_from_row(row) for row in table["surface"].to_pylist()]
+    tables = map(Tabletop, table["table_type"].to_pylist(), sizes, zones, (clearance for _, clearance in surfaces))
     tasks = (task_from_row(None if task is None else {"source_json": None, **task}) for task in table["task"].to_pylist())
     objects = _split(_objects(_flat(table["objects"])), table["objects"])
     relations = _split(_relations(_flat(table["relations"])), table["relations"])
-    return list(map(Scene, table["scene_id"].to_pylist(), tables, objects, tasks, relations))
+    heads = zip(table["scene_id"].to_pylist(), tables, objects, tasks, relations, strict=True)
+    fixed = (frozenset(names or ()) for names in table["fixed"].to_pylist())
+    return [Scene(*head, fixed=own, frame=frame) for head, own, (frame, _) in zip(heads, fixed, surfaces, strict=True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

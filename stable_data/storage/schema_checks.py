@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import pyarrow as pa
 
 from stable_data.errors import ConfigError, MissingColumnsWarning
-from stable_data.storage.schemas import REQUIRED, TABLE_VERSION
+from stable_data.storage.schemas import NONE_IF_NULL, REQUIRED, TABLE_VERSION
 
 
 def check_schema(schema: pa.Schema, table: str, where: str) -> None:
@@ -75,11 +75,12 @@ def warn_of_missing_columns(where: str, table: str, missing: Iterable[str], cond
         missing: Result of :func:`missing_columns`.
         condition: Columns that a condition on the rows names.
     """
-    missing = list(dict.fromkeys(missing))
+    condition = list(dict.fromkeys(condition))
+    missing = [name for name in dict.fromkeys(missing) if name in condition or name not in NONE_IF_NULL]
     if not missing:
         return
     message = f"{where}: table {table} was written before {', '.join(missing)} existed; they are read as null (unknown)"
-    unknown = [name for name in dict.fromkeys(condition) if name in missing]
+    unknown = [name for name in condition if name in missing]
     if unknown:
         message += (
             f"; the condition names {', '.join(unknown)}, and rows with null there do not pass: "

@@ -91,6 +91,16 @@ def _column(name: str, type_: pa.DataType, meaning: str, unit: str = "") -> pa.F
     return pa.field(name, type_, metadata={"meaning": meaning, "unit": unit})
 
 
+SURFACE = pa.struct(
+    [
+        ("support", _text),
+        ("surface", _text),
+        ("origin", _numbers),
+        ("yaw", _number),
+        ("asset_id", _text),
+        ("clearance", _number),
+    ]
+)
 DROPPED = pa.struct([("instance", _text), ("reason", _text)])
 POSE = pa.struct([("instance", _text), ("position", _numbers), ("yaw", _number)])
 
@@ -143,6 +153,14 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "fixed",
                 _texts,
                 "instances of the surroundings: obstacles that do not move and are not judged; null without any",
+            ),
+            _column(
+                "surface",
+                SURFACE,
+                "the surface of a support that is the table top: name of the support, which scenes on one piece share, name of the "
+                "surface, origin and yaw of the scene's frame in that of the support, mesh of the support, free height above it; null "
+                "for a table of its own",
+                "m, rad",
             ),
             *_card_columns(),
             _column(
@@ -492,6 +510,9 @@ def _versioned(name: str, schema: pa.Schema) -> pa.Schema:
 
 SCHEMAS = {name: _versioned(name, schema) for name, schema in SCHEMAS.items()}
 """Name of a table -> its schema."""
+
+NONE_IF_NULL = frozenset({"fixed", "surface"})
+"""Columns of which null says that there is none, also in runs that are older than they are."""
 
 _TABLETOP = ("table_type", "table_size", "restricted_zone")
 REQUIRED: dict[str, tuple[str, ...]] = {

@@ -10,7 +10,7 @@ import pyarrow as pa
 from stable_data.errors import Notice
 from stable_data.json_text import json_text
 from stable_data.metrics.card import MetricCard
-from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
+from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
 from stable_data.storage.schemas import SAMPLE_OBJECT, SCHEMAS, TASK, Row
 
 
@@ -101,6 +101,7 @@ def scene_row(scene: Scene) -> Row:
         "objects": [object_row(o) for o in scene.objects],
         "relations": _relation_rows(scene.relations),
         "fixed": sorted(scene.fixed) or None,
+        "surface": _surface_row(scene),
         "source_json": _json(scene.source),
     }
 
@@ -108,16 +109,33 @@ def scene_row(scene: Scene) -> Row:
 def scene_from_row(row: Mapping[str, Any]) -> Scene:
     """Returns the scene of a row that :func:`scene_row` made; other columns are ignored."""
     zone, source = row["restricted_zone"], row["source_json"]
+    frame, clearance = surface_from_row(row.get("surface"))
     size_x, size_y = row["table_size"]
     return Scene(
         scene_id=row["scene_id"],
-        table=Tabletop(row["table_type"], (size_x, size_y), None if zone is None else tuple(zone)),
+        table=Tabletop(row["table_type"], (size_x, size_y), None if zone is None else tuple(zone), clearance),
         objects=tuple(object_from_row(o) for o in row["objects"]),
         task=task_from_row(row["task"]),
         relations=_relations(row["relations"]),
         source=None if source is None else json.loads(source),
         fixed=frozenset(row.get("fixed") or ()),
+        frame=frame,
     )
+
+
+def _surface_row(scene: Scene) -> Row | None:
+    frame, clearance = scene.frame, scene.table.clearance
+    if frame is None and clearance is None:
+        return None
+    return ({} if frame is None else asdict(frame)) | {"clearance": clearance}
+
+
+def surface_from_row(row: Mapping[str, Any] | None) -> tuple[SupportFrame | None, float | None]:
+    """Returns the frame and the clearance of a value of the column ``surface``."""
+    if row is None or row["support"] is None:
+        return None, None if row is None else row["clearance"]
+    frame = SupportFrame(row["support"], row["surface"], tuple(row["origin"]), row["yaw"], row["asset_id"])
+    return frame, row["clearance"]
 
 
 def card_from_row(row: Mapping[str, Any]) -> MetricCard:

@@ -25,7 +25,7 @@ from stable_data.storage.torch_dataset import TableDataset, TableStream, collate
 
 STORED = Path(__file__).parents[2] / "data" / "run_v3"
 JOBS = ("preprocess", "generate")
-ADDED = "fixed, float_gap, oc_sdf, awt_annotated, aws_graph, awt_understood, aws_understood, read_as_labelled"
+ADDED = "float_gap, oc_sdf, awt_annotated, aws_graph, awt_understood, aws_understood, read_as_labelled"
 """Columns of cards that did not exist when the stored runs were made."""
 
 
