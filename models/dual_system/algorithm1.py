@@ -74,7 +74,7 @@ class LoopSettings:
     def is_full(self, scene: Scene) -> bool:
         """Whether the objects directly on the table cover more than the share ``full`` of it."""
         width, depth = scene.table.size_xy
-        covered = sum(o.size[0] * o.size[1] for o in scene.objects if o.support in (None, TABLE))
+        covered = sum(o.size[0] * o.size[1] for o in scene.movable if o.support in (None, TABLE))
         return self.full < 1 and covered > self.full * width * depth
 
 
@@ -108,7 +108,7 @@ def dual_system(
             state.accept(candidate)
             continue
         rejected = state.turns[-1]
-        if not state.scene.objects:
+        if not state.scene.movable:
             return state.failure(rejected.code, f"stage {wanted}: {rejected.rejected}")
         state.warn("stage_left_out", f"stage {wanted}: {rejected.rejected}")
     if settings.corrects != "never" and not state.is_at_rest:
@@ -163,7 +163,7 @@ class _StageLoop:
         """
         task, before = state.task, state.scene
         # Propose the objects of the stage, given the corrected layout.
-        layout = layout_objects(before.objects, {o.instance: o.instance for o in before.objects})
+        layout = layout_objects(before.movable, {o.instance: o.instance for o in before.movable})
         question = ReasonerQuestion(task.instruction, task.table, wanted, layout, task.details)
         proposal = yield ProposalRequest(question, named_seed(self.seed, attempt))
         assert isinstance(proposal, Proposal)
@@ -173,19 +173,19 @@ class _StageLoop:
 
         # Retrieve an asset for each object. A missing background object is acceptable, a missing task object is not.
         proposed = objects_of_reply(proposal.reply, question, self.interpret)
-        assigned = yield RetrievalRequest(replace(before, objects=proposed))
+        assigned = yield RetrievalRequest(replace(before, objects=proposed, fixed=frozenset()))
         assert isinstance(assigned, AssignedLayout)
         turn, found = Turn(wanted, proposal, assigned), assigned.scene.objects
         names = {o.instance for o in found}
         if lost := [o.instance for o in proposed if o.stage is Stage.TASK and o.instance not in names]:
             why = next((f"; {assigned.unmatched[name].reason}" for name in lost if name in assigned.unmatched), "")
             return replace(turn, rejected=f"no asset for {', '.join(lost)}{why}", code="asset_unmatched"), None
-        if not (found or before.objects):
+        if not (found or before.movable):
             return replace(turn, rejected="the proposal has no objects, expected at least one", code="layout_empty"), None
         scene = replace(before, objects=(*before.objects, *found))
-        if not before.objects:
+        if not before.movable:
             scene = attach_task_info(scene, task.instruction, proposed, self.interpret)
-        supports = state.supports | _proposed_supports(replace(before, objects=(*before.objects, *proposed)), names)
+        supports = state.supports | _proposed_supports(replace(before, objects=(*before.movable, *proposed)), names)
         candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing)
 
         # Correct all objects so far.

@@ -70,7 +70,7 @@ class GenerationState:
 
     def __post_init__(self) -> None:
         """Sets both scenes to an empty table."""
-        self.scene = self.start = Scene(self.task.scene_id, self.task.table, ())
+        self.scene = self.start = self.task.empty_scene
 
     @property
     def instances(self) -> frozenset[str]:

@@ -5,7 +5,7 @@ These layouts are the input of the corrector, and the reasoner is evaluated on t
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
@@ -14,7 +14,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject
 from stable_data.errors import SceneError
 from stable_data.metrics.alignment import AlignmentReference, reference_of
-from stable_data.scene import Scene, SceneObject, Stage, Tabletop, TaskInfo
+from stable_data.scene import Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
 
 PROGRESSIVE: tuple[Wanted, ...] = tuple(Stage)
 """The paper's three stages."""
@@ -34,6 +34,8 @@ class LayoutTask:
         details: The task info, if the prompt holds all of it and the engine was trained on that.
         reference: What a scene must have by labels that no reader made, such as the annotation of a scene; None without labels.
             It is not part of any question, and the finished scene is compared with it.
+        surroundings: Fixed objects around the table, such as the walls of a shelf.
+        frame: The surface of a support that is the table; None: the table is a piece of its own.
     """
 
     scene_id: str
@@ -41,6 +43,14 @@ class LayoutTask:
     table: Tabletop
     details: TaskInfo | None = None
     reference: AlignmentReference | None = None
+    surroundings: tuple[SceneObject, ...] = ()
+    frame: SupportFrame | None = None
+
+    @property
+    def empty_scene(self) -> Scene:
+        """The scene before anything is laid out: the table and its surroundings."""
+        fixed = frozenset(o.instance for o in self.surroundings)
+        return Scene(self.scene_id, self.table, self.surroundings, fixed=fixed, frame=self.frame)
 
 
 @dataclass(slots=True)
@@ -66,7 +76,8 @@ class StagedLayout:
     @property
     def scene(self) -> Scene:
         """The layout as a scene."""
-        return Scene(self.task.scene_id, self.task.table, self.objects)
+        empty = self.task.empty_scene
+        return replace(empty, objects=(*empty.objects, *self.objects))
 
     def question(self, wanted: Wanted) -> ReasonerQuestion:
         """Returns the question for a stage."""

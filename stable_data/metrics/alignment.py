@@ -226,7 +226,7 @@ def align(
         containers: As for ``scene_graph``.
     """
     layout = _Layout(scene, contacts or {}, footprints, containers)
-    allowed = candidates(reference.required, scene.objects)
+    allowed = candidates(reference.required, scene.movable)
     graph = reference.graph or ()
     # One entailed relation outweighs the whole full graph, which only decides ties.
     entailed = [DesiredRelation(len(graph) + 1, tuple(layout.options(r, allowed))) for r in reference.entailed]
@@ -238,7 +238,7 @@ def align(
         missing=tuple(r for r in reference.required if r.instance not in found.matches),
         broken=_broken(found, reference.entailed, entailed),
         graph_broken=None if reference.graph is None else _broken(found, reference.graph, full),
-        num_objects=len(scene.objects),
+        num_objects=len(scene.movable),
         num_stacked=sum(r.kind is RelationKind.ON and r.target != TABLE for r in layout.on_in),
         num_contained=sum(r.kind is RelationKind.IN for r in layout.on_in),
     )

@@ -163,7 +163,7 @@ def add_counts(card: MetricCard, scene: Scene) -> MetricCard:
 
     The scene needs its ``on`` and ``in`` relations and its stages.
     """
-    names, stages = {o.instance for o in scene.objects}, [o.stage for o in scene.objects]
+    names, stages = {o.instance for o in scene.movable}, [o.stage for o in scene.movable]
     contained, stacked = (
         {r.subject for r in scene.relations if r.kind is kind and r.target in names}
         for kind in (RelationKind.IN, RelationKind.ON)

@@ -1,6 +1,16 @@
-"""Supports of any shape: the surfaces of a mesh on which objects can stand."""
+"""Supports of any shape: the surfaces of a mesh on which objects can stand, and what is in the way there."""
 
 from stable_data.supports.finding import SupportLimits, find_surfaces
+from stable_data.supports.obstacles import find_obstacles, seen_from_open_side, to_frame
 from stable_data.supports.surface import SupportSurface, TabletopFit, as_tabletop
 
-__all__ = ["SupportLimits", "SupportSurface", "TabletopFit", "as_tabletop", "find_surfaces"]
+__all__ = [
+    "SupportLimits",
+    "SupportSurface",
+    "TabletopFit",
+    "as_tabletop",
+    "find_obstacles",
+    "find_surfaces",
+    "seen_from_open_side",
+    "to_frame",
+]

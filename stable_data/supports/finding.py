@@ -19,6 +19,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh, join_meshes, unit_normals
 from stable_data.rotations import rotate_xy
 from stable_data.scene import FloatArray
+from stable_data.supports.shadow import Shadows, common, grown, union, without
 from stable_data.supports.surface import SupportSurface
 
 
@@ -55,8 +56,6 @@ class SupportLimits:
     max_faces: int = 1_000_000
 
 
-_SNAP = 1e-6  # grid of coordinates in unions, metres
-_FLATTEST = 1e-12  # area of a slice that shades nothing, m²
 _LEAST_CEILING = 0.1  # share of a plane that must be covered so that the covered part is a surface of its own
 _FRAME_GAIN = 0.98  # a turned frame must have a box smaller than this share of the straight one
 _SMOOTH = 5e-4  # by which outlines are simplified, metres
@@ -143,9 +142,7 @@ class _Space:
     """Everything of a support and on it, to see what is above a plane."""
 
     def __init__(self, mesh: Mesh, limits: SupportLimits) -> None:
-        self._mesh, self._limits = mesh, limits
-        self._triangles = mesh.triangles
-        self._low, self._high = self._triangles[..., 2].min(axis=1), self._triangles[..., 2].max(axis=1)
+        self._mesh, self._limits, self._shadows = mesh, limits, Shadows(mesh)
 
     @cached_property
     def _tree(self) -> Any:
@@ -156,17 +153,17 @@ class _Space:
     def regions(self, height: float, faces: FloatArray) -> Iterator[_Region]:
         """The free regions of a plane at a height, whose faces are triangles (F, 3, 3)."""
         limits = self._limits
-        plane = _union(shapely.polygons(faces[..., :2]))
-        plane = _grown(_grown(plane, limits.gap / 2), -limits.gap / 2)
+        plane = union(shapely.polygons(faces[..., :2]))
+        plane = grown(grown(plane, limits.gap / 2), -limits.gap / 2)
         if not any(True for _ in self._usable(plane)):
             return
         bottom = height + limits.flatness + 1e-3
-        rising = self._shadow(plane, bottom, height + limits.clearance, limits.margin)
-        plane = _without(plane, rising)
+        rising = self._shadows.between(plane, bottom, height + limits.clearance, limits.margin)
+        plane = without(plane, rising)
         if not any(True for _ in self._usable(plane)):
             return
-        ceiling = self._shadow(plane, height + limits.clearance, height + limits.high, 0.0)
-        covered, free = _common(plane, ceiling), _without(plane, ceiling)
+        ceiling = self._shadows.between(plane, height + limits.clearance, height + limits.high, 0.0)
+        covered, free = common(plane, ceiling), without(plane, ceiling)
         is_ceiling_kept = any(region.area >= _LEAST_CEILING * plane.area for region in self._usable(covered))
         is_open_kept = any(True for _ in self._usable(free))
         if is_ceiling_kept and not is_open_kept:
@@ -184,37 +181,19 @@ class _Space:
     def _usable(self, shape: shapely.Geometry) -> Iterator[shapely.Polygon]:
         """The polygons of a shape that are large and wide enough, without their fins."""
         limits = self._limits
-        opened = _common(_grown(_grown(shape, -limits.fin / 2), limits.fin / 2), shape)
+        opened = common(grown(grown(shape, -limits.fin / 2), limits.fin / 2), shape)
         for part in shapely.get_parts(opened):
             if part.geom_type != "Polygon" or part.area < limits.area:
                 continue
             if not shapely.buffer(part, -limits.width / 2).is_empty:
                 yield _tidy(part)
 
-    def _shadow(self, plane: shapely.Geometry, low: float, high: float, margin: float) -> shapely.Geometry:
-        """The vertical projection of what lies between two heights near a shape, with a margin; without one walls have no area."""
-        rows = np.flatnonzero((self._high >= low) & (self._low < high) & self._is_near(plane))
-        shapes = _slices(self._triangles[rows], low, high)
-        if not margin:
-            return _union(shapes[shapely.area(shapes) > _FLATTEST])
-        # Before they are joined: the slice of a wall is a line or a sliver, which a union drops.
-        return _union(shapely.buffer(shapes, margin, quad_segs=2))
-
-    def _is_near(self, plane: shapely.Geometry) -> Any:
-        """Whether the box of each triangle meets the box of a shape, (F,)."""
-        x_min, y_min, x_max, y_max = shapely.bounds(plane)
-        flat = self._triangles[..., :2]
-        low, high = flat.min(axis=1), flat.max(axis=1)
-        return ((high >= (x_min - 0.01, y_min - 0.01)) & (low <= (x_max + 0.01, y_max + 0.01))).all(axis=1)
-
     def _clearance(self, region: shapely.Polygon, height: float) -> float | None:
         """Height of the lowest thing above a region, beyond the least clearance; None if only its edge is covered."""
         low, high = height + self._limits.clearance, height + self._limits.high
-        rows = np.flatnonzero((self._high >= low) & (self._low < high) & self._is_near(region))
         inner = shapely.buffer(region, -2 * self._limits.margin)  # what touches the region's edge is beside it
-        shapely.prepare(inner)
-        above = rows[shapely.intersects(inner, _slices(self._triangles[rows], low, high))]
-        return float(np.maximum(self._low[above], low).min()) - height if len(above) else None
+        lowest = self._shadows.lowest_above(inner, low, high)
+        return None if lowest is None else lowest - height
 
     def _can_be_reached(self, region: shapely.Polygon, height: float, clearance: float | None) -> bool:
         """Whether one can look out from above a region: not from the inside of a closed body."""
@@ -224,56 +203,6 @@ class _Space:
         directions = np.tile(_upper_directions(), (len(points), 1))
         face, _, _ = self._tree.intersect_ray_first(self._mesh.vertices, self._mesh.faces, sources, directions)
         return bool((face < 0).mean() >= self._limits.reach)
-
-
-def _slices(triangles: FloatArray, low: float, high: float) -> Any:
-    """The vertical projections of the parts of triangles (F, 3, 3) between two heights, (F,) shapes: convex."""
-    a, b = triangles, np.roll(triangles, -1, axis=1)
-    corners = [a]
-    for level in (low, high):
-        rise = b[..., 2] - a[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = (level - a[..., 2]) / rise
-        crosses = (share >= 0) & (share <= 1)
-        share = np.where(crosses, share, 0.0)[..., None]
-        point = a + share * (b - a)
-        point[..., 2] = np.where(crosses, level, np.inf)  # left out below
-        corners.append(point)
-    points = np.concatenate(corners, axis=1)
-    is_in = (points[..., 2] >= low) & (points[..., 2] <= high)
-    first = points[np.arange(len(points)), is_in.argmax(axis=1)]
-    points = np.where(is_in[..., None], points, first[:, None])  # a point twice changes no hull
-    some = is_in.any(axis=1)
-    count = points.shape[1]
-    clouds = shapely.multipoints(points[some][..., :2].reshape(-1, 2), indices=np.arange(some.sum()).repeat(count))
-    shapes = np.full(len(triangles), shapely.Polygon(), dtype=object)
-    shapes[some] = shapely.convex_hull(clouds)
-    return shapes
-
-
-def _union(shapes: Any) -> shapely.Geometry:
-    """The union of shapes, of which polygons alone remain."""
-    return _polygons(shapely.union_all(shapes, grid_size=_SNAP))
-
-
-def _polygons(shape: shapely.Geometry) -> shapely.Geometry:
-    """A shape without points and lines, which operations leave where outlines touch."""
-    parts = [part for part in shapely.get_parts(shape) if part.geom_type in ("Polygon", "MultiPolygon")]
-    found = shapely.multipolygons(shapely.get_parts(parts)) if parts else shapely.Polygon()
-    return found if shapely.is_valid(found) else _polygons(shapely.make_valid(found))
-
-
-def _grown(shape: shapely.Geometry, by: float) -> shapely.Geometry:
-    """A shape that is wider by a distance on all sides, with sharp corners; such a buffer is not always valid."""
-    return _polygons(shapely.buffer(shape, by, join_style="mitre"))
-
-
-def _common(one: shapely.Geometry, other: shapely.Geometry) -> shapely.Geometry:
-    return _polygons(shapely.intersection(one, other, grid_size=_SNAP))
-
-
-def _without(one: shapely.Geometry, other: shapely.Geometry) -> shapely.Geometry:
-    return _polygons(shapely.difference(one, other, grid_size=_SNAP))
 
 
 def _tidy(part: shapely.Polygon) -> shapely.Polygon:

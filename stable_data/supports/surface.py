@@ -1,18 +1,19 @@
 """A surface of a support: a plane with a region on which objects can stand."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 
 from stable_data.errors import SceneError
 from stable_data.rotations import rotate_xy
-from stable_data.scene import FloatArray, Rectangle, Tabletop, Vec3
+from stable_data.scene import FloatArray, Rectangle, SupportFrame, Tabletop, Vec3
 
 _STEP = 0.01  # of the grid on which a rectangle is searched, metres
 _MOST_LINES = 400  # of that grid, along one axis
 _TOLERANCE = 0.001  # by which a rectangle may leave its region, metres
+_WORTH = 1.02  # a rectangle with a restricted zone must have as many times the room of the plain one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,23 +58,47 @@ class SupportSurface:
 
 @dataclass(frozen=True, slots=True)
 class TabletopFit:
-    """The largest rectangle in the region of a surface, as a table top.
+    """A rectangle on a surface, as a table top.
 
     Attributes:
-        tabletop: The rectangle as a table.
+        tabletop: The rectangle as a table. Its restricted zone contains all of it that does not belong to the surface's region.
         corner: Its near left corner in the frame of the surface, metres: the table's origin.
-        share: Share of the region that it covers, 0 to 1.
+        share: Share of the surface's region on which objects may stand, 0 to 1.
+        quarters: Quarter turns of the table's frame in that of the surface, counter-clockwise.
     """
 
     tabletop: Tabletop
     corner: tuple[float, float]
     share: float
+    quarters: int = 0
+
+    def turned(self, quarters: int) -> "TabletopFit":
+        """Returns the same rectangle, seen from another side: its x axis is turned by quarters, counter-clockwise."""
+        fit = self
+        for _ in range(quarters % 4):
+            (width, depth), zone = fit.tabletop.size_xy, fit.tabletop.restricted_zone
+            if zone is not None:
+                zone = (zone[2], zone[3], width - zone[1], width - zone[0])
+            x, y = rotate_xy(np.array([[width, 0.0]]), fit.quarters * math.pi / 2)[0].tolist()
+            corner = fit.corner[0] + x, fit.corner[1] + y
+            tabletop = replace(fit.tabletop, size_xy=(depth, width), restricted_zone=zone)
+            fit = replace(fit, tabletop=tabletop, corner=corner, quarters=(fit.quarters + 1) % 4)
+        return fit
+
+    def frame(self, surface: SupportSurface, support: str = "", asset_id: str | None = None) -> SupportFrame:
+        """Returns the table's frame on the support; ``surface`` is the one that was fitted."""
+        x, y, z = surface.to_support(np.array([[*self.corner, 0.0]]))[0].tolist()
+        yaw = math.remainder(surface.yaw + self.quarters * math.pi / 2, 2 * math.pi)
+        return SupportFrame(support, surface.name, (x, y, z), yaw, asset_id)
 
 
 def as_tabletop(surface: SupportSurface, table_type: str = "table") -> TabletopFit:
-    """Finds the largest rectangle along the axes of a surface's frame that lies in its region.
+    """Finds the rectangle along the axes of a surface's frame on which most can stand.
 
-    It is the largest to within a centimetre at each side; of a region whose boundaries are parallel to the axes it is exact.
+    A table has at most one restricted zone, a rectangle. It covers what is missing in the surface's region, such as a sink, the
+    foot of a lamp, or the corner of an angle. So three rectangles are compared: the largest in the region, the largest in the
+    region with its holes filled, and the box of the region. The first is the largest to within a centimetre at each side; of a
+    region whose boundaries are parallel to the axes it is exact.
 
     Args:
         surface: The surface.
@@ -83,15 +108,47 @@ def as_tabletop(surface: SupportSurface, table_type: str = "table") -> TabletopF
         SceneError: No rectangle of a square centimetre fits (``surface_too_narrow``).
     """
     region = shapely.Polygon(surface.outline, surface.holes)
-    x_min, x_max, y_min, y_max = _largest_rectangle(region)
-    if not (x_max - x_min > _STEP and y_max - y_min > _STEP):
+    plain = _largest_rectangle(region)
+    if not (plain[1] - plain[0] > _STEP and plain[3] - plain[2] > _STEP):
         raise SceneError(
             f"surface {surface.name}: no rectangle fits into its region of {surface.area:.4f} m², expected at least 1 cm × 1 cm; "
             "use another surface",
             "surface_too_narrow",
         )
-    share = (x_max - x_min) * (y_max - y_min) / surface.area
-    return TabletopFit(Tabletop(table_type, (x_max - x_min, y_max - y_min)), (x_min, y_min), min(1.0, share))
+    x, y = surface.size_xy
+    around = [(0.0, x, 0.0, y)]
+    if surface.holes:
+        around.append(_largest_rectangle(shapely.Polygon(surface.outline)))
+    best = _area(plain)
+    found: tuple[Rectangle, Rectangle | None] = (plain, None)
+    for rectangle in around:
+        zone = _zone(rectangle, region)
+        free = _area(rectangle) - (0.0 if zone is None else _area(zone))
+        if free > best * _WORTH:
+            best, found = free, (rectangle, zone)
+    (x_min, x_max, y_min, y_max), zone = found
+    if zone is not None:
+        zone = (zone[0] - x_min, zone[1] - x_min, zone[2] - y_min, zone[3] - y_min)
+    table = Tabletop(table_type, (x_max - x_min, y_max - y_min), zone, surface.clearance)
+    return TabletopFit(table, (x_min, y_min), min(1.0, best / surface.area))
+
+
+def _area(rectangle: Rectangle) -> float:
+    x_min, x_max, y_min, y_max = rectangle
+    return (x_max - x_min) * (y_max - y_min)
+
+
+def _zone(rectangle: Rectangle, region: shapely.Polygon) -> Rectangle | None:
+    """The box of what a region lacks of a rectangle; None if it lacks nothing."""
+    x_min, x_max, y_min, y_max = rectangle
+    lacking = shapely.difference(
+        shapely.box(x_min, y_min, x_max, y_max), shapely.buffer(region, _TOLERANCE, join_style="mitre")
+    )
+    if lacking.area <= 0:
+        return None
+    low_x, low_y, high_x, high_y = shapely.bounds(lacking).tolist()
+    grown = _TOLERANCE  # the lacking part was measured from a grown region
+    return max(low_x - grown, x_min), min(high_x + grown, x_max), max(low_y - grown, y_min), min(high_y + grown, y_max)
 
 
 def _largest_rectangle(region: shapely.Polygon) -> Rectangle:

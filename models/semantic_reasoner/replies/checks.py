@@ -292,6 +292,13 @@ def place_faults(item: SceneObject, table: Tabletop, s: CheckSettings) -> Iterat
                 f"{item.instance} reaches {deep:.1f} cm into [{shown}], where nothing may stand; put it elsewhere",
                 instance=item.instance,
             )
+    if table.clearance is not None and item.top > table.clearance:
+        yield ReplyFault(
+            "too_tall",
+            f"{item.instance} is {100 * item.top:.1f} cm high, but only {100 * table.clearance:.0f} cm are free above the table; "
+            "give a lower object, or leave it out",
+            instance=item.instance,
+        )
     if 100 * item.bottom < -_SUNK_CM:
         sunk = -100 * item.bottom
         yield ReplyFault(

@@ -1,4 +1,6 @@
-"""The largest rectangle of a surface, and its picture."""
+"""The rectangle of a surface, and its picture."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError, SceneError
 from stable_data.geometry.mesh import join_meshes
-from stable_data.supports import SupportSurface, as_tabletop, find_surfaces
+from stable_data.rotations import rotate_xy
+from stable_data.supports import SupportSurface, TabletopFit, as_tabletop, find_surfaces
 from stable_data.supports.picture import draw_surfaces, region_triangles, surface_colour
 from tests.stable_data.supports.furniture import box, counter_with_sink, desk, moved, shelf
 
@@ -28,11 +31,12 @@ def test_a_rectangle_is_itself() -> None:
     assert fit.share == pytest.approx(1.0)
 
 
-def test_an_angle_has_its_longer_arm() -> None:
+def test_the_corner_that_an_angle_lacks_is_its_restricted_zone() -> None:
     angle = join_meshes([box((0.0, 0.0, 0.7), (1.6, 0.6, 0.74)), box((0.0, 0.6, 0.7), (0.6, 1.4, 0.74))])
     fit = as_tabletop(find_surfaces(angle)[0])
-    assert fit.tabletop.size_xy == pytest.approx((1.6, 0.6), abs=1e-5)
-    assert fit.share == pytest.approx(0.96 / 1.44, abs=1e-4)
+    assert fit.tabletop.size_xy == pytest.approx((1.6, 1.4), abs=1e-5)
+    assert fit.tabletop.restricted_zone == pytest.approx((0.6, 1.6, 0.6, 1.4), abs=1e-5)
+    assert fit.share == pytest.approx(1.0, abs=1e-4)
 
 
 def test_a_disc_has_its_square() -> None:
@@ -42,10 +46,34 @@ def test_a_disc_has_its_square() -> None:
     assert fit.share == pytest.approx(2 / np.pi, abs=0.03)
 
 
-def test_a_hole_is_avoided() -> None:
+def test_a_sink_is_the_restricted_zone() -> None:
     fit = as_tabletop(find_surfaces(counter_with_sink())[0])
-    assert fit.tabletop.size_xy == pytest.approx((0.6, 0.6), abs=1e-5)
-    assert fit.corner == pytest.approx((0.8, 0.0), abs=1e-5)
+    assert fit.tabletop.size_xy == pytest.approx((1.4, 0.6), abs=1e-5)
+    assert fit.tabletop.restricted_zone == pytest.approx((0.3, 0.8, 0.1, 0.5), abs=0.004)
+
+
+def test_holes_far_apart_are_avoided() -> None:
+    holes = [shapely.box(0.1, 0.1, 0.2, 0.5), shapely.box(1.3, 0.1, 1.4, 0.5)]
+    fit = as_tabletop(surface_of(shapely.difference(shapely.box(0, 0, 1.5, 0.6), shapely.union_all(holes))))
+    assert fit.tabletop.restricted_zone is None
+    assert fit.tabletop.size_xy == pytest.approx((1.1, 0.6), abs=1e-5)
+
+
+@pytest.mark.parametrize("quarters", range(5))
+def test_a_table_seen_from_another_side_is_the_same_rectangle(quarters: int) -> None:
+    surface = replace(find_surfaces(counter_with_sink())[0], yaw=0.3)
+    plain, fit = as_tabletop(surface), as_tabletop(surface).turned(quarters)
+
+    def places(one: TabletopFit) -> list[tuple[float, float]]:
+        """The corners of table and zone in the frame of the support."""
+        frame = one.frame(surface)
+        assert one.tabletop.restricted_zone is not None
+        boxes = [(0.0, one.tabletop.size_xy[0], 0.0, one.tabletop.size_xy[1]), one.tabletop.restricted_zone]
+        corners = np.array([[(x, y) for x in box[:2] for y in box[2:]] for box in boxes]).reshape(-1, 2)
+        return sorted((round(x, 6), round(y, 6)) for x, y in (rotate_xy(corners, frame.yaw) + frame.origin[:2]).tolist())
+
+    np.testing.assert_allclose(places(fit), places(plain), atol=2e-6)
+    assert fit.tabletop.size_xy == (plain.tabletop.size_xy if quarters % 2 == 0 else plain.tabletop.size_xy[::-1])
 
 
 def test_a_sliver_has_no_rectangle() -> None:
@@ -65,13 +93,17 @@ def test_the_rectangle_lies_in_the_region_and_is_no_smaller_than_any_tried(holes
     shape = shapely.Polygon(surface.outline, surface.holes)
     fit = as_tabletop(surface)
     (x, y), (width, depth) = fit.corner, fit.tabletop.size_xy
-    assert shapely.buffer(shape, 0.0015).covers(shapely.box(x, y, x + width, y + depth))
+    free = shapely.box(x, y, x + width, y + depth)
+    if (zone := fit.tabletop.restricted_zone) is not None:
+        free = shapely.difference(free, shapely.box(x + zone[0], y + zone[2], x + zone[1], y + zone[3]))
+    assert shapely.buffer(shape, 0.0015, join_style="mitre").covers(free)
+    assert fit.share == pytest.approx(free.area / shape.area, abs=0.01)
     rng = np.random.default_rng(0)
     low = rng.uniform(0, 1, (3000, 2))
     tried = shapely.box(*low.T, *(low + rng.uniform(0, 1, (3000, 2)) * (1 - low)).T)
     inside = tried[shapely.covers(shape, tried)]
     if len(inside):
-        assert width * depth > 0.9 * shapely.area(inside).max()
+        assert free.area > 0.9 * shapely.area(inside).max()
 
 
 def test_the_triangles_of_a_region_have_its_area() -> None:
