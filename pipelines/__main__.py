@@ -10,6 +10,7 @@ import typer
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
 from pipelines.retired import CommandGroup
 from pipelines.scene_files import commands as scene_files
+from pipelines.supports.commands import supports
 from pipelines.training_commands import app as training
 from stable_data.cli import (
     SOME_FAILED,
@@ -334,6 +335,13 @@ def generate(
         tuple[float, float, float, float] | None,
         typer.Option(help="x_min x_max y_min y_max of the restricted zone of the table of --instruction, centimetres."),
     ] = None,
+    supports: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RUN",
+            help="Lay the tasks out on the surfaces of this run, in turn: a run of supports or import scenes.",
+        ),
+    ] = None,
     assets: Assets = None,
     engine: Annotated[
         str | None,
@@ -357,7 +365,13 @@ def generate(
     from pipelines.generate.job import generate as run
     from pipelines.generate.settings import GenerateSettings
     from pipelines.settings import resolve_settings
-    from pipelines.sources.generation_tasks import sample_tasks, task_of_instruction, tasks_of_file, tasks_of_scenes
+    from pipelines.sources.generation_tasks import (
+        sample_tasks,
+        task_of_instruction,
+        tasks_of_file,
+        tasks_of_scenes,
+        tasks_on_supports,
+    )
 
     if sum(source is not None for source in (tasks, scenes, count, instruction)) != 1:
         raise ConfigError("expected one of --tasks FILE, --scenes DATA, --count N and --instruction TEXT", "usage")
@@ -367,7 +381,7 @@ def generate(
         raise ConfigError("--table belongs to --count or --instruction; leave it out, or name one of those", "usage")
     if (size or restricted) and instruction is None:
         raise ConfigError("--size and --restricted belong to --instruction; leave them out, or name it", "usage")
-    if instruction is not None and (size is None or len(table or ()) != 1):
+    if instruction is not None and supports is None and (size is None or len(table or ()) != 1):
         raise ConfigError("--instruction TEXT has no table, expected one --table TYPE and --size W D", "usage")
     workers = worker_count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + [f"seed={seed}"] * (seed is not None)
@@ -377,9 +391,11 @@ def generate(
     elif scenes is not None:
         found = tasks_of_scenes(scenes, where)
     elif instruction is not None:
-        found = task_of_instruction(instruction, (table or [""])[0], size, restricted)
+        found = task_of_instruction(instruction, (table or ["table"])[0], size or (100.0, 60.0), restricted)
     else:
         found = sample_tasks(count or 0, settings.seed, table or ())
+    if supports is not None:
+        found = tasks_on_supports(found, supports)
     if dry_run:
         typer.echo(json.dumps(describe(GenerateJob(found, settings, assets or ())), indent=2))
         return
@@ -444,6 +460,7 @@ def show_settings(
 
 app.command("repair")(scene_files.repair)
 app.command("import-scenes")(scene_files.import_scenes)
+app.command("supports")(supports)
 
 
 def _further_libraries(assets: list[str]) -> list[str]:

@@ -357,6 +357,13 @@ def repair(context: typer.Context) -> None:
     raise typer.Exit(run_pipelines(["repair", *context.args]))
 
 
+@app.command(context_settings=_PASSED_ON)
+@with_clear_errors
+def supports(context: typer.Context) -> None:
+    """Find the surfaces of furniture, for scenes on them: supports LIBRARY --out RUN; supports --help lists the options."""
+    raise typer.Exit(run_pipelines(["supports", *context.args]))
+
+
 @app.command()
 @with_clear_errors
 def schemas(folder: Annotated[Path, typer.Argument(help="Output folder.")] = Path("schemas")) -> None:

@@ -20,6 +20,7 @@ from pipelines.sources.asset_copies import CopyAssets, asset_shards
 from pipelines.sources.assets import AssetLibraries, absolute_places
 from pipelines.sources.generation_tasks import TaskSource, served_tasks
 from stable_data.content_id import content_id
+from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import Notice
 from stable_data.storage.run_folder import RunFolder
 
@@ -57,7 +58,8 @@ class GenerateJob(ShardJob):
 
     def __init__(self, tasks: TaskSource, settings: GenerateSettings, assets: Sequence[str] = ()) -> None:
         self.dataset, self.settings = tasks.name, settings.of_tasks(len(tasks.tasks))
-        self.places, self._asked = absolute_places(assets), tasks
+        places = absolute_places(assets)
+        self.places, self._asked = places or (EMBEDDED,) * (tasks.supports is not None), tasks
 
     @cached_property
     def tasks(self) -> TaskSource:
@@ -68,7 +70,7 @@ class GenerateJob(ShardJob):
 
     @cached_property
     def _libraries(self) -> AssetLibraries:
-        return AssetLibraries(self.places)
+        return AssetLibraries(self.places, scenes=self._asked.supports)
 
     @cached_property
     def _inputs(self) -> dict[str, Any]:
@@ -96,12 +98,12 @@ class GenerateJob(ShardJob):
             Shard(content_id("generate", *shaping, [asdict(task) for task in part]), tuple(part))
             for part in split_groups(self.tasks.tasks, self.settings.scenes_per_shard)
         ]
-        return [StepShards(GenerateWork(self.places, self.settings, content_id(self._inputs)), shards)]
+        return [StepShards(GenerateWork(self.places, self.settings, content_id(self._inputs), self._asked.supports), shards)]
 
     def later_plans(self, folder: RunFolder) -> Iterator[Sequence[StepShards[Any]]]:
         """The step that copies the assets of the scenes. It runs last, after engines and workers have released their memory."""
         libraries = content_id(self._libraries.fingerprints)
-        carry = CopyAssets(self.places, libraries, self.settings.seconds_per_item)
+        carry = CopyAssets(self.places, libraries, self.settings.seconds_per_item, self._asked.supports)
         yield [StepShards(carry, asset_shards(folder, ("scenes", "rejected"), libraries))]
 
     def expected(self) -> Sequence[ExpectedItems]:

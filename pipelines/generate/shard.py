@@ -114,6 +114,7 @@ class GenerateWork(ShardStep[Task]):
         assets: The asset libraries, see :class:`~pipelines.sources.assets.AssetLibraries`.
         settings: The job's settings.
         fingerprint: Hash of the inputs, the key of what a process caches of them.
+        supports: The run with the supports of the tasks, or None.
         pool: The shared engines, or None if each process has its own.
         correctors: The shared flow and refinement, or None if each process has its own.
         tally: Receives the progress of the scenes, or None.
@@ -125,6 +126,7 @@ class GenerateWork(ShardStep[Task]):
     assets: tuple[str, ...]
     settings: GenerateSettings
     fingerprint: str = ""
+    supports: str | None = None
     pool: PooledEngine | None = field(default=None, compare=False)
     correctors: PooledCorrector | None = None
     tally: ProgressTally | None = field(default=None, compare=False)
@@ -224,7 +226,7 @@ class GenerateWork(ShardStep[Task]):
                     raise
                 except Exception as error:  # noqa: BLE001 - an unexpected error becomes a row
                     message = f"{task.scene_id}: {unexpected_failure(error)}"
-                    blank = Scene(task.scene_id, task.table, ())
+                    blank = task.empty_scene
                     found = GenerationResult(
                         task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message)
                     )
@@ -342,7 +344,7 @@ def _read_asset(work: GenerateWork, asset_id: str) -> None:
 
 @lru_cache(maxsize=1)
 def _open_certifier(work: GenerateWork) -> LocalCertifier:
-    return _certifier(work.settings, AssetLibraries(work.assets))
+    return _certifier(work.settings, AssetLibraries(work.assets, scenes=work.supports))
 
 
 def _opened_corrector(work: GenerateWork) -> tuple[PhysicsCorrector, AssetStore]:
@@ -364,7 +366,7 @@ def _certifier(settings: GenerateSettings, shelf: AssetLibraries, shared: Pooled
 @lru_cache(maxsize=1)
 def _opened(work: GenerateWork) -> GenerateWorkerState:
     settings = work.settings
-    shelf = AssetLibraries(work.assets)
+    shelf = AssetLibraries(work.assets, scenes=work.supports)
     reasoner, interpret = load_reasoner(settings.engine, settings.reasoner, work.pool)
     retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf, work.correctors)
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)

@@ -21,6 +21,7 @@ from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import Notice
+from stable_data.scene import UPRIGHT
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
 
@@ -109,7 +110,10 @@ def asset_shards(run: RunFolder, names: Sequence[str], fingerprint: str, without
     """
     uses: dict[str, AssetUseCount] = defaultdict(AssetUseCount)
     for name in names:
-        for batch in run.batches(name, ["objects"]):
+        for batch in run.batches(name, ["objects", "surface"]):
+            for asset_id in pc.struct_field(batch["surface"], "asset_id").to_pylist():
+                if asset_id is not None and asset_id not in without:
+                    uses[asset_id].add((1.0, 1.0, 1.0), UPRIGHT)
             objects = pc.list_flatten(batch["objects"])
             columns = [pc.struct_field(objects, key).to_pylist() for key in ("asset_id", "scale", "tilt_quat_xyzw")]
             for asset_id, scale, tilt in zip(*columns, strict=True):

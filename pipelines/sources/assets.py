@@ -164,6 +164,11 @@ class AssetLibraries:
                 notices.append(Notice(library.name, "licences", "licence_unknown", message))
         return notices
 
+    @property
+    def asset_ids(self) -> list[str]:
+        """All assets, also those that cannot be retrieved, sorted."""
+        return sorted(self._of)
+
     def _place_of(self, asset_id: str) -> _Place:
         """The place that lists an asset; else the first, which may have a variant of it."""
         return self._of.get(asset_id, self._places[0])

@@ -9,20 +9,40 @@ from typing import TypeAlias
 
 from models.semantic_reasoner.staged_layout import LayoutTask, task_of_scene
 from pipelines.sources.tasks import STEP, read_tasks, task_of
-from stable_data.embedded_world.plans import TABLES
+from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.embedded_world.sampling import sample_task
 from stable_data.embedded_world.scenes import plan_of, scene_id_of
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.scene import SceneObject, SupportFrame, Tabletop
 from stable_data.storage import schemas
 from stable_data.storage.filter_expression import parse_filter
-from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.run_folder import RunFolder, absolute_uri
 from stable_data.storage.table_rows import scene_from_row
 
 _REDRAWS = 50  # of a task whose objects the libraries lack
 _FEWEST_SERVED = (
     8  # tasks of the first 50 of a table type that must be served; of a thousand more tasks one then has no served draw
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A surface of a support, on which a task is laid out.
+
+    Attributes:
+        table: Its table.
+        surroundings: What is in the way there.
+        frame: Where the table lies on the support; None if that is not known.
+    """
+
+    table: Tabletop
+    surroundings: tuple[SceneObject, ...]
+    frame: SupportFrame | None
+
+    def holds(self, task: LayoutTask) -> LayoutTask:
+        """Returns a task on this surface, whose table and surroundings replace its own."""
+        return replace(task, table=self.table, surroundings=self.surroundings, frame=self.frame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +54,14 @@ class SampledTask:
         seed: The seed of the set.
         tables: Table types to alternate; empty uses all types.
         is_served: Whether the task is drawn again, up to 50 times, until the libraries have its objects.
+        place: The surface of a support that is its table; None draws a table.
     """
 
     number: int
     seed: int
     tables: tuple[str, ...] = ()
     is_served: bool = False
+    place: Place | None = None
 
     @property
     def scene_id(self) -> str:
@@ -57,11 +79,13 @@ class SampledTask:
                 (``task_not_served``).
         """
         lacking: Counter[str] = Counter()
+        table = None if self.place is None else self.place.table
         for draw in range(_REDRAWS + 1):
-            task = task_of_scene(sample_task(self.number, self.seed, self.tables, draw))
+            task = task_of_scene(sample_task(self.number, self.seed, self.tables, draw, table))
             missing = _missing(task, serves) if self.is_served else []
             if not missing:
-                return replace(task, scene_id=self.scene_id)
+                task = replace(task, scene_id=self.scene_id)
+                return task if self.place is None else self.place.holds(task)
             lacking.update(missing)
         names = ", ".join(name for name, _ in lacking.most_common(3))
         raise SceneError(
@@ -89,12 +113,14 @@ class TaskSource:
         tasks: The tasks.
         lost: One notice for each input that is not a valid task.
         odd: Notices about the source as a whole.
+        supports: The run with the supports on which the tasks stand, an absolute path or URI; None: each has a table of its own.
     """
 
     name: str
     tasks: Sequence[Task]
     lost: Sequence[Notice] = ()
     odd: Sequence[Notice] = ()
+    supports: str | None = None
 
     @classmethod
     def of(cls, name: str, found: Iterable[LayoutTask | Notice]) -> "TaskSource":
@@ -109,6 +135,40 @@ class TaskSource:
             raise ConfigError(f"{self.name}: contains no usable task, expected at least one{why}", "tasks_invalid")
 
 
+def tasks_on_supports(source: TaskSource, supports: str) -> TaskSource:
+    """Returns a source whose tasks stand on the surfaces of supports, in turn.
+
+    Tasks that follow one another stand on the same pieces: with three surfaces the first three tasks are one of each.
+
+    Args:
+        source: The tasks.
+        supports: A run whose scenes are the surfaces, as ``supports`` and ``import-scenes`` write it; only their tables and fixed
+            objects are used.
+
+    Raises:
+        ConfigError: It is no run, or has no scenes (``no_surface``).
+    """
+    if not ("://" in supports or RunFolder(supports).files("scenes")):
+        raise ConfigError(f"{supports}: has no table scenes, expected a run that supports or import-scenes made", "no_surface")
+    scenes = [scene for batch in RunFolder(supports).batches("scenes") for scene in map(scene_from_row, batch.to_pylist())]
+    if not scenes:
+        raise ConfigError(f"{supports}: its table scenes is empty, expected at least one surface", "no_surface")
+    places = [Place(scene.table, tuple(replace(o, source=None) for o in scene.surroundings), scene.frame) for scene in scenes]
+    tasks: list[Task] = []
+    for number, task in enumerate(source.tasks):
+        place = places[number % len(places)]
+        if place.frame is not None:
+            piece = f"{place.frame.support}_{number // len(places):05d}"
+            place = replace(place, frame=replace(place.frame, support=piece))
+        if isinstance(task, SampledTask):
+            kind = place.table.table_type
+            tables = task.tables or ((kind,) if kind in TABLES or kind in UNSEEN_TABLES else ())
+            tasks.append(replace(task, tables=tables, place=place))
+        else:
+            tasks.append(place.holds(task))
+    return replace(source, tasks=tasks, supports=absolute_uri(supports))
+
+
 def served_tasks(source: TaskSource, serves: Callable[[str], bool]) -> TaskSource:
     """Returns a source whose sampled tasks ask only for objects that the libraries have, with its other tasks as they are.
 
@@ -120,7 +180,7 @@ def served_tasks(source: TaskSource, serves: Callable[[str], bool]) -> TaskSourc
     sampled = [task for task in source.tasks if isinstance(task, SampledTask)]
     if not sampled:
         return source
-    asked, seed = sampled[0].tables or tuple(TABLES), sampled[0].seed
+    asked, seed = tuple(dict.fromkeys(t for task in sampled for t in task.tables or TABLES)), sampled[0].seed
     kinds = tuple(kind for kind in asked if _is_served(kind, seed, serves))
     if not kinds:
         raise ConfigError(
@@ -135,8 +195,13 @@ def served_tasks(source: TaskSource, serves: Callable[[str], bool]) -> TaskSourc
         for kind in asked
         if kind not in kinds
     ]
-    tasks = [replace(t, tables=kinds, is_served=True) if isinstance(t, SampledTask) else t for t in source.tasks]
+    tasks = [replace(t, tables=_served_of(t, kinds), is_served=True) if isinstance(t, SampledTask) else t for t in source.tasks]
     return replace(source, tasks=tasks, odd=[*source.odd, *notices])
+
+
+def _served_of(task: SampledTask, kinds: tuple[str, ...]) -> tuple[str, ...]:
+    """The kinds of table of a task that are served; all served ones if none of its own is."""
+    return tuple(kind for kind in kinds if kind in task.tables) or kinds
 
 
 def _is_served(kind: str, seed: int, serves: Callable[[str], bool]) -> bool:

@@ -15,14 +15,16 @@ from stable_data.embedded_world.scenes import FEWEST, MOST, draw_scene_number, d
 from stable_data.embedded_world.settling import instance_names
 from stable_data.errors import SceneError
 from stable_data.instructions.deriving import derive_task
-from stable_data.scene import Scene
+from stable_data.scene import Scene, Tabletop
 from stable_data.scene_graph.relations import scene_graph, supports
 
 _STREAM = 7  # makes the random stream differ from that of the scene with the same seed and number
 _ATTEMPTS = 30
 
 
-def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = (), draw: int = 0) -> Scene:
+def sample_task(
+    number: int, seed: int = 0, tables: tuple[str, ...] = (), draw: int = 0, table: Tabletop | None = None
+) -> Scene:
     """Samples a task and its table.
 
     Args:
@@ -30,6 +32,7 @@ def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = (), draw: 
         seed: Seed of the set.
         tables: Kinds of table to use in turn; all kinds if empty.
         draw: Which of the tasks that may be drawn for this number.
+        table: The table; None draws one of its kind. Compositions that are higher than its clearance are left out.
 
     Returns:
         The composition for which the task was made, with the task, the same for the same arguments; no composition of a scene is
@@ -44,13 +47,16 @@ def sample_task(number: int, seed: int = 0, tables: tuple[str, ...] = (), draw: 
     stream = (_STREAM, draw) if draw else (_STREAM,)
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, number, attempt, *stream])
-        table = draw_table(table_type, plan, rng)
-        placed = compose(plan, table, GroupSampler(rng), draw_scene_number(plan, table, rng), MOST)
+        own = draw_table(table_type, plan, rng) if table is None else table
+        placed = compose(plan, own, GroupSampler(rng), draw_scene_number(plan, own, rng), MOST)
+        if own.clearance is not None:
+            high = {obj.group for obj in placed if lower_object(obj).top > own.clearance}
+            placed = [obj for obj in placed if obj.group not in high]
         if len(placed) < FEWEST:
             continue
         names = instance_names([obj.asset.category for obj in placed])
         objects = tuple(replace(lower_object(obj), instance=name) for name, obj in zip(names, placed, strict=True))
-        scene = Scene(scene_id_of(number, tables), table, objects)
+        scene = Scene(scene_id_of(number, tables), own, objects)
         containers = {name: obj.asset.hollow is not None for name, obj in zip(names, placed, strict=True)}
         carriers = supports(scene, {}, containers=containers)
         graph = scene_graph(scene, {name: (carrier,) for name, carrier in carriers.items() if carrier}, containers=containers)

@@ -15,7 +15,7 @@ from stable_data.importers.boundary import asset_id_of
 from stable_data.importers.scenes.scene_file import BodyPose, SceneBody, SceneFile
 from stable_data.importers.scenes.supports import SceneSurface, find_supports
 from stable_data.rotations import heading, quat_of, rotation_matrix, tilt_of, yaw_quat
-from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
+from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, SceneObject, SupportFrame, Tabletop, Vec3
 
 _REACH = 0.3  # metres beside a surface within which things that do not move are obstacles
 _ABOVE = 0.5  # metres above the highest object within which they are
@@ -109,6 +109,30 @@ def _scene_on(file: SceneFile, surface: SceneSurface, scene_id: str) -> Imported
     table = Tabletop(_category(surface.owner) or "table", surface.size_xy)
     fixed = frozenset(o.instance for o in objects[num_objects:])
     return ImportedScene(Scene(scene_id, table, tuple(objects), source=source, fixed=fixed), assets)
+
+
+def fixed_scene(scene_id: str, table: Tabletop, frame: SupportFrame, parts: Sequence[Mesh], category: str) -> ImportedScene:
+    """Makes a scene without movable objects: a table with what is in the way there.
+
+    Args:
+        scene_id: Its identifier.
+        table: The table.
+        frame: Where it lies on its support.
+        parts: Convex bodies that do not move, metres, in the frame of the table.
+        category: Words for what they are a part of.
+    """
+    surface = SceneSurface("", (0.0, 0.0, 0.0), 0.0, table.size_xy)
+    assets: dict[str, SceneAsset] = {}
+    objects = []
+    for k, part in enumerate(parts):
+        body = SceneBody(f"part of a {category.replace('_', ' ')}", (0.0, 0.0, 0.0), UPRIGHT, (part,), is_free=False)
+        asset = replace(_asset(body, (part,)), category=category)
+        asset = replace(asset, asset_id=asset_id_of(f"{category}_part_{asset.asset_id.rpartition('_')[2]}"))
+        assets.setdefault(asset.asset_id, asset)
+        objects.append(_object(f"fixed_{category}_{k}", body, asset, asset.center, surface))
+    fixed = frozenset(o.instance for o in objects)
+    plain = tuple(replace(o, source=None) for o in objects)
+    return ImportedScene(Scene(scene_id, table, plain, fixed=fixed, frame=frame), assets)
 
 
 def _is_near(body: SceneBody, part: Mesh, surface: SceneSurface, highest: float) -> bool:

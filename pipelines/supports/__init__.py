@@ -1,0 +1,1 @@
+"""Supports: pieces of furniture whose surfaces become the tables of scenes."""

@@ -1,0 +1,233 @@
+"""Prepares supports: finds their surfaces and writes each as an empty scene, on which ``generate --supports`` lays out tasks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.resume import check_resume, new_manifest, write_manifest
+from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
+from pipelines.preprocess.plan import file_digest
+from pipelines.sources.asset_copies import CopyAssets
+from pipelines.sources.assets import AssetLibraries, absolute_places
+from stable_data.assets.annotation import AssetAnnotation
+from stable_data.assets.store import AssetStore
+from stable_data.content_id import content_id
+from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
+from stable_data.errors import ConfigError, Notice, SceneError, StableDataError
+from stable_data.geometry.mesh import Mesh
+from stable_data.importers.scenes.layouts import ImportedScene, fixed_scene
+from stable_data.importers.scenes.scene_assets import SceneAssets
+from stable_data.metrics.audit import audit_scene
+from stable_data.scene import UPRIGHT
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import card_row, notice_row, scene_row
+from stable_data.supports import SupportLimits, SupportSurface, as_tabletop, find_obstacles, find_surfaces, seen_from_open_side
+
+_KINDS = {
+    "desk": "office_table",
+    "workbench": "office_table",
+    "counter": "kitchen_counter",
+    "worktop": "kitchen_counter",
+    "vanity": "bathroom_vanity",
+    "dresser": "dressing_table",
+    "sideboard": "tv_stand",
+}
+"""Table types for the last word of other categories."""
+
+
+@dataclass(frozen=True, slots=True)
+class SupportOptions:
+    """What a user says about supports.
+
+    Attributes:
+        table: Table type of the surfaces; empty: by the category of the support.
+        surfaces: Names of the surfaces to take; empty: all.
+        limits: What counts as a surface.
+    """
+
+    table: str = ""
+    surfaces: tuple[str, ...] = ()
+    limits: SupportLimits = field(default_factory=SupportLimits)
+
+
+_DEFAULT = SupportOptions()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedSupport:
+    """A support with its surfaces.
+
+    Attributes:
+        asset_id: The support.
+        mesh: Its mesh, metres, z up.
+        surfaces: Its surfaces that were taken.
+        scenes: An empty scene on each surface, with what is in the way there.
+    """
+
+    asset_id: str
+    mesh: Mesh
+    surfaces: tuple[SupportSurface, ...]
+    scenes: tuple[ImportedScene, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SupportCounts:
+    """The result of the job.
+
+    Attributes:
+        supports: The supports that have surfaces.
+        failures: Assets that could not be used.
+    """
+
+    supports: tuple[PreparedSupport, ...]
+    failures: tuple[Notice, ...]
+
+
+def prepare_supports(
+    library: str, asset_ids: Sequence[str], out: str, options: SupportOptions = _DEFAULT, *, progress: bool = False
+) -> SupportCounts:
+    """Finds the surfaces of assets and writes a run.
+
+    Its table ``scenes`` has an empty scene for each surface, ``assets``, ``meshes`` and ``textures`` the supports and what is in the
+    way on them.
+
+    Args:
+        library: Place of the library, see :class:`~pipelines.sources.assets.AssetLibraries`.
+        asset_ids: Its assets; empty: all that are fixed furniture, or all if none is.
+        out: Folder or URI of the run.
+        options: What the user says about them.
+        progress: Whether to show a progress bar.
+
+    Raises:
+        ConfigError: The library cannot be read or lacks an asset (``asset_unknown``), no asset has a surface (``no_surface``), or the
+            run cannot be written or belongs to another job.
+    """
+    (place,) = absolute_places([library])
+    shelf = AssetLibraries((), scenes=place)
+    known = shelf.asset_ids
+    if unknown := [asset_id for asset_id in asset_ids if asset_id not in known]:
+        raise ConfigError(f"{library}: has no asset {unknown[0]}, expected one of {_some(known)}", "asset_unknown")
+    chosen = list(asset_ids) or [a for a in known if (shelf.rows(a) or ({},))[0].get("is_static")] or list(known)
+    store, found, failures = AssetStore(shelf), list[PreparedSupport](), list[Notice]()
+    for asset_id in tqdm(chosen, desc="supports", unit="support", disable=not progress):
+        try:
+            found.append(_prepared(asset_id, shelf, store, options))
+        except StableDataError as error:
+            failures.append(Notice(asset_id, "supports", error.code, str(error)))
+    if not found:
+        raise ConfigError(f"{library}: no asset has a surface, expected at least one; {failures[0].message}", "no_surface")
+    _write_run(RunFolder(out), library, place, shelf, options, found, failures)
+    return SupportCounts(tuple(found), tuple(failures))
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (", …" if len(names) > 8 else "")
+
+
+def table_type_of(category: str) -> str:
+    """Returns the table type for a category of furniture: a known one where the words say so, else the category itself."""
+    known = {*TABLES, *UNSEEN_TABLES}
+    if category in known:
+        return category
+    return _KINDS.get(category.rpartition("_")[2], category or "table")
+
+
+def _prepared(asset_id: str, shelf: AssetLibraries, store: AssetStore, options: SupportOptions) -> PreparedSupport:
+    asset, _ = shelf.rows(asset_id) or ({}, {})
+    scale = asset.get("typical_scale")
+    if scale is None or not np.allclose(scale, 1.0, rtol=0, atol=1e-9):
+        raise SceneError(
+            f"{asset_id}: its library does not state its size in metres, expected one that stable-data import made; import it first",
+            "scale_unknown",
+        )
+    mesh = store.asset(asset_id).mesh
+    surfaces = find_surfaces(mesh, limits=options.limits)
+    if missing := set(options.surfaces) - {s.name for s in surfaces}:
+        there = ", ".join(s.name for s in surfaces) or "none"
+        raise SceneError(f"{asset_id}: has no surface {min(missing)}, expected one of {there}", "surface_unknown")
+    taken = tuple(s for s in surfaces if not options.surfaces or s.name in options.surfaces)
+    scenes = []
+    for surface in taken:
+        fit = seen_from_open_side(
+            mesh, surface, as_tabletop(surface, options.table or table_type_of(asset.get("category") or ""))
+        )
+        frame = fit.frame(surface, asset_id, asset_id)
+        parts = find_obstacles(mesh, frame, fit.tabletop, limits=options.limits)
+        scenes.append(
+            fixed_scene(f"{asset_id}__{surface.name}", fit.tabletop, frame, parts, asset.get("category") or "support")
+        )
+    if not taken:
+        raise SceneError(
+            f"{asset_id}: has no level surface with room for a disc of {100 * options.limits.width:g} cm, expected one; look at its mesh",
+            "no_surface",
+        )
+    return PreparedSupport(asset_id, mesh, taken, tuple(scenes))
+
+
+def _write_run(
+    folder: RunFolder,
+    library: str,
+    place: str,
+    shelf: AssetLibraries,
+    options: SupportOptions,
+    found: Sequence[PreparedSupport],
+    failures: Sequence[Notice],
+) -> None:
+    settings: dict[str, Any] = asdict(options) | {"supports": [s.asset_id for s in found]}
+    inputs: Mapping[str, Any] = dict(shelf.fingerprints) | {
+        "meshes": content_id([[s.asset_id, s.mesh.vertices.tobytes().hex(), s.mesh.faces.tobytes().hex()] for s in found])
+    }
+    shard = content_id("supports", settings, inputs)
+    obstacles = SceneAssets()
+    obstacles.add(scene for support in found for scene in support.scenes)
+    store = AssetStore(obstacles)
+    copied = CopyAssets((), "", float("inf"), scenes=place, decomposes=False)
+    rows: dict[str, list[Row]] = {name: [] for name in ("warnings", "textures", "meshes", "assets")}
+    with folder.locked():
+        manifest = new_manifest("supports", library, inputs, settings=settings, work=[])
+        check_resume(folder, manifest, settings)
+        write_manifest(folder, manifest)
+        for support in found:
+            use = AssetUse(support.asset_id, "", (1.0, 1.0, 1.0), (), ((UPRIGHT, 1),))
+            made = copied.item_rows(use, ItemProgress("mesh"))
+            for name in rows:
+                rows[name] += made.get(name, [])
+        # Furniture is no object of a scene: it is not offered where things for a table are asked for.
+        rows["assets"] = [{**row, "on_table": False, "is_static": True} for row in rows["assets"]]
+        for asset_id in sorted(obstacles.assets):
+            asset, mesh = _obstacle_rows(asset_id, obstacles, store)
+            rows["assets"].append(asset)
+            rows["meshes"].append(mesh)
+        scenes = [_scene_row(scene, store, library) for support in found for scene in support.scenes]
+        folder.write_shard("failures", shard, [notice_row(n) for n in failures])
+        for name, content in rows.items():
+            folder.write_shard(name, shard, content)
+        folder.write_shard("scenes", shard, scenes)
+        counts = {"scenes": len(scenes), **{name: len(content) for name, content in rows.items()}, "failures": len(failures)}
+        write_manifest(folder, manifest | {"status": "complete", "counts": counts})
+
+
+def _scene_row(imported: ImportedScene, store: AssetStore, source: str) -> Row:
+    scene, shapes, _ = store.resolved(imported.scene)
+    audit = audit_scene(scene, shapes)
+    origin = {"source": source, "split": None, "layout_path": None, "layout_sha256": None, "duplicate_group": None}
+    return {**scene_row(scene), **card_row(audit.card()), **audit.rows(), **origin}
+
+
+def _obstacle_rows(asset_id: str, assets: SceneAssets, store: AssetStore) -> tuple[Row, Row]:
+    """The rows of ``assets`` and ``meshes`` of a body that is in the way."""
+    path = assets.asset_path(asset_id)
+    assert path is not None
+    asset = assets.assets[asset_id]
+    annotation = AssetAnnotation(
+        asset_id, category=asset.category, description=asset.body.name, source="supports", on_table=False
+    )
+    item = AssetUse(asset_id, file_digest(path), (1.0, 1.0, 1.0), (), ((UPRIGHT, 1),))
+    made = preprocess_asset(item, annotation, store, AssetSettings(decomposes=False), ItemProgress("mesh"))
+    given = {"is_static": True, "scale_source": "given", "scale_inferred": False}
+    return made.asset | given, made.mesh | {"parts_source": "given"}
