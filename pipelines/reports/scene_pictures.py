@@ -33,7 +33,7 @@ def draw_scene(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -
     meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in geometry.shapes]
     colors = [store.paint_of(o) or object_colour(o) for o in geometry.scene.objects]
     looks = [None if mesh is None else geometry.look(k) for k, mesh in enumerate(geometry.meshes)]
-    return render_scene(geometry.scene, meshes, size=size, colors=colors, looks=looks)
+    return render_scene(geometry.scene, meshes, size=size, colors=colors, looks=looks, support=geometry.support)
 
 
 def picture_grid(scenes: Iterable[tuple[str, Callable[[], Shown]]]) -> Iterable[str]:

@@ -17,14 +17,15 @@ from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface import Surface
 from stable_data.rotations import quat_of
 from stable_data.scene import QuatXyzw, Scene, Vec3
-from stable_data.simulation.render import object_colour, scene_bounds
+from stable_data.simulation.mujoco_model import SUPPORT
+from stable_data.simulation.render import object_colour
 from stable_data.simulation.room import furnish
 from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """Binary glTF, one file for each scene: `<scene>.glb`, metres. The format requires that y is up and -z is away from the
 viewer; the node `scene` turns all nodes below it, whose coordinates are those of stable-data. Nodes have the names of the
-instances, and their `extras` give category, asset and description. The node `table` is the table with its legs; its top is at
-z = 0."""
+instances, and their `extras` give category, asset and description. The node `table` is the table with its legs, or
+`support` the piece of furniture on which the scene stands; the surface is at z = 0."""
 
 _Y_UP = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))  # turns z up into y up
 
@@ -41,15 +42,18 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
 
 def scene_glb(geometry: SceneGeometry) -> bytes:
     """Returns the content of a scene's file."""
-    low, high = scene_bounds(geometry.scene, [Mesh(shape.vertices, shape.faces) for shape in geometry.shapes])
-    table = defaultdict[str, list[Surface]](list)
-    for part in furnish(geometry.scene.table, low, high):
+    table, support = defaultdict[str, list[Surface]](list), geometry.support
+    if support is not None:
+        table[SUPPORT] += support.placed()
+    for part in furnish(geometry.scene.table, *geometry.seen_bounds, None if support is None else support.bounds):
         if part.is_of_table:
             table[part.name.split("/")[0]].append(part.surface)
     document = _Document(table)
     unit = Shape.box((1.0, 1.0, 1.0))
     box = Mesh(unit.vertices, unit.faces)
     for k, (o, mesh) in enumerate(zip(geometry.scene.objects, geometry.meshes, strict=True)):
+        if not geometry.is_seen(k):
+            continue
         turn = Rotation.from_euler("z", o.yaw)
         extras = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
         if mesh is None or o.scale is None:  # its box replaces it

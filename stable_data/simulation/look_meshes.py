@@ -48,6 +48,12 @@ class ObjectLook:
         turn = Rotation.from_quat(self.tilt_quat_xyzw).as_matrix() * self.scale
         return tuple(replace(s, triangles=s.triangles @ turn.T + self.offset) for s in self.surfaces)
 
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner of the placed surfaces, (3,) each, metres."""
+        points = np.concatenate([s.triangles.reshape(-1, 3) for s in self.placed()])
+        return points.min(axis=0), points.max(axis=0)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LookMesh:

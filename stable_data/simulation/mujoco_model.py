@@ -10,7 +10,7 @@ from stable_data.atomic_files import safe_file_name
 from stable_data.geometry.mesh import Mesh, double_areas, drop_unused_vertices
 from stable_data.rotations import wxyz
 from stable_data.scene import TABLE
-from stable_data.simulation.look_meshes import add_look_material, look_meshes
+from stable_data.simulation.look_meshes import ObjectLook, add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.render import (
     View,
@@ -19,7 +19,6 @@ from stable_data.simulation.render import (
     add_room,
     object_colour,
     rgba,
-    scene_bounds,
     set_lighting,
 )
 from stable_data.simulation.room import RESTRICTED_ZONE, furnish
@@ -38,7 +37,10 @@ CAMERAS: tuple[View, ...] = ("front", "top")
 COLLIDER_GROUP, VISUAL_GROUP = 3, 2
 """Groups of geoms: MuJoCo's viewer hides the first and shows the second."""
 
-_RESERVED = frozenset({TABLE, "world", "hand", RESTRICTED_ZONE})
+SUPPORT = "support"
+"""Name of what is seen of the support on which the table lies."""
+
+_RESERVED = frozenset({TABLE, "world", "hand", RESTRICTED_ZONE, SUPPORT})
 _FLATTEST = 1e-14  # a face of less area is not visible, m²
 _PICTURE = (640, 480)  # default size of the largest picture that can be rendered off screen, pixels
 
@@ -88,7 +90,10 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
             joint.name = name
         for number, geom in enumerate(body.geoms):
             geom.name, geom.group = f"{name}/part_{number}", COLLIDER_GROUP
-        if not _add_look(spec, body, visual, geometry, k, meshes):
+        look = None if geometry.meshes[k] is None else geometry.look(k)
+        if not geometry.is_seen(k):
+            continue
+        if look is None or not _add_look(spec, body, visual, look, name, (o.asset_id, look.scale), meshes):
             _add_visuals(spec, body, visual, geometry, k, meshes)
     _add_environment(spec, geometry, picture)
     spec.add_key(name=HOME, qpos=model.qpos0)
@@ -99,18 +104,16 @@ def _add_look(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
     visual: mujoco.MjsDefault,
-    geometry: SceneGeometry,
-    index: int,
+    look: ObjectLook,
+    owner: str,
+    asset: object,
     meshes: dict[object, str],
 ) -> bool:
-    """Adds the look of an object with its textures; returns whether it has one."""
-    o = geometry.scene.objects[index]
-    look = None if geometry.meshes[index] is None else geometry.look(index)
-    found = () if look is None else look_meshes(look.surfaces)
+    """Adds a look with its textures to a body; returns whether there is anything to see."""
+    found = look_meshes(look.surfaces)
     for number, mesh in enumerate(found):
-        assert look is not None
-        name = f"{body.name}/visual_{number}" if number else f"{body.name}/visual"
-        key = (o.asset_id, look.scale, number)
+        name = f"{owner}/visual_{number}" if number else f"{owner}/visual"
+        key = (asset, number)
         if key not in meshes:  # objects of one asset share its look
             meshes[key] = name
             corners = np.arange(3 * len(mesh.faces), dtype=np.int32)
@@ -175,9 +178,16 @@ def _add_visuals(
 
 def _add_environment(spec: mujoco.MjSpec, geometry: SceneGeometry, picture: tuple[int, int]) -> None:
     """Adds table, room, lights, background and cameras."""
-    low, high = scene_bounds(geometry.scene, [Mesh(shape.vertices, shape.faces) for shape in geometry.shapes])
-    add_room(spec, furnish(geometry.scene.table, low, high), spec.find_default(VISUAL))
+    (low, high), table, support, visual = (
+        geometry.seen_bounds,
+        geometry.scene.table,
+        geometry.support,
+        spec.find_default(VISUAL),
+    )
+    if support is not None:
+        _add_look(spec, spec.worldbody, visual, support, SUPPORT, SUPPORT, {})
+    add_room(spec, furnish(table, low, high, None if support is None else support.bounds), visual)
     set_lighting(spec, picture)
     add_lights(spec, low, high)
     for view in CAMERAS:
-        add_camera(spec, low, high, view, picture, name=view)
+        add_camera(spec, low, high, view, picture, table, view)

@@ -7,7 +7,9 @@ it is nearer, by the ratio of width to height.
 
 import hashlib
 import io
+import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal, TypeAlias
 
@@ -22,7 +24,7 @@ from stable_data.geometry.mesh import Mesh, area_vectors
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shading import CREASE
 from stable_data.rotations import wxyz, yaw_quat
-from stable_data.scene import FloatArray, Scene, SceneObject, Vec3
+from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
 from stable_data.simulation.look_meshes import ObjectLook, add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import Picture, draw_model
@@ -42,6 +44,7 @@ _DIRECTIONS: Mapping[str, Vec3] = {
 _HALF_VIEW = 18 / 50  # tangent of half the field of view: 36 mm sensor, 50 mm lens
 _FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
 _DISTANCE, _MARGIN = 1.5, 1.02
+_UNDER = 0.5  # rise of the view below a ceiling, as a share of the rise to the ceiling's front edge from the table's back edge
 _MAX_FACES = 6000  # a mesh with more faces is simplified for a picture
 
 PALETTE: tuple[str, ...] = (
@@ -67,6 +70,7 @@ def render_scene(
     view: View = "front",
     colors: Sequence[str | Paint] | None = None,
     looks: Sequence[ObjectLook | None] | None = None,
+    support: ObjectLook | None = None,
 ) -> Picture:
     """Renders a picture of a scene.
 
@@ -78,6 +82,7 @@ def render_scene(
         colors: Colour of each object, or of its faces; by default the category's colour, a little lighter or darker for each
             asset.
         looks: What is seen of each object with a mesh, with its textures; for None its colour.
+        support: What is seen of the support on which the table lies, in the scene's frame; fixed objects are then not drawn.
 
     Raises:
         ConfigError: The machine cannot render (``no_gl``), or the view is not known (``unknown_view``).
@@ -87,14 +92,18 @@ def render_scene(
     chosen: list[str | Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
     set_lighting(spec, size)
-    seen = [None] * len(scene.objects) if looks is None else looks
-    for k, (o, mesh, paint, look) in enumerate(zip(scene.objects, meshes, chosen, seen, strict=True)):
-        if mesh is None or look is None or not _add_look(spec, o, look, k):
+    given = [None] * len(scene.objects) if looks is None else looks
+    is_seen = [support is None or o.instance not in scene.fixed for o in scene.objects]
+    for k, (o, mesh, paint, look) in enumerate(zip(scene.objects, meshes, chosen, given, strict=True)):
+        if is_seen[k] and (mesh is None or look is None or not _add_look(spec, look, f"object_{k}", o.position, o.yaw)):
             _add_object(spec, o, mesh, paint, k)
-    low, high = scene_bounds(scene, meshes)
-    add_room(spec, furnish(scene.table, low, high))
+    shown = replace(scene, objects=tuple(itertools.compress(scene.objects, is_seen)))
+    low, high = scene_bounds(shown, list(itertools.compress(meshes, is_seen)))
+    if support is not None:
+        _add_look(spec, support, "support")
+    add_room(spec, furnish(scene.table, low, high, None if support is None else support.bounds))
     add_lights(spec, low, high)
-    add_camera(spec, low, high, view, size)
+    add_camera(spec, low, high, view, size, scene.table)
     return _with_soft_shadows(*draw_model(spec.compile(), "view", size))
 
 
@@ -236,12 +245,12 @@ def _add_object(spec: mujoco.MjSpec, o: SceneObject, mesh: Mesh | None, paint: s
         )  # fmt: skip
 
 
-def _add_look(spec: mujoco.MjSpec, o: SceneObject, look: ObjectLook, index: int) -> bool:
-    """Adds what is seen of an object; returns whether there is anything."""
+def _add_look(spec: mujoco.MjSpec, look: ObjectLook, prefix: str, position: Vec3 = (0.0, 0.0, 0.0), yaw: float = 0.0) -> bool:
+    """Adds what is seen of an object at a pose; returns whether there is anything."""
     turn = Rotation.from_quat(look.tilt_quat_xyzw).as_matrix() * look.scale
     found = look_meshes(look.surfaces)
     for k, mesh in enumerate(found):
-        name, corners = f"object_{index}_{k}", np.arange(3 * len(mesh.faces), dtype=np.int32)
+        name, corners = f"{prefix}_{k}", np.arange(3 * len(mesh.faces), dtype=np.int32)
         triangles = (mesh.vertices @ turn.T + look.offset)[mesh.faces]
         uv = {} if mesh.corner_uv is None else {"usertexcoord": mesh.corner_uv.ravel(), "userfacetexcoord": corners}
         spec.add_mesh(
@@ -251,7 +260,7 @@ def _add_look(spec: mujoco.MjSpec, o: SceneObject, look: ObjectLook, index: int)
         )  # fmt: skip
         dress = {"rgba": list(mesh.rgba)} if mesh.pixels is None else {"material": add_look_material(spec, mesh, name)}
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(o.position), quat=wxyz(yaw_quat(o.yaw)), contype=0,
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=list(position), quat=wxyz(yaw_quat(yaw)), contype=0,
             conaffinity=0, **dress,
         )  # fmt: skip
     return bool(found)
@@ -280,7 +289,13 @@ def add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
 
 
 def add_camera(
-    spec: mujoco.MjSpec, low: FloatArray, high: FloatArray, view: View, size: tuple[int, int], name: str = "view"
+    spec: mujoco.MjSpec,
+    low: FloatArray,
+    high: FloatArray,
+    view: View,
+    size: tuple[int, int],
+    table: Tabletop | None = None,
+    name: str = "view",
 ) -> None:
     """Adds a camera that looks from one side, by the module's rule; all corners of the scene are in the picture.
 
@@ -290,9 +305,14 @@ def add_camera(
         high: Highest corner.
         view: The side from which it looks.
         size: Width and height of its pictures; only their ratio matters.
+        table: The table; below a ceiling the camera looks from less high.
         name: Its name.
     """
-    direction = np.array(_DIRECTIONS[view]) / np.linalg.norm(_DIRECTIONS[view])
+    direction = np.array(_DIRECTIONS[view])
+    if table is not None and table.clearance is not None and view != "top":
+        steepest = _UNDER * table.clearance / max(table.size_xy[1], 1e-3)
+        direction[2] = min(direction[2], steepest * float(np.hypot(direction[0], direction[1])))
+    direction /= np.linalg.norm(direction)
     right = np.cross([0.0, 0.0, 1.0], direction) if abs(direction[2]) < 0.999 else np.array([1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
     up = np.cross(direction, right)

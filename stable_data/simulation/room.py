@@ -139,17 +139,23 @@ def design_of(table_type: str) -> Design:
     return next((design for design in known if words & set(design.words.split())), other)
 
 
-def furnish(table: Tabletop, low: FloatArray, high: FloatArray) -> tuple[RoomPart, ...]:
-    """Returns the table and the room around it.
+def furnish(
+    table: Tabletop, low: FloatArray, high: FloatArray, support: tuple[FloatArray, FloatArray] | None = None
+) -> tuple[RoomPart, ...]:
+    """Returns the table and the room around it; the room alone if the table is a surface of a support.
 
     Args:
         table: The table top.
         low: Lowest corner of objects and table, (3,), metres, world frame. The room keeps clear of what is there.
         high: Highest corner.
+        support: Lowest and highest corner of the support, (3,) each, metres, world frame; it stands on the floor.
     """
     design = design_of(table.table_type)
-    floor = min(-design.height, float(low[2]) - 0.01)
     joinery = _Joinery()
+    if support is not None:
+        _add_room(joinery, table, design, (np.minimum(low, support[0]), np.maximum(high, support[1])), float(support[0][2]))
+        return joinery.parts()
+    floor = min(-design.height, float(low[2]) - 0.01)
     _add_top(joinery, table, design)
     if table.restricted_zone is not None:
         _add_zone(joinery, table.restricted_zone, design)

@@ -12,14 +12,17 @@ from scipy.spatial.transform import Rotation
 from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
 from stable_data.geometry.mesh import Mesh
-from stable_data.geometry.mesh_colors import Paint
+from stable_data.geometry.mesh_colors import Paint, to_linear
 from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface import Surface
 from stable_data.rotations import heading, quat_of, tilt_of, yaw_frame_box
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.simulation.collision_bodies import asset_parts, bodies_of
 from stable_data.simulation.look_meshes import ObjectLook
-from stable_data.simulation.render import object_colour
+from stable_data.simulation.render import object_colour, rgba, scene_bounds
 from stable_data.simulation.settling import RigidBody
+
+_WOOD = "#b08a62"  # of a support without colours
 
 RestPose: TypeAlias = tuple[Vec3, QuatXyzw]
 """Pose of a simulated object: the centre of its box, metres, and its rotation from its yaw frame at yaw 0."""
@@ -93,6 +96,41 @@ class SceneGeometry:
             return None
         x, y, z = self.offset(index).tolist()
         return ObjectLook(surfaces, o.scale, o.tilt_quat_xyzw, (x, y, z))
+
+    @cached_property
+    def support(self) -> ObjectLook | None:
+        """What is seen of the support on which the table lies, in the scene's frame; None if the table is a piece of its own.
+
+        It shows what is in the way there, so that the fixed objects need not be drawn.
+        """
+        frame = self.scene.frame
+        if frame is None or frame.asset_id is None or self.store.fault_of(frame.asset_id) is not None:
+            return None
+        surfaces = self.store.look(frame.asset_id)[0] or self._painted(frame.asset_id)
+        turn = Rotation.from_euler("z", -frame.yaw)
+        x, y, z = (-turn.apply(frame.origin)).tolist()
+        return ObjectLook(surfaces, (1.0, 1.0, 1.0), quat_of(turn), (x, y, z))
+
+    def _painted(self, asset_id: str) -> tuple[Surface, ...]:
+        """The mesh of an asset in the colours of its faces."""
+        mesh = self.store.asset(asset_id).mesh
+        paint = self.store.paint(asset_id)[0] or ((_WOOD, np.arange(len(mesh.faces))),)
+        found = []
+        for colour, rows in paint:
+            red, green, blue = to_linear(np.array(rgba(colour)[:3])).tolist()
+            found.append(Surface(mesh.triangles[rows], (red, green, blue)))
+        return tuple(found)
+
+    def is_seen(self, index: int) -> bool:
+        """Whether an object is drawn: all but the fixed ones that the support shows."""
+        return self.support is None or self.scene.objects[index].instance not in self.scene.fixed
+
+    @property
+    def seen_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner of the objects that are drawn and of the table, (3,) each, metres."""
+        seen = [k for k in range(len(self.shapes)) if self.is_seen(k)]
+        shown = replace(self.scene, objects=tuple(self.scene.objects[k] for k in seen))
+        return scene_bounds(shown, [Mesh(self.shapes[k].vertices, self.shapes[k].faces) for k in seen])
 
     def parts(self, index: int) -> Sequence[Mesh]:
         """Convex parts of an object's asset, in the frame and unit of its mesh."""
