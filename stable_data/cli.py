@@ -284,6 +284,7 @@ def export(
     scene: Annotated[list[str] | None, typer.Option("--scene", help="Export only this scene; may be repeated.")] = None,
     limit: Annotated[int | None, typer.Option(min=0, help="Export at most this many of the selected scenes.")] = None,
     settled: Annotated[bool, typer.Option(help="Use the poses after the simulation in MuJoCo (table settled).")] = False,
+    join: Annotated[bool, typer.Option(help="Export the scenes on one piece of furniture as one scene, others not.")] = False,
     originals: Annotated[Path | None, typer.Option(help="Folder of the scene files, for the format original.")] = None,
 ) -> None:
     """Export scenes of a run to another format, with all files that they need.
@@ -306,7 +307,8 @@ def export(
             bar.update(done - bar.n)
             bar.set_postfix_str(f"{num_failed} failed" if num_failed else "", refresh=False)
 
-        result = export_run(RunFolder(run), out, format_name, SceneSelection(where, tuple(scene or ()), limit, settled), show)
+        chosen = SceneSelection(where, tuple(scene or ()), limit, settled, join)
+        result = export_run(RunFolder(run), out, format_name, chosen, show)
     for line in result.failures:
         typer.echo(f"not exported: {line}", err=True)
     typer.echo(

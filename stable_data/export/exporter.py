@@ -2,14 +2,17 @@
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.licences import licence_terms, normalise_licence
 from stable_data.assets.run_assets import run_annotations
+from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
 from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
@@ -18,8 +21,10 @@ from stable_data.errors import ConfigError, StableDataError, cannot_write
 from stable_data.export.formats import ExportFormat, format_named
 from stable_data.mesatask import write_annotations
 from stable_data.mesatask.library import ANNOTATION_FILE
+from stable_data.scene import Scene
 from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder
+from stable_data.supports import join_scenes
 
 MANIFEST_FILE, ATTRIBUTION_FILE = "export.json", "ATTRIBUTION.md"
 Progress: TypeAlias = Callable[[int, int, int], None]
@@ -68,24 +73,48 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
     chosen = format_named(name)
     target = RunFolder(str(out))
     scenes = RunScenes(run, choice)
-    if not len(scenes):
+    if choice.joined and (name == "mesatask" or choice.settled):
         raise ConfigError(
-            f"{run.uri}: no scene is selected, expected at least one; change --where, --scene or --limit", "scene_unknown"
+            "--join makes scenes with several surfaces, which mesatask and --settled do not know; leave it out", "usage"
         )
+    pieces = scenes.pieces() if choice.joined else None
+    total = len(scenes) if pieces is None else len(pieces)
+    if not total:
+        what = "no scene is selected" if pieces is None else "no selected scene stands on a support"
+        raise ConfigError(f"{run.uri}: {what}, expected at least one; change --where, --scene or --limit", "scene_unknown")
     annotations = run_annotations(run)
     with target.locked():
         _check_same(target, run, name, choice)
         try:
-            return _export(scenes, annotations, out, chosen, progress)
+            shown = iter(scenes) if pieces is None else (_joined(piece, scenes.store) for piece in pieces)
+            return _export(scenes, shown, total, annotations, out, chosen, progress)
         except OSError as error:
             raise cannot_write(str(out), error) from error
 
 
+def _joined(piece: Sequence[Scene], store: AssetStore) -> Scene:
+    """The scenes on one piece of furniture as one scene."""
+    frame = piece[0].frame
+    assert frame is not None
+    if frame.asset_id is None:
+        low = high = np.array(frame.origin)
+    else:
+        mesh = store.asset(frame.asset_id).mesh
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    return join_scenes(piece, low, high)
+
+
 def _export(
-    scenes: RunScenes, annotations: Mapping[str, AssetAnnotation], out: Path, chosen: ExportFormat, progress: Progress | None
+    scenes: RunScenes,
+    chosen_scenes: Iterable[Scene],
+    total: int,
+    annotations: Mapping[str, AssetAnnotation],
+    out: Path,
+    chosen: ExportFormat,
+    progress: Progress | None,
 ) -> ExportResult:
     written, existing, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
-    for scene in scenes:
+    for scene in chosen_scenes:
         try:
             if chosen.scene_path(scene, out).exists():
                 existing += 1
@@ -93,9 +122,11 @@ def _export(
                 geometry = scenes.geometry(scene)
                 chosen.export_scene(geometry, out)
                 written += 1
-                boxes += geometry.meshes.count(None)
+                boxes += sum(mesh is None and geometry.is_seen(k) for k, mesh in enumerate(geometry.meshes))
             # Assets of existing scenes too: the list of licences covers the whole folder.
-            used |= {o.asset_id or "" for o in scene.objects} & annotations.keys()
+            support = None if scene.frame is None else scene.frame.asset_id  # the fixed objects are parts of it
+            own = scene.objects if support is None else scene.movable
+            used |= {support or "", *(o.asset_id or "" for o in own)} & annotations.keys()
         except OSError:
             raise  # a full or lost disk ends the export
         except StableDataError as error:
@@ -105,7 +136,7 @@ def _export(
         except Exception as error:  # noqa: BLE001 - an unexpected error loses one scene only
             failures.append(_line(scene.scene_id, f"unexpected {type(error).__name__}: {error}; please report it"))
         if progress is not None:
-            progress(written + existing + len(failures), len(scenes), len(failures))
+            progress(written + existing + len(failures), total, len(failures))
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     assets = [annotations[asset_id] for asset_id in sorted(used)]
     write_file_atomically(out / "README.md", _readme(chosen, written + existing, assets).encode())
@@ -188,6 +219,7 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelec
         "scenes": sorted(choice.scene_ids),
         "limit": choice.limit,
         "settled": choice.settled,
+        "joined": choice.joined,
     }
     content = target.read_bytes(MANIFEST_FILE)
     if content is None:

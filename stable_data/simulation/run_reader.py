@@ -27,12 +27,14 @@ class SceneSelection:
         scene_ids: Only these scenes; all if empty.
         limit: The number of first scenes that are used; None: all.
         settled: Objects are at their poses after settling (table ``settled``); else at their poses in the scene.
+        joined: Scenes that stand on surfaces of one support are used together (:meth:`RunScenes.pieces`), others are left out.
     """
 
     where: str | None = None
     scene_ids: tuple[str, ...] = ()
     limit: int | None = None
     settled: bool = False
+    joined: bool = False
 
     @property
     def condition(self) -> str | None:
@@ -81,6 +83,10 @@ class RunScenes:
                     left -= 1
                     yield scene_from_row(row)
 
+    def pieces(self) -> "ScenePieces":
+        """The scenes that stand on supports, together for each piece."""
+        return ScenePieces(self._scenes, self._limit)
+
     def geometry(self, scene: Scene) -> SceneGeometry:
         """Returns one of the scenes with its geometry.
 
@@ -88,6 +94,38 @@ class RunScenes:
             SceneError: The scene was never settled, but settled poses are selected.
         """
         return SceneGeometry.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
+
+
+class ScenePieces:
+    """The scenes of a run by the piece of furniture on which they stand, read on demand, the highest surface first.
+
+    Args:
+        scenes: Selected rows of the table ``scenes``.
+        limit: The number of first pieces that are used; None: all.
+    """
+
+    def __init__(self, scenes: TableFiles, limit: int | None) -> None:
+        self._scenes = scenes
+        places: dict[str, list[tuple[float, int, int]]] = {}
+        for group in range(len(scenes.groups)):
+            for row, surface in enumerate(scenes.read([group])["surface"].to_pylist()):
+                if surface is not None and surface["support"] is not None:
+                    places.setdefault(surface["support"], []).append((-surface["origin"][2], group, row))
+        self._places = [sorted(places[name]) for name in sorted(places)][:limit]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __iter__(self) -> Iterator[list[Scene]]:
+        """The scenes of each piece."""
+        read: tuple[int, pa.Table] | None = None
+        for piece in self._places:
+            found = {}
+            for order, group, row in sorted(piece, key=lambda place: place[1:]):
+                if read is None or read[0] != group:
+                    read = group, self._scenes.read([group])
+                found[order, group, row] = scene_from_row(read[1].slice(row, 1).to_pylist()[0])
+            yield [found[place] for place in piece]
 
 
 class SettledPoses:
