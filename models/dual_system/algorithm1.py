@@ -53,6 +53,8 @@ class LoopSettings:
         tries: Maximum number of attempts at a stage. An attempt is repeated if its objects have no assets or no space, or do
             not stay as the instruction states. If every attempt misses relations, the one with the fewest missing is used.
         full: Share of the table that objects may cover before the remaining stages are left out; 1 leaves out none.
+        density: Share of the table that objects shall cover: after the schedule, its background stages are repeated until it is
+            reached, up to six times, or until a round adds nothing (the open schedule of the paper's future work); 0 repeats none.
     """
 
     schedule: tuple[Wanted, ...] = PROGRESSIVE
@@ -60,6 +62,7 @@ class LoopSettings:
     earlier_move: float = float("inf")
     tries: int = 3
     full: float = 1.0
+    density: float = 0.0
 
     def __post_init__(self) -> None:
         """Checks the settings."""
@@ -70,15 +73,34 @@ class LoopSettings:
         if self.tries < 1 or not self.earlier_move >= 0 or not 0 < self.full <= 1:
             found = f"tries is {self.tries}, earlier_move {self.earlier_move}, full {self.full}"
             raise ConfigError(f"{found}, expected at least 1, at least 0, and a share in (0, 1]", "config_invalid")
+        if not 0 <= self.density <= 1 or (self.density and not self.background):
+            raise ConfigError(
+                f"density is {self.density}, expected a share in [0, 1], and a schedule with important or secondary",
+                "config_invalid",
+            )
+
+    @property
+    def background(self) -> tuple[Wanted, ...]:
+        """The stages of the schedule that add background objects, which an open schedule repeats."""
+        return tuple(wanted for wanted in self.schedule if wanted in (Stage.IMPORTANT, Stage.SECONDARY))
 
     def is_full(self, scene: Scene) -> bool:
         """Whether the objects directly on the table cover more than the share ``full`` of it."""
-        width, depth = scene.table.size_xy
-        covered = sum(o.size[0] * o.size[1] for o in scene.movable if o.support in (None, TABLE))
-        return self.full < 1 and covered > self.full * width * depth
+        return self.full < 1 and covered_share(scene) > self.full
+
+    def is_dense(self, scene: Scene) -> bool:
+        """Whether the density is reached."""
+        return covered_share(scene) >= self.density
 
 
 _PAPER = LoopSettings()
+_MOST_ROUNDS = 6  # of an open schedule
+
+
+def covered_share(scene: Scene) -> float:
+    """Returns the share of the table that the boxes of objects directly on it cover."""
+    width, depth = scene.table.size_xy
+    return sum(o.size[0] * o.size[1] for o in scene.movable if o.support in (None, TABLE)) / (width * depth)
 
 
 def dual_system(
@@ -111,6 +133,7 @@ def dual_system(
         if not state.scene.movable:
             return state.failure(rejected.code, f"stage {wanted}: {rejected.rejected}")
         state.warn("stage_left_out", f"stage {wanted}: {rejected.rejected}")
+    yield from system.fill(state)
     if settings.corrects != "never" and not state.is_at_rest:
         closing = yield from system.closing_correction(state)
         if closing.certified is None:
@@ -128,15 +151,15 @@ class _StageLoop:
     interpret: InstructionInterpreter | None
 
     def stage(
-        self, state: GenerationState, wanted: Wanted, *, is_last: bool
+        self, state: GenerationState, wanted: Wanted, *, is_last: bool, round_: int = 0
     ) -> Generator[Request, Answer, StageCandidate | None]:
-        """Repeats a stage until an attempt is not rejected, or no attempts are left.
+        """Repeats a stage until an attempt is not rejected, or no attempts are left; each round has random choices of its own.
 
         Returns:
             The attempt with the fewest missing relations, the last one of equals, or None if no attempt can be used.
         """
         best: StageCandidate | None = None
-        for attempt in range(self.settings.tries):
+        for attempt in range(round_ * self.settings.tries, (round_ + 1) * self.settings.tries):
             turn, candidate = yield from self._attempt(state, wanted, attempt, is_last)
             state.turns.append(turn)
             if candidate is not None and (best is None or candidate.num_missing <= best.num_missing):
@@ -145,6 +168,21 @@ class _StageLoop:
             if not turn.rejected or (not turn.proposal.refused and turn.proposal.failure):
                 break
         return best
+
+    def fill(self, state: GenerationState) -> Generator[Request, Answer, None]:
+        """Repeats the background stages until the density is reached, or until a round adds nothing."""
+        settings = self.settings
+        for number in range(1, _MOST_ROUNDS + 1):
+            before = len(state.scene.movable)
+            for wanted in settings.background:
+                if settings.is_dense(state.scene) or settings.is_full(state.scene):
+                    return
+                # Each is as the last one, so that the scene is whole whenever no more is added.
+                candidate = yield from self.stage(state, wanted, is_last=True, round_=number)
+                if candidate is not None and candidate.num_missing <= state.num_missing:
+                    state.accept(candidate)
+            if len(state.scene.movable) <= before:
+                return
 
     def closing_correction(self, state: GenerationState) -> Generator[Request, Answer, Correction]:
         """Corrects the scene after all stages."""
@@ -164,7 +202,7 @@ class _StageLoop:
         task, before = state.task, state.scene
         # Propose the objects of the stage, given the corrected layout.
         layout = layout_objects(before.movable, {o.instance: o.instance for o in before.movable})
-        question = ReasonerQuestion(task.instruction, task.table, wanted, layout, task.details)
+        question = ReasonerQuestion(task.instruction, task.shown_table, wanted, layout, task.details)
         proposal = yield ProposalRequest(question, named_seed(self.seed, attempt))
         assert isinstance(proposal, Proposal)
         state.note_proposal(wanted, proposal)

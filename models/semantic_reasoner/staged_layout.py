@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.replies.to_scene import objects_of_reply
@@ -15,12 +17,41 @@ from models.semantic_reasoner.text.reply_json import LayoutObject
 from stable_data.errors import SceneError
 from stable_data.metrics.alignment import AlignmentReference, reference_of
 from stable_data.scene import Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
+from stable_data.scene_graph.relations import yawed_rectangle
+
+_LOW = 0.05  # fixed things that reach lower than this above a table stand on it, metres
+_APART = 1.5  # the box around them is shown if it is at most as many times as large as they are; else the largest of them
+_FEW = 0.005  # a smaller share of the table is not shown
 
 PROGRESSIVE: tuple[Wanted, ...] = tuple(Stage)
 """The paper's three stages."""
 
 ONE_SHOT: tuple[Wanted, ...] = ("whole",)
 """The paper's one-shot ablation."""
+
+
+def table_with_zone(table: Tabletop, surroundings: Sequence[SceneObject]) -> Tabletop:
+    """Returns a table with a restricted zone where fixed things stand, if it has no zone of its own.
+
+    A table has one zone, a rectangle: the box around all fixed things if it is not much larger than they are, else that of the
+    largest. The corrector knows each of them.
+    """
+    standing = [o for o in surroundings if o.bottom < _LOW]
+    if table.restricted_zone is not None or not standing:
+        return table
+    width, depth = table.size_xy
+    corners = np.array([yawed_rectangle(o) for o in standing])
+    boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1).clip(0.0, (width, depth, width, depth))
+    areas = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
+    if areas.max() <= 0:
+        return table  # all of them are beside it
+    on_table = boxes[areas > 0]
+    around = np.r_[on_table[:, :2].min(axis=0), on_table[:, 2:].max(axis=0)]
+    is_near = (around[2] - around[0]) * (around[3] - around[1]) <= _APART * areas.sum()
+    x_min, y_min, x_max, y_max = (around if is_near else boxes[int(areas.argmax())]).tolist()
+    if (x_max - x_min) * (y_max - y_min) < _FEW * width * depth:
+        return table  # walls of a shelf, which reach a little over its edge
+    return replace(table, restricted_zone=(x_min, x_max, y_min, y_max))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +76,11 @@ class LayoutTask:
     reference: AlignmentReference | None = None
     surroundings: tuple[SceneObject, ...] = ()
     frame: SupportFrame | None = None
+
+    @property
+    def shown_table(self) -> Tabletop:
+        """The table as the reasoner sees it, see :func:`table_with_zone`."""
+        return table_with_zone(self.table, self.surroundings)
 
     @property
     def empty_scene(self) -> Scene:
@@ -81,7 +117,7 @@ class StagedLayout:
 
     def question(self, wanted: Wanted) -> ReasonerQuestion:
         """Returns the question for a stage."""
-        return ReasonerQuestion(self.task.instruction, self.task.table, wanted, self._layout, self.task.details)
+        return ReasonerQuestion(self.task.instruction, self.task.shown_table, wanted, self._layout, self.task.details)
 
     def add(self, question: ReasonerQuestion, proposal: Proposal, interpret: InstructionInterpreter | None) -> None:
         """Adds the proposal of a stage."""

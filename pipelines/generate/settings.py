@@ -10,7 +10,7 @@ from models.dual_system.algorithm1 import Corrects, LoopSettings
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.text.prompt import WANTED, Wanted
-from models.settings import Count, NonNegative, Positive, PositiveCount
+from models.settings import Count, NonNegative, Positive, PositiveCount, Share
 from pipelines.correct.settings import CorrectorJobSettings
 from pipelines.execution.shard_size import shard_size
 from stable_data.assets.retrieval_settings import RetrievalSettings
@@ -59,6 +59,11 @@ class GenerateSettings(CorrectorJobSettings):
 
     full: Annotated[float, Interval(gt=0, le=1)] = 1.0
     """Share of the table; once this much is covered no further stage is asked for. 1 asks for all stages."""
+
+    density: Share = 0.0
+    """Share of the table that objects shall cover: after the schedule, its background stages are repeated until this is reached, up
+    to six times, or until nothing more finds a place. 0 repeats none.
+    """
 
     settle: bool = True
     """Whether the last correction simulates physics to find objects that do not stay at rest, and moves them."""
@@ -122,7 +127,7 @@ class GenerateSettings(CorrectorJobSettings):
     @property
     def loop(self) -> LoopSettings:
         """The settings of Algorithm 1."""
-        return LoopSettings(self.stages, self.corrects, self.earlier_move, self.tries, self.full)
+        return LoopSettings(self.stages, self.corrects, self.earlier_move, self.tries, self.full, self.density)
 
     @property
     def accepting(self) -> FilterExpression | None:

@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeAlias
 
-from models.semantic_reasoner.staged_layout import LayoutTask, task_of_scene
+from models.semantic_reasoner.staged_layout import LayoutTask, table_with_zone, task_of_scene
 from pipelines.sources.tasks import STEP, read_tasks, task_of
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.embedded_world.sampling import sample_task
@@ -79,7 +79,7 @@ class SampledTask:
                 (``task_not_served``).
         """
         lacking: Counter[str] = Counter()
-        table = None if self.place is None else self.place.table
+        table = None if self.place is None else table_with_zone(self.place.table, self.place.surroundings)
         for draw in range(_REDRAWS + 1):
             task = task_of_scene(sample_task(self.number, self.seed, self.tables, draw, table))
             missing = _missing(task, serves) if self.is_served else []
