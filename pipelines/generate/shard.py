@@ -473,7 +473,7 @@ def _turn_row(name: str, number: int, turn: Turn) -> schemas.Row:
 
 
 def _poses(scene: Scene) -> list[schemas.Row]:
-    return [{"instance": o.instance, "position": o.position, "yaw": o.yaw} for o in scene.objects]
+    return [{"instance": o.instance, "position": o.position, "yaw": o.yaw} for o in scene.movable]
 
 
 def _settled_row(name: str, rest: SettleResult) -> schemas.Row:

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Mapping, Sequence, Set
 
 import numpy as np
+import shapely
 
 from models.physics_corrector.certify.layout_state import LayoutState
 from models.physics_corrector.certify.mesh_queries import MeshQueries
@@ -16,6 +17,7 @@ from stable_data.scene import TABLE, FloatArray, Relation, RelationKind
 from stable_data.scene_graph.relations import scene_graph
 
 _OVERHANG = 0.9 * BOUNDS_SLACK  # how far an outline may reach over the edge, metres: less than the audit allows
+_HANGS = 0.01  # height of the lower side of a fixed thing from which it covers nothing, metres
 _DEEP = 3e-3  # trees whose outlines overlap deeper than this, but whose meshes are apart, move as one, metres
 
 
@@ -72,6 +74,8 @@ class PackingBodies:
             if np.isfinite(stiffness[b]):
                 aims[b] = self._original[group[0], :2] - layout.poses[group[0], :2]
         for b, p in zip(body[: len(roots)], parts, strict=False):
+            if not np.isfinite(stiffness[b]):
+                continue  # what does not move may be beside the table
             least, most = p.slabs.box
             low[b] = np.maximum(low[b], -_OVERHANG - least - p.anchor)
             high[b] = np.minimum(high[b], size + _OVERHANG - most - p.anchor)
@@ -88,12 +92,19 @@ class PackingBodies:
         return PackingProblem(pairs, body, bodies, self._orders_between(number), self._clearance, relaxed), groups
 
     def covered(self, roots: Sequence[int]) -> float:
-        """Returns the area of the table top that trees cover, square metres."""
-        areas = []
+        """Returns the area of the table top that trees cover, square metres; what hangs over it covers nothing."""
+        layout, (width, depth) = self._layout, self._layout.scene.table.size_xy
+        table = shapely.box(0.0, 0.0, width, depth)
+        covered = 0.0
         for r in roots:
-            x, y = self._slabs(r).corners[0].T
-            areas.append(0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))))
-        return sum(areas)
+            corners = self._slabs(r).corners[0]
+            if layout.scene.objects[r].instance not in layout.scene.fixed:
+                x, y = corners.T
+                covered += 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+            elif layout.low(r) <= _HANGS:  # it may be beside the table
+                outline = shapely.convex_hull(shapely.multipoints(corners + layout.poses[r, :2]))
+                covered += float(shapely.intersection(outline, table).area)
+        return covered
 
     def _slabs(self, root: int) -> SlabOutline:
         """Returns the slabs of a tree around its root's anchor; computed again only if the poses within the tree change."""

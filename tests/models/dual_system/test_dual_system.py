@@ -28,7 +28,7 @@ from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.assets.assignment import AssignedLayout
 from stable_data.assets.retrieval import UnmatchedQuery
 from stable_data.errors import ConfigError
-from stable_data.scene import Scene, Stage, Tabletop
+from stable_data.scene import Scene, Stage, SupportFrame, Tabletop
 from stable_data.simulation.settling import SettleResult
 from tests.models.physics_corrector.geometry.shapes import SHAPES, store, thing
 
@@ -399,3 +399,80 @@ def test_what_is_pushed_out_of_its_corner_is_asked_for_again() -> None:
         ("important", ""),
         ("secondary", ""),
     ]
+
+
+def test_an_open_schedule_adds_background_until_the_density() -> None:
+    """Each background stage of each round puts one more cube of 10 cm on a table of 1 m × 0.8 m."""
+    places = iter(range(100))
+
+    def more(q: ProposalRequest) -> Proposal:
+        n = next(places)
+        return Proposal(LayoutReply((said(f"cube_{n}", 10 + 12 * (n % 7), 10 + 12 * (n // 7)),)), tries=1)
+
+    made = driven(Answers(more), LoopSettings(density=0.1))
+    assert made.scene is not None
+    assert len(made.scene.objects) == 8  # the first with a share of at least 0.1
+    assert [turn.wanted for turn in made.turns] == [*Stage, *[Stage.IMPORTANT, Stage.SECONDARY] * 2, Stage.IMPORTANT]
+    assert made.correction is not None
+
+
+def test_rounds_of_an_open_schedule_have_other_seeds() -> None:
+    names = iter(range(100))
+
+    def one(q: ProposalRequest) -> Proposal:
+        n = next(names)
+        objects = (said(f"cube_{n}", 10 + 12 * n, 40),) if n < 6 else ()
+        return Proposal(LayoutReply(objects), tries=1)
+
+    answers = Answers(one)
+    driven(answers, LoopSettings(density=0.9))
+    seeds = [r.seed for r in answers.asked if isinstance(r, ProposalRequest) and r.question.wanted is Stage.IMPORTANT]
+    assert len(seeds) > 1
+    assert len(set(seeds)) == len(seeds)
+
+
+def test_an_open_schedule_ends_when_a_round_adds_nothing() -> None:
+    answers = Answers(staged([said("cube_0", 50, 40)], [], []))
+    made = driven(answers, LoopSettings(density=0.9))
+    assert made.scene is not None
+    assert [turn.wanted for turn in made.turns] == [*Stage, Stage.IMPORTANT, Stage.SECONDARY]
+
+
+@pytest.mark.parametrize("density", [-0.1, 1.1])
+def test_an_impossible_density_is_refused(density: float) -> None:
+    with pytest.raises(ConfigError, match="density"):
+        LoopSettings(density=density)
+    with pytest.raises(ConfigError, match="density"):
+        LoopSettings((Stage.TASK,), density=0.5)
+
+
+def test_the_surroundings_are_obstacles_that_nobody_names_or_moves() -> None:
+    wall = replace(thing("cube_9", (0.5, 0.4, 0.05, 0.0)), instance="fixed_wall_0", category="wall", stage=None)
+    frame = SupportFrame("shelf_0", "top", (0.0, 0.0, 1.0), 0.2, "shelf")
+    task = replace(TASK, surroundings=(wall,), frame=frame)
+    answers = Answers(CROWDED)
+    made = driven(answers, task=task)
+    assert made.scene is not None
+    assert made.scene.fixed == frozenset({"fixed_wall_0"})
+    assert made.scene.frame == frame
+    assert made.scene["fixed_wall_0"] == wall
+    assert {o.instance for o in made.scene.movable} == {"cube_0", "cube_1", "ball_0"}
+    # They were proposed where the wall is, and had to leave.
+    assert made.correction is not None
+    assert made.correction.audit is not None
+    assert made.correction.audit.card().clean is True
+    for request in answers.asked:
+        if isinstance(request, ProposalRequest):
+            assert "fixed_wall_0" not in {o.instance for o in request.question.layout}
+            assert request.question.table.restricted_zone == pytest.approx((0.45, 0.55, 0.35, 0.45))
+        elif isinstance(request, RetrievalRequest):
+            assert "fixed_wall_0" not in {o.instance for o in request.scene.objects}
+    assert not [r for r in made.scene.relations if "fixed_wall_0" in (r.subject, r.target)]
+
+
+def test_a_task_whose_first_stage_fails_has_no_scene_of_surroundings_alone() -> None:
+    wall = replace(thing("cube_9", (0.5, 0.4, 0.05, 0.0)), instance="fixed_wall_0")
+    made = driven(Answers(staged([], [], [])), task=replace(TASK, surroundings=(wall,)))
+    assert made.scene is None
+    assert made.failure is not None
+    assert made.failure.code == "layout_empty"

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.card import MetricCard
-from stable_data.scene import UPRIGHT, Relation, RelationKind, Scene, SceneObject, Stage, Tabletop, TaskInfo
+from stable_data.scene import UPRIGHT, Relation, RelationKind, Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
 from stable_data.storage.scene_arrays import scenes_from_table
 from stable_data.storage.schema_checks import check_schema
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
@@ -70,14 +70,17 @@ def _objects() -> st.SearchStrategy[tuple[SceneObject, ...]]:
 
 
 _zone = st.tuples(_finite, _length, _finite, _length).map(lambda z: (z[0], z[0] + 1 + z[1], z[2], z[2] + 1 + z[3]))
+_frame = st.builds(SupportFrame, _text, _text, st.tuples(_finite, _finite, _finite), _finite, st.none() | _text)
 _scene = st.builds(
     Scene,
     scene_id=_text,
-    table=st.builds(Tabletop, _text, st.tuples(_length, _length), st.none() | _zone),
+    table=st.builds(Tabletop, _text, st.tuples(_length, _length), st.none() | _zone, st.none() | _length),
     objects=_objects(),
     task=st.none() | st.builds(TaskInfo, _text, _text, _texts, _texts, _texts, _texts, _relations, _text, _source),
     relations=_relations,
     source=_source,
+    fixed=st.frozensets(_text, max_size=2),
+    frame=st.none() | _frame,
 )
 
 
