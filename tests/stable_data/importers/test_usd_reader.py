@@ -5,6 +5,7 @@ import math
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -459,6 +460,71 @@ def test_what_a_mass_rests_on(
         assert stated is not None
         assert stated.mass == pytest.approx(mass)
         assert stated.is_weighed is is_weighed
+
+
+STATED = st.sampled_from([0.0, 0.0, 3.0, 500.0])
+
+
+@settings(max_examples=30, deadline=None)
+@given(STATED, STATED, st.tuples(STATED, STATED), st.tuples(STATED, STATED), STATED, st.booleans())
+def test_mass_properties_are_those_that_usd_computes(
+    mass: float,
+    density: float,
+    masses: tuple[float, float],
+    densities: tuple[float, float],
+    material_density: float,
+    has_center: bool,
+) -> None:
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    thing = UsdGeom.Xform.Define(stage, "/Thing").GetPrim()
+    stage.SetDefaultPrim(thing)
+    UsdPhysics.RigidBodyAPI.Apply(thing)
+    material = UsdShade.Material.Define(stage, "/Thing/m")
+    UsdPhysics.MaterialAPI.Apply(material.GetPrim()).CreateDensityAttr(material_density)
+    own = UsdPhysics.MassAPI.Apply(thing)
+    own.CreateMassAttr(mass)
+    own.CreateDensityAttr(density)
+    for k in (0, 1):
+        box = add_box(stage, f"/Thing/box{k}")
+        box.AddTranslateOp().Set((3 * k, k, 0))
+        box.AddRotateZOp().Set(90 * k)
+        UsdPhysics.CollisionAPI.Apply(box.GetPrim())
+        api = UsdPhysics.MassAPI.Apply(box.GetPrim())
+        api.CreateMassAttr(masses[k])
+        api.CreateDensityAttr(densities[k])
+        if k == 0:
+            bind(box.GetPrim(), material, "physics")
+            if has_center:
+                api.CreateCenterOfMassAttr(Gf.Vec3f(0.2, 1.5, 1.0))
+                api.CreateDiagonalInertiaAttr(Gf.Vec3f(2, 3, 4))
+
+    def solid(prim: Any) -> Any:
+        of_box = UsdPhysics.RigidBodyAPI.MassInformation()
+        place = UsdGeom.Xformable(prim).GetLocalTransformation()
+        of_box.volume, of_box.centerOfMass = 8.0, Gf.Vec3f(0.5, 1, 2)
+        of_box.inertia = Gf.Matrix3f(*(np.diag([20.0, 17.0, 5.0]) * 8 / 12).ravel().tolist())
+        of_box.localPos = Gf.Vec3f(place.ExtractTranslation())
+        of_box.localRot = Gf.Quatf(place.ExtractRotation().GetQuat())
+        return of_box
+
+    with TemporaryDirectory() as folder:
+        stage.Export(str(Path(folder, "thing.usda")))
+        found = read(Path(folder)).inertial
+    expected, moments, center, axes = UsdPhysics.RigidBodyAPI(thing).ComputeMassProperties(solid)
+    if not any((mass, density, *masses, *densities, material_density)):
+        assert found is None
+        return
+    assert found is not None
+    assert found.mass == pytest.approx(expected, rel=1e-5)
+    if found.center_of_mass is None:
+        assert not any((density, *masses, *densities, material_density)), "nothing is known of the colliders"
+        return
+    np.testing.assert_allclose(found.center_of_mass, center, rtol=1e-5)
+    assert found.inertia is not None
+    turn = np.array(Gf.Matrix3d(Gf.Rotation(axes))).T
+    np.testing.assert_allclose(found.inertia, turn @ np.diag(moments) @ turn.T, rtol=1e-3, atol=1e-3 * max(moments))
 
 
 @pytest.mark.parametrize(
