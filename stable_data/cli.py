@@ -199,7 +199,7 @@ def lint(
     """Audit every scene exactly: collisions with their depths, floating and sunk objects, objects out of bounds.
 
     The audit runs in this process: a file that crashes its parser ends the command. Status 0: all scenes were read and judged. 1:
-    some were not; they are listed.
+    some were not; they are listed. 2: there is no scene.
     """
     from stable_data.mesatask.lint import lint_folder, prepare_place
     from stable_data.mesatask.writing import LAYOUT_FOLDER
@@ -210,10 +210,7 @@ def lint(
     if folder.is_dir() and not (folder / LAYOUT_FOLDER).exists():
         from stable_data.importers.scenes.lint import lint_scene_files, scene_candidates
 
-        paths = scene_candidates(folder)
-        result = (
-            lint_scene_files(folder, paths, progress=shows_progress) if paths else lint_folder(folder, progress=shows_progress)
-        )
+        result = lint_scene_files(folder, scene_candidates(folder), progress=shows_progress)
     else:
         result = lint_folder(folder, progress=shows_progress)
     typer.echo(str(result))

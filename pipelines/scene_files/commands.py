@@ -81,7 +81,7 @@ def repair(
     if place is not None:
         write_verdicts(found, place)
     counts = ", ".join(f"{n} {status}" for status in RepairStatus if (n := sum(v.status is status for v in found)))
-    typer.echo(f"{source}: {len(found)} scene files: {counts or 'none has a free body'}" + (f"; {place}" if place else ""))
+    typer.echo(f"{source}: {len(found)} scene files: {counts}" + (f"; {place}" if place else ""))
     if any(v.status in (RepairStatus.UNSOLVED, RepairStatus.FAILED) for v in found):
         raise typer.Exit(SOME_FAILED)
 
