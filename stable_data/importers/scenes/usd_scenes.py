@@ -380,7 +380,7 @@ def _triangles(prim: Usd.Prim, path: str) -> Mesh | None:
         return None
     if counts.min() < 0 or counts.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
         raise MeshError(
-            f"{path}: {prim.GetPath()} has faces of points that it lacks, expected valid indices", "model_unreadable"
+            f"{path}: {prim.GetPath()} has faces of points that it lacks, expected indices of its points", "model_unreadable"
         )
     if not np.isfinite(points).all():
         raise MeshError(f"{path}: {prim.GetPath()} has points that are not finite, expected numbers", "mesh_not_finite")
