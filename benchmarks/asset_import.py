@@ -30,6 +30,7 @@ from stable_data.errors import MeshError, Notice
 from stable_data.geometry.gltf_reader import load_surfaces
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.conversion import ConversionContext, ConversionSettings, SetScale, convert, extents_of
+from stable_data.importers.conversion.scaling import choose_scale
 from stable_data.importers.readers import reader_of
 from stable_data.importers.source import ReaderOptions, SourceAsset
 
@@ -174,7 +175,12 @@ def mesa_assets(data: Path) -> Iterator[tuple[SourceAsset, float]]:
 
 
 def study(
-    what: str, assets: Sequence[tuple[SourceAsset, float]], context: ConversionContext, *, common: bool = False
+    what: str,
+    assets: Sequence[tuple[SourceAsset, float]],
+    context: ConversionContext,
+    *,
+    common: bool = False,
+    is_normalised: bool = False,
 ) -> ScaleStudy:
     """Estimates scales that are withheld.
 
@@ -182,18 +188,23 @@ def study(
         what: What is measured.
         assets: Assets with their true units.
         context: Its table of sizes leaves out what was measured on the assets.
-        common: Whether the assets are taken as one set with one unit, as in the folder of a kit; else each counts alone.
+        common: Whether the assets are taken as one folder, whose unit counts as the import chooses; else each counts alone.
+        is_normalised: Whether each file has a unit of its own, in which the longest side is 1; else all are in metres.
     """
-    found = []
-    boxes = [
-        (asset, np.multiply(extents_of(asset.surfaces), unit)) for asset, unit in assets
-    ]  # metres, so that 1 is the true unit
-    shared = context.set_scale([(asset, box.tolist()) for asset, box in boxes]) if common else None
-    for asset, box in boxes:
+    found, boxes = [], []
+    for asset, unit in assets:
+        box = np.multiply(extents_of(asset.surfaces), unit)
+        boxes.append((asset, box, 1 / float(box.max()) if is_normalised else 1.0))
+    shared = context.set_scale([(asset, (box * factor).tolist()) for asset, box, factor in boxes]) if common else None
+    for asset, box, factor in boxes:
         category = context.vocabulary.name(asset).category
-        estimate = shared or context.sizes.infer_scale(category, box.tolist())
-        if estimate is not None:
-            found.append(HiddenScale(asset.name, category, estimate.unit_m, estimate.confidence))
+        hidden = replace(asset, unit_m=None, size_m=None)
+        try:
+            estimate = choose_scale(hidden, category, box * factor, context.sizes, set_scale=shared)
+        except MeshError:  # no size of its category is known
+            continue
+        if estimate.confidence is not None:
+            found.append(HiddenScale(asset.name, category, estimate.unit_m * factor, estimate.confidence))
     return ScaleStudy(what, len(assets), tuple(found))
 
 
@@ -205,6 +216,7 @@ def studies(data: Path, samples: Path | None, context: ConversionContext) -> Ite
     if (data / "truth.json").is_file():
         found = list(mesa_assets(data))
         yield study("dataset, each alone", found, context)
+        yield study("of which all, in one folder, each normalised", found, context, common=True, is_normalised=True)
         for prefix, name in _SETS.items():
             own = [each for each in found if each[0].name.startswith(prefix)]
             if own:

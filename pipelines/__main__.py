@@ -39,12 +39,10 @@ app.add_typer(training)
 
 Kind = Annotated[
     str,
-    typer.Argument(
-        help="mesh (GLB, glTF, OBJ, DAE, STL, PLY), sdformat (Gazebo model folders), urdf, mjcf (MuJoCo models of objects) or usd."
-    ),
+    typer.Argument(metavar="KIND", help="Format of the files: mesh, sdformat, urdf, mjcf or usd (docs/import.md)."),
 ]
 SourceFolder = Annotated[
-    str, typer.Argument(metavar="DIR", help="The folder as its authors ship it; nothing outside of it is read.")
+    str, typer.Argument(metavar="DIR", help="Source folder, as its authors ship it; nothing outside is read.")
 ]
 LibraryOut = Annotated[
     str, typer.Option(metavar="LIBRARY", help="Run folder for the library, outside of DIR; --assets takes it.")
@@ -52,18 +50,27 @@ LibraryOut = Annotated[
 Preset = Annotated[
     str,
     typer.Option(
-        help="For mesh, the layout of a known set: objaverse, graspnet_infinite, graspnet, ycb, kaykit or sweethome3d."
+        metavar="NAME",
+        help="For mesh, the layout of a known set: objaverse, graspnet_infinite, graspnet, ycb, kaykit or sweethome3d.",
     ),
 ]
 Manifest = Annotated[
-    str, typer.Option(help="For mesh, a CSV or JSONL file in DIR with a row for each asset; docs/import.md lists its columns.")
+    str,
+    typer.Option(
+        metavar="FILE", help="For mesh, a CSV or JSONL file in DIR with a row for each asset; docs/import.md lists its columns."
+    ),
 ]
 Licence = Annotated[
-    str, typer.Option(help="The licence of assets whose source names no known one, such as CC-BY-4.0; else they are refused.")
+    str,
+    typer.Option(
+        metavar="NAME", help="Licence of assets whose source names no known one, such as CC-BY-4.0; else they are refused."
+    ),
 ]
 AllowedLicence = Annotated[
     list[str] | None,
-    typer.Option("--allow-licence", help="Also take assets of this licence, such as CC-BY-NC-4.0; may be repeated."),
+    typer.Option(
+        "--allow-licence", metavar="NAME", help="Also take assets of this licence, such as CC-BY-NC-4.0; may be repeated."
+    ),
 ]
 Scenes = Annotated[
     str, typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it.")
@@ -118,8 +125,9 @@ def import_assets(
 ) -> None:
     """Make a library of the assets in a folder, with scale, mass, resting poses, colliders, textures and licence.
 
-    Run again to continue after a stop. Status 0: done. 1: some assets were refused; the table failures gives the reasons. 2: could
-    not start.
+    Run again to continue after a stop.
+
+    Status 0: all assets are usable. 1: some were refused; the table failures gives the reasons. 2: could not start.
     """
     from pipelines.asset_import.job import ImportJob
     from pipelines.asset_import.job import import_assets as run
@@ -173,7 +181,7 @@ def preprocess(
 ) -> None:
     """Turn a dataset into tables with stages and geometry. Run again to continue after a stop.
 
-    Status 0: done. 1: some scenes or assets could not be used; the table failures gives the reasons. 2: could not start.
+    Status 0: done. 1: some scenes or assets are not usable; the table failures gives the reasons. 2: could not start.
     """
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe
@@ -447,7 +455,7 @@ def synth(
 @app.command("settings")
 @with_clear_errors
 def show_settings(
-    verb: Annotated[str, typer.Argument(help="The job, such as generate.")],
+    verb: Annotated[str, typer.Argument(metavar="JOB", help="The job, such as generate.")],
     preset: Annotated[str, typer.Option(help="For a training job: show the values of this preset.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object for each setting.")] = False,
 ) -> None:

@@ -87,7 +87,9 @@ def main() -> None:
     """Tabletop scenes as data: make, audit, inspect, select, export."""
 
 
-SynthOut = Annotated[Path, typer.Argument(help="Output folder, in the MesaTask-10K format; run again to continue.")]
+SynthOut = Annotated[
+    Path, typer.Argument(metavar="OUT", help="Output folder, in the MesaTask-10K format; run again to continue.")
+]
 NumScenes = Annotated[int, typer.Option("--scenes", help="Number of scenes.")]
 Seed = Annotated[int, typer.Option(help="Random seed; scene k depends only on the seed and on k.")]
 Tables = Annotated[list[str] | None, typer.Option("--table", help="Kind of table; may be repeated. Default: all kinds.")]
@@ -159,8 +161,10 @@ def _on_ray(out: Path, scenes: int, world: "EmbeddedWorld", workers: int, addres
 @app.command("draft-edits")
 @with_clear_errors
 def draft_edits(
-    run: Annotated[str, typer.Argument(help="A run with scenes of the embedded world; folder or URI.")],
-    out: Annotated[str | None, typer.Argument(help="Folder for the table edits; default: the run itself.")] = None,
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run with scenes of the embedded world; folder or URI.")],
+    out: Annotated[
+        str | None, typer.Argument(metavar="OUT", help="Folder for the table edits; default: the run itself.")
+    ] = None,
     per_scene: Annotated[int, typer.Option(min=1, help="Edits per scene, of each kind in turn.")] = 4,
     seed: Annotated[
         int, typer.Option(min=0, help="Random seed; the edits of a scene depend only on the seed and on the scene.")
@@ -192,14 +196,17 @@ def draft_edits(
 @app.command()
 @with_clear_errors
 def lint(
-    folder: Annotated[Path, typer.Argument(help="A folder in the MesaTask-10K format, or of scene files of MuJoCo or USD.")],
-    table: Annotated[Path | None, typer.Option(help="Output file with one row per scene (Parquet).")] = None,
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A folder in the MesaTask-10K format, or of scene files (MuJoCo, USD).")
+    ],
+    table: Annotated[Path | None, typer.Option(metavar="FILE", help="Output file with one row per scene (Parquet).")] = None,
     quiet: Annotated[bool, typer.Option(help="Show no progress bar.")] = False,
 ) -> None:
     """Audit every scene exactly: collisions with their depths, floating and sunk objects, objects out of bounds.
 
-    The audit runs in this process: a file that crashes its parser ends the command. Status 0: all scenes were read and judged. 1:
-    some were not; they are listed.
+    The audit runs in this process: a file that crashes its parser ends the command.
+
+    Status 0: all scenes were judged. 1: some are not usable and are listed. 2: there is no scene, or could not start.
     """
     from stable_data.mesatask.lint import lint_folder, prepare_place
     from stable_data.mesatask.writing import LAYOUT_FOLDER
@@ -210,10 +217,7 @@ def lint(
     if folder.is_dir() and not (folder / LAYOUT_FOLDER).exists():
         from stable_data.importers.scenes.lint import lint_scene_files, scene_candidates
 
-        paths = scene_candidates(folder)
-        result = (
-            lint_scene_files(folder, paths, progress=shows_progress) if paths else lint_folder(folder, progress=shows_progress)
-        )
+        result = lint_scene_files(folder, scene_candidates(folder), progress=shows_progress)
     else:
         result = lint_folder(folder, progress=shows_progress)
     typer.echo(str(result))
@@ -225,7 +229,7 @@ def lint(
 
 @app.command()
 @with_clear_errors
-def inspect(run: Annotated[str, typer.Argument(help="A run: folder or URI.")]) -> None:
+def inspect(run: Annotated[str, typer.Argument(metavar="RUN", help="A run: folder or URI.")]) -> None:
     """Print the content of a run: its manifest, its tables and their numbers of rows."""
     from stable_data.storage.run_folder import RunFolder
     from stable_data.storage.schemas import SCHEMAS
@@ -244,8 +248,10 @@ def inspect(run: Annotated[str, typer.Argument(help="A run: folder or URI.")]) -
 @app.command()
 @with_clear_errors
 def query(
-    run: Annotated[str, typer.Argument(help="A run: folder or URI.")],
-    where: Annotated[str, typer.Argument(help='Condition on scenes, for example "clean and num_stacked >= 2".')],
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run: folder or URI.")],
+    where: Annotated[
+        str, typer.Argument(metavar="WHERE", help='Condition on scenes, for example "clean and num_stacked >= 2".')
+    ],
     to: Annotated[str | None, typer.Option(help="Folder or URI for a run of the selected scenes and their assets.")] = None,
 ) -> None:
     """Count the scenes of a run that satisfy a condition, or write them to a new run.
@@ -271,8 +277,8 @@ def query(
 @app.command()
 @with_clear_errors
 def export(
-    run: Annotated[str, typer.Argument(help="A run with the tables scenes, assets and meshes: folder or URI.")],
-    out: Annotated[Path, typer.Argument(help="Output folder; run again to continue.")],
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run with the tables scenes, assets and meshes: folder or URI.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder; run again to continue.")],
     format_name: Annotated[
         str,
         typer.Option(
@@ -342,7 +348,7 @@ _PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_op
 @with_clear_errors
 def import_(
     context: typer.Context,
-    kind: Annotated[str, typer.Argument(help="mesh, sdformat, urdf, mjcf, usd, or scenes.")] = "--help",
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="mesh, sdformat, urdf, mjcf, usd, or scenes.")] = "--help",
 ) -> None:
     """Make a library of the assets in a folder: import KIND DIR --out LIBRARY. Or a run of scene files: import scenes FILE|DIR --out RUN.
 
@@ -368,7 +374,7 @@ def supports(context: typer.Context) -> None:
 
 @app.command()
 @with_clear_errors
-def schemas(folder: Annotated[Path, typer.Argument(help="Output folder.")] = Path("schemas")) -> None:
+def schemas(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder.")] = Path("schemas")) -> None:
     """Write the JSON Schemas and the column descriptions of all tables."""
     from stable_data.storage.json_schemas import write_contracts
 

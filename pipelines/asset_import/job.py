@@ -100,7 +100,7 @@ class ImportJob(ShardJob):
             taken.add(name)
             lost.append(replace(notice, item_id=name))
         if not found:
-            found_here = f"all {len(lost)} assets are unusable, the first: {lost[0].message}" if lost else "no assets"
+            found_here = f"none of {len(lost)} assets is usable, the first: {lost[0].message}" if lost else "no assets"
             hint = "" if lost else "; is it another kind?"
             raise ConfigError(f"{self.root}: {found_here} (kind {self.kind}), expected some{hint}", "source_empty")
         return _Listing(found, tuple(lost))

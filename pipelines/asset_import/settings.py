@@ -4,8 +4,11 @@ from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
+from stable_data.assets.licences import KNOWN_LICENCES, normalise_licence
+from stable_data.errors import ConfigError
 from stable_data.importers.conversion import PERMISSIVE, ConversionSettings, SetScale
 from stable_data.importers.source import Axis, ReaderOptions
+from stable_data.json_text import quote_value
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,22 @@ class ImportSettings(Settings):
 
     seconds_per_item: Positive = 300.0
     """Seconds; an asset that takes longer is a failure. Not enforced without worker processes."""
+
+    def check(self) -> None:
+        """Refuses names of licences that are not known: no asset could have them.
+
+        Raises:
+            ConfigError: See above (``licence_unknown``).
+        """
+        named = [("licences (--allow-licence)", name) for name in sorted(self.licences)]
+        for setting, name in [*named, *([("licence (--licence)", self.licence)] if self.licence else [])]:
+            if normalise_licence(name) is None:
+                known = ", ".join(KNOWN_LICENCES)
+                found = f"setting {self.section}.{setting} is {quote_value(name)}, which names no known licence"
+                raise ConfigError(
+                    f"{found}, expected one of {known}; CC-BY and its kinds may have a version, such as CC-BY-4.0",
+                    "licence_unknown",
+                )
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows; a run is resumed only if they are equal."""

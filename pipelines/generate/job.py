@@ -66,7 +66,8 @@ class GenerateJob(ShardJob):
         """The tasks, of which those that are sampled may be limited to what the libraries have."""
         if not self.settings.draws_served(self.places):
             return self._asked
-        return served_tasks(self._asked, self._libraries.serves(self.settings.retrieval))
+        advice = self.settings.serving_advice(self.places)
+        return served_tasks(self._asked, self._libraries.serves(self.settings.retrieval), advice)
 
     @cached_property
     def _libraries(self) -> AssetLibraries:

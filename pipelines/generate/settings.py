@@ -139,6 +139,13 @@ class GenerateSettings(CorrectorJobSettings):
         is_foreign = bool(places) and EMBEDDED not in places
         return self.only_served == "always" or (self.only_served == "auto" and is_foreign)
 
+    def serving_advice(self, places: Collection[str]) -> str:
+        """What a user may do if the libraries other than ``embedded`` serve no sampled task."""
+        more = "name more libraries" if set(places) - {EMBEDDED} else "name a library other than embedded"
+        if self.only_served == "auto":
+            return f"{more}, add --assets embedded, or set only_served=never"
+        return f"{more}, or set only_served={'auto' if not places or EMBEDDED in places else 'never'}"
+
     def of_tasks(self, count: int) -> "GenerateSettings":
         """The settings with the shard size for a number of tasks."""
         return replace(self, scenes_per_shard=self.scenes_per_shard or shard_size(count, parts=8, fewest=_FEWEST, most=_MOST))

@@ -13,29 +13,38 @@ if TYPE_CHECKING:
     from pipelines.scene_files.repair import RepairOptions
     from stable_data.importers.scenes.standing import Upright
 
-Source = Annotated[Path, typer.Argument(help="A scene file (MuJoCo XML or USD), or a folder of scene files.")]
+Source = Annotated[
+    Path, typer.Argument(metavar="FILE|DIR", help="A scene file (MuJoCo XML or USD), or a folder of scene files.")
+]
 Root = Annotated[
     Path | None,
     typer.Option(
-        help="Folder outside of which nothing is read; default: the folder of the file. Name it if files above are included."
+        metavar="DIR",
+        help="Folder outside of which nothing is read; default: the folder of the file. Name it if files above are included.",
     ),
 ]
 Table = Annotated[
-    str, typer.Option(help="Body that carries all free bodies. Default: for each free body, the surface below it.")
+    str,
+    typer.Option(metavar="BODY", help="Body that carries all free bodies. Default: for each free body, the surface below it."),
 ]
-Key = Annotated[str, typer.Option(help="Keyframe of the poses, or initial. Default: home if the file has it, else initial.")]
+Key = Annotated[
+    str,
+    typer.Option(metavar="KEYFRAME", help="Keyframe of the poses, or initial. Default: home if the file has it, else initial."),
+]
 RepairKey = Annotated[
     str,
     typer.Option(
         "--key",
+        metavar="KEYFRAME",
         help="Keyframe of the poses, initial, or all: each that the file states. Default: home if there is one, else initial.",
     ),
 ]
 UprightMode = Annotated[
     str,
     typer.Option(
+        metavar="auto|body|keep",
         help="auto: what has fallen over is put on its feet. body: the z axis of each body points up wherever it can stand so. keep: tilts "
-        "stay as they are."
+        "stay as they are.",
     ),
 ]
 
@@ -46,7 +55,8 @@ def repair(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the repaired copies, each with all files that it needs; or, for a file, a new file beside it."
+            metavar="DIR|FILE",
+            help="Folder for the repaired copies, each with all files that it needs; or, for a file, a new file beside it.",
         ),
     ] = None,
     in_place: Annotated[bool, typer.Option("--in-place", help="Change the files themselves.")] = False,
@@ -56,13 +66,17 @@ def repair(
     upright: UprightMode = "auto",
     verdicts: Annotated[
         Path | None,
-        typer.Option(help="Table of verdicts (Parquet). Default: repair.parquet in the output folder; none with --in-place."),
+        typer.Option(
+            metavar="FILE",
+            help="Table of verdicts (Parquet). Default: repair.parquet in the output folder; none with --in-place.",
+        ),
     ] = None,
 ) -> None:
     """Repair scene files of other projects: free bodies come back upright, clean and at rest, all else stays as it is.
 
-    For a folder, each file is repaired in a separate process. Status 0: all files are clean and at rest. 1: some are not, or could not be
-    used; the lines say why. 2: could not start.
+    For a folder, each file is repaired in a separate process.
+
+    Status 0: all files are clean and at rest. 1: some are not, or are not usable; the lines say why. 2: could not start.
     """
     from pipelines.scene_files.folder import VERDICTS, RepairStatus, repair_folder, write_verdicts
 
@@ -81,7 +95,7 @@ def repair(
     if place is not None:
         write_verdicts(found, place)
     counts = ", ".join(f"{n} {status}" for status in RepairStatus if (n := sum(v.status is status for v in found)))
-    typer.echo(f"{source}: {len(found)} scene files: {counts or 'none has a free body'}" + (f"; {place}" if place else ""))
+    typer.echo(f"{source}: {len(found)} scene files: {counts}" + (f"; {place}" if place else ""))
     if any(v.status in (RepairStatus.UNSOLVED, RepairStatus.FAILED) for v in found):
         raise typer.Exit(SOME_FAILED)
 
@@ -126,7 +140,7 @@ def _repair_to_file(folder: Path, paths: list[str] | None, out: Path, options: "
 @with_clear_errors
 def import_scenes(
     source: Source,
-    out: Annotated[str, typer.Option(help="Folder or URI of the run: tables scenes, assets and meshes.")],
+    out: Annotated[str, typer.Option(metavar="RUN", help="Folder or URI of the run: tables scenes, assets and meshes.")],
     root: Root = None,
     table: Table = "",
     key: Key = "",
@@ -134,7 +148,7 @@ def import_scenes(
 ) -> None:
     """Import scene files of other projects as a run, which correct, export and the other jobs read.
 
-    Status 0: done. 1: some files could not be used; the table failures gives the reasons. 2: could not start.
+    Status 0: done. 1: some files are not usable; the table failures gives the reasons. 2: could not start.
     """
     from pipelines.scene_files.importing import import_scenes as run
 

@@ -15,8 +15,7 @@ from pipelines.scene_files.repair import BodyReport, Repair, RepairOptions, repa
 from stable_data.errors import ConfigError, MeshError, SceneError, StableDataError, cannot_write
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.copies import CopyWriter
-from stable_data.importers.scenes.formats import SUFFIXES
-from stable_data.importers.scenes.lint import scene_candidates
+from stable_data.importers.scenes.lint import no_scene_error, scene_candidates
 
 R = TypeVar("R")
 
@@ -127,16 +126,14 @@ def repair_folder(
         parts of others, are left out.
 
     Raises:
-        ConfigError: The folder does not exist, holds no scene file, or the output cannot be written.
+        ConfigError: The folder does not exist, holds no scene, or the output cannot be written.
     """
     isolates = paths is None
     found = scene_candidates(root) if paths is None else list(paths)
-    if not found:
-        kinds = ", ".join(sorted(SUFFIXES))
-        raise ConfigError(f"{root}: no scene file, expected at least one ({kinds}); check the path", "source_missing")
     writer = CopyWriter(root, out)
     used: set[str] = set()
     failures: list[FileVerdict] = []
+    num_repaired = 0
     with IsolatedProcess() as process:
         for path in tqdm(found, desc="repair", unit="file", disable=not progress):
             try:
@@ -148,11 +145,12 @@ def repair_folder(
             except StableDataError as error:
                 failures.append(FileVerdict.failed(path, error))
                 continue
+            num_repaired += 1
             yield from map(FileVerdict.of, repairs)
-    for verdict in failures:
-        is_part = isolates and (verdict.code == "no_free_body" or verdict.path in used)
-        if not is_part:
-            yield verdict
+    left = [v for v in failures if not isolates or (v.code != "no_free_body" and v.path not in used)]
+    if not num_repaired and not left:
+        raise no_scene_error(root, len(found))
+    yield from left
 
 
 def call_for_file(

@@ -19,9 +19,8 @@ from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.scenes.formats import SUFFIXES
 from stable_data.importers.scenes.layouts import ImportedScene, scene_source, scenes_of_file
-from stable_data.importers.scenes.lint import scene_candidates
+from stable_data.importers.scenes.lint import no_scene_error, scene_candidates
 from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.metrics.audit import audit_scene
@@ -69,12 +68,9 @@ def import_scenes(
         progress: Whether to show a progress bar.
 
     Raises:
-        ConfigError: The folder does not exist or holds no scene file, or the run cannot be written or belongs to another import.
+        ConfigError: The folder does not exist or holds no scene, or the run cannot be written or belongs to another import.
     """
     found = scene_candidates(root) if paths is None else list(paths)
-    if not found:
-        kinds = ", ".join(sorted(SUFFIXES))
-        raise ConfigError(f"{root}: no scene file, expected at least one ({kinds}); check the path", "source_missing")
     assets, read, failures, used = SceneAssets(), list[ImportedScene](), list[Notice](), set[str]()
     warnings: list[Notice] = []
     num_files = 0
@@ -92,6 +88,8 @@ def import_scenes(
             assets.add(result.scenes)
     if paths is None:  # a part of a scene is no scene
         failures = [n for n in failures if n.code != "no_free_body" and n.item_id not in used]
+    if not read and not failures:
+        raise no_scene_error(root, len(found))
     return _write_run(root, RunFolder(out), options, assets, read, warnings, failures, num_files)
 
 

@@ -169,10 +169,15 @@ def tasks_on_supports(source: TaskSource, supports: str) -> TaskSource:
     return replace(source, tasks=tasks, supports=absolute_uri(supports))
 
 
-def served_tasks(source: TaskSource, serves: Callable[[str], bool]) -> TaskSource:
+def served_tasks(source: TaskSource, serves: Callable[[str], bool], advice: str) -> TaskSource:
     """Returns a source whose sampled tasks ask only for objects that the libraries have, with its other tasks as they are.
 
     Table types are left out of which fewer than eight of 50 tasks are served, each with a notice.
+
+    Args:
+        source: The tasks.
+        serves: Whether a library other than ``embedded`` has a wanted thing, by its category.
+        advice: What a user may do if no table type is served.
 
     Raises:
         ConfigError: The libraries serve no table type (``tasks_not_served``).
@@ -184,8 +189,8 @@ def served_tasks(source: TaskSource, serves: Callable[[str], bool]) -> TaskSourc
     kinds = tuple(kind for kind in asked if _is_served(kind, seed, serves))
     if not kinds:
         raise ConfigError(
-            f"the libraries have the objects of hardly any task of {', '.join(asked)}, expected a table type with tasks that they can "
-            "serve; name more libraries, add --assets embedded, or set only_served=never",
+            f"the libraries other than embedded have the objects of hardly any task of {', '.join(asked)}, expected a table type with "
+            f"tasks that they can serve; {advice}",
             "tasks_not_served",
         )
     notices = [

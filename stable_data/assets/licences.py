@@ -98,6 +98,12 @@ _OTHERS = tuple(
         (r"\bunlicense\b", "Unlicense"),
     )
 )
+KNOWN_LICENCES = (
+    *("CC0-1.0", "CC-BY", "CC-BY-SA", "CC-BY-NC", "CC-BY-ND", "CC-BY-NC-SA", "CC-BY-NC-ND"),
+    *(name for _, name in _OTHERS if name != "CC0-1.0"),
+)
+"""All identifiers that :func:`normalise_licence` returns, those of Creative Commons without their versions."""
+
 _NON_COMMERCIAL = re.compile(r"(?:non?|not(?: for)?)[ -]*commercial|(?<![a-z])nc(?![a-z])|by-?nc|\bnicht[ -]?kommerziell")
 _NO_DERIVATIVES = re.compile(r"no[ -]*deriv|(?<![a-z])nd(?![a-z])|(?:by|nc)-?nd")
 _SHARE_ALIKE = re.compile(r"share[ -]*alike|(?<![a-z])sa(?![a-z])|(?:by|nc)-?sa")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow.compute as pc
 
-from stable_data.geometry.mass_properties import inertia_of, second_moments
+from stable_data.geometry.mass_properties import inertia_of, second_moments, usable_inertia
 from stable_data.scene import FloatArray, Vec3
 
 PHYSICS_COLUMNS = ("mass_source", "typical_scale", "mass", "center_of_mass", "inertia", "inertia_per_mass", "friction")
@@ -16,10 +16,6 @@ PHYSICS_COLUMNS = ("mass_source", "typical_scale", "mass", "center_of_mass", "in
 IS_WEIGHED = pc.field("mass_source").is_valid()
 """Condition on the rows that state a mass with its origin."""
 
-# Second moments of a body are never negative. Numbers that were rounded may give one that is slightly below 0: it is raised to a
-# small share of their sum, which a physics engine accepts. One that is farther below 0 belongs to no body, and two that are nearly 0
-# belong to a rod without thickness, which could spin at any speed.
-_ROUNDED, _SMALLEST, _THINNEST = 1e-2, 1e-6, 1e-5
 _LARGEST = 1e12  # a larger number is none of an asset, in any unit
 
 
@@ -85,15 +81,7 @@ def _inertia(values: Any) -> FloatArray | None:
     found = _numbers(values, 9)
     if found is None:
         return None
-    tensor = found.reshape(3, 3)
-    tensor = (tensor + tensor.T) / 2
-    moments, axes = np.linalg.eigh(second_moments(tensor))
-    total = float(moments.sum())
-    if not (total > 0 and moments[0] >= -_ROUNDED * total and moments[1] >= _THINNEST * total):
-        return None
-    if moments[0] >= _SMALLEST * total:
-        return tensor
-    return inertia_of((axes * np.maximum(moments, _SMALLEST * total)) @ axes.T)
+    return usable_inertia(found.reshape(3, 3))
 
 
 def _numbers(values: Any, count: int) -> FloatArray | None:

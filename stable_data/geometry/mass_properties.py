@@ -8,6 +8,11 @@ from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh, double_areas, signed_volumes
 from stable_data.scene import FloatArray
 
+# Second moments of a body are never negative. Numbers that were rounded may give one that is slightly below 0: it is raised to a
+# small share of their sum, which a physics engine accepts. One that is farther below 0 belongs to no body, and two that are nearly 0
+# belong to a rod without thickness, which could spin at any speed.
+_ROUNDED, _SMALLEST, _THINNEST = 1e-2, 1e-6, 1e-5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MassProperties:
@@ -70,3 +75,15 @@ def inertia_of(moments: FloatArray) -> FloatArray:
 def second_moments(inertia: FloatArray) -> FloatArray:
     """Computes the second moments of a body's mass, ∫ x xᵀ dm, (3, 3), from its inertia tensor, (3, 3)."""
     return np.asarray(np.trace(inertia) / 2 * np.eye(3) - inertia)
+
+
+def usable_inertia(tensor: FloatArray) -> FloatArray | None:
+    """Returns an inertia tensor, (3, 3), without its rounding errors; None if no body can have it, or only a rod without thickness."""
+    tensor = (tensor + tensor.T) / 2
+    moments, axes = np.linalg.eigh(second_moments(tensor))
+    total = float(moments.sum())
+    if not (total > 0 and moments[0] >= -_ROUNDED * total and moments[1] >= _THINNEST * total):
+        return None
+    if moments[0] >= _SMALLEST * total:
+        return tensor
+    return inertia_of((axes * np.maximum(moments, _SMALLEST * total)) @ axes.T)

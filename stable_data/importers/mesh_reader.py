@@ -14,7 +14,7 @@ from stable_data.importers.mesh_entries import MeshEntry, manifest_entries
 from stable_data.importers.mesh_files import AXES, files_beside, read_mesh_file, transformed, z_up
 from stable_data.importers.mesh_presets import plain_meshes, preset_meshes
 from stable_data.importers.source import Axis, GivenInertial, GivenLicence, ReaderOptions, SourceAsset, SourceRef
-from stable_data.importers.stated_licences import LicenceFiles, licence_of_field, licences_of_file
+from stable_data.importers.stated_licences import LicenceFiles, author_of_copyright, licence_of_field, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
 from stable_data.scene import Vec3
 
@@ -70,7 +70,7 @@ class MeshReader:
             category=entry.get("category", ""),
             description=entry.get("description", ""),
             tags=tuple(entry.get("tags", ())),
-            author=entry.get("author", "") or file.author,
+            author=entry.get("author", "") or file.author or author_of_copyright(file.copyright),
             url=entry.get("url", ""),
             source_set=entry.get("set", ""),
             licences=_licences(root, entry, file, ref.path),
@@ -130,8 +130,8 @@ def _licences(root: Boundary, entry: MeshEntry, file: MeshFile, path: str) -> tu
     found = []
     if entry.get("licence"):
         found.append(GivenLicence(entry["licence"][:1000], entry.get("licence_where", "")))
-    if (inside := licence_of_field(file.licence, PurePosixPath(path).name)) is not None:
-        found.append(inside)
+    inside = (licence_of_field(text, PurePosixPath(path).name) for text in (file.licence, file.copyright))
+    found += [licence for licence in inside if licence is not None]
     if "licence_file" in entry:
         found += licences_of_file(root, entry["licence_file"])
     return tuple(found)

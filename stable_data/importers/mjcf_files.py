@@ -28,7 +28,9 @@ _MAX_ELEMENTS = 200_000  # elements of one XML file
 _MAX_INCLUDES = 200  # files that a model includes or attaches
 _COPYING = frozenset({"replicate", "composite", "flexcomp"})
 _MAX_COPIES = 10_000
-_TEXTURE_SIDES = ("fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+FILE_ATTRIBUTES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
+"""Attributes of an element that name files."""
+
 _FOLDERS_OF = {
     "mesh": ("meshdir", "assetdir"),
     "skin": ("meshdir", "assetdir"),
@@ -36,6 +38,21 @@ _FOLDERS_OF = {
     "flexcomp": ("meshdir", "assetdir"),
     "texture": ("texturedir", "assetdir"),
 }
+
+
+def file_reference(element: str, file: str, compiler: Mapping[str, str]) -> str:
+    """Returns the name of a file as MuJoCo looks for it from the folder of the model.
+
+    Args:
+        element: The element that names it, such as ``mesh``.
+        file: The name in the element.
+        compiler: The attributes of ``compiler``, which may state a directory for the element.
+    """
+    name = file.replace("\\", "/")
+    if compiler.get("strippath", "").lower() == "true":
+        name = PurePosixPath(name).name
+    folder = next((compiler[key] for key in _FOLDERS_OF.get(element, ()) if compiler.get(key)), "")
+    return f"{folder}/{name}" if folder and not name.startswith("/") else name
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,18 +260,15 @@ def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> list[Eleme
             compiler |= tag.attributes
     folder = posixpath.dirname(path)
     for tag in tags:
-        names = [value for key, value in tag.attributes.items() if (key == "file" or key in _TEXTURE_SIDES) and value.strip()]
+        names = [value for key, value in tag.attributes.items() if key in FILE_ATTRIBUTES and value.strip()]
         for name in names:
             if tag.name == "model":
-                attached = _place(scan, path, folder, (), name)
+                attached = _place(scan, path, folder, name)
                 if attached in (path, *above):
                     raise _read_twice(path, attached)
                 _collect_model(scan, attached, (*above, path))
                 continue
-            folders = [compiler[key] for key in _FOLDERS_OF.get(tag.name, ()) if compiler.get(key)][:1]
-            if compiler.get("strippath", "false") == "true":
-                name = PurePosixPath(name.replace("\\", "/")).name
-            _place(scan, path, folder, folders, name)
+            _place(scan, path, folder, file_reference(tag.name, name, compiler))
     return elements
 
 
@@ -271,14 +285,13 @@ def _collect_document(scan: _Scan, main: str, path: str, seen: set[str]) -> None
         if tag.name == "include":
             name = tag.attributes.get("file", "")
             # MuJoCo looks for includes of includes beside the main file too.
-            place = _place(scan, path, posixpath.dirname(main), (), name, is_include=True)
+            place = _place(scan, path, posixpath.dirname(main), name, is_include=True)
             scan.included[path, k] = place
             _collect_document(scan, main, place, seen)
 
 
-def _place(scan: _Scan, path: str, folder: str, folders: list[str] | tuple[()], name: str, *, is_include: bool = False) -> str:
+def _place(scan: _Scan, path: str, folder: str, reference: str, *, is_include: bool = False) -> str:
     """Reads a file that a model names, and returns the path at which MuJoCo looks for it, relative to the source folder."""
-    reference = "/".join([*folders, name]) if not name.startswith("/") else name
     try:
         found = scan.boundary.resolve(reference, folder)
     except MeshError as error:
@@ -286,7 +299,7 @@ def _place(scan: _Scan, path: str, folder: str, folders: list[str] | tuple[()], 
         raise MeshError(f"{path}: {error}", code) from error
     place = posixpath.normpath(posixpath.join(folder, reference.replace("\\", "/")))
     if place.startswith("../") or place == "..":
-        raise MeshError(f"{path}: {quote_value(name)} leaves the folder, expected a path inside of it", "path_outside")
+        raise MeshError(f"{path}: {quote_value(reference)} leaves the folder, expected a path inside of it", "path_outside")
     if place not in scan.contents:
         scan.contents[place] = scan.boundary.read_bytes(found)
     return place

@@ -1,7 +1,7 @@
 """Rigid models of links, shapes and joints, as SDFormat and URDF describe them, and how one becomes an asset."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import Literal, TypeAlias
@@ -14,8 +14,9 @@ from stable_data.geometry.primitive_shapes import box_triangles, capsule_triangl
 from stable_data.geometry.surface import Surface
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.mesh_file import MeshFile
-from stable_data.importers.mesh_files import joined_triangles, read_mesh_file, transformed, z_up
-from stable_data.importers.source import GivenInertial, SourceAsset
+from stable_data.importers.mesh_files import files_beside, joined_triangles, read_mesh_file, transformed, z_up
+from stable_data.importers.source import GivenInertial, SourceAsset, SourceRef
+from stable_data.importers.stated_licences import LicenceFiles
 from stable_data.scene import FloatArray, Vec3
 
 WORLD = "world"
@@ -401,7 +402,43 @@ def _primitive(geometry: Geometry) -> FloatArray:
     return np.asarray(sphere_triangles() * np.array(size))
 
 
-def mesh_paths(model: RigidModel) -> Iterator[str]:
+def found_model(
+    root: Boundary,
+    path: str,
+    asset_id: str,
+    licences: LicenceFiles,
+    read: Callable[[Boundary, str, str], RigidModel],
+    name: str = "",
+    listed: Collection[str] = (),
+) -> SourceRef:
+    """Returns a model that was found as an item, with all its files that are known without a look at geometry.
+
+    Args:
+        root: The boundary of the source folder.
+        path: Its main file, relative to the folder.
+        asset_id: Its identifier.
+        licences: The licence files of the folder.
+        read: Reads a model, given a boundary, its main file and its identifier.
+        name: Its name, if that is known; the entry ``name`` of the item.
+        listed: Further files of it; what lies beside them is among them.
+    """
+    own, known, files = Boundary(root.root, root.limits), {"name": name} if name else {}, dict.fromkeys((path, *listed))
+    if (licence := licences.nearest(path)) is not None:
+        known["licence_file"] = licence
+        files[licence] = None
+    try:
+        model = read(own, path, asset_id)
+    except MeshError:  # it is read again, and then it is the failure of this asset
+        return SourceRef(asset_id, path, tuple(files), known)
+    beside = set(listed)
+    for mesh in dict.fromkeys(_mesh_paths(model)):
+        if mesh not in beside:
+            files |= dict.fromkeys((mesh, *files_beside(own, mesh)))
+    files |= dict.fromkeys(sorted(own.opened))
+    return SourceRef(asset_id, path, tuple(files), known)
+
+
+def _mesh_paths(model: RigidModel) -> Iterator[str]:
     """The mesh files and textures of a model."""
     for link in model.links:
         for shape in (*link.visuals, *link.collisions):

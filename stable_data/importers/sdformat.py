@@ -6,7 +6,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from stable_data.importers.formats.model_xml import (
     text_of,
 )
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
-from stable_data.importers.mesh_files import SUFFIXES, files_beside
+from stable_data.importers.mesh_files import SUFFIXES
 from stable_data.importers.rigid_models import (
     MOST_LINKS,
     WORLD,
@@ -33,7 +32,7 @@ from stable_data.importers.rigid_models import (
     LinkShape,
     RigidModel,
     assemble,
-    mesh_paths,
+    found_model,
 )
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licence_of_text, licences_of_file
@@ -140,30 +139,18 @@ class _Config:
 
 def _found(root: Boundary, path: str, ids: AssetIds, licences: LicenceFiles) -> SourceRef:
     """A model as an item: its name, and the files beside it."""
-    place, own = PurePosixPath(path), Boundary(root.root, root.limits)
-    is_folder = place.name.lower() == CONFIG
-    name = (place.parent.name or root.root.name) if is_folder else place.stem
-    asset_id = ids.of_path(name, place.parent.as_posix() if is_folder else path)
-    entry: dict[str, Any] = {"name": name}
-    files = {path: None}
-    if (licence := licences.nearest(path)) is not None:
-        entry["licence_file"] = licence
-        files[licence] = None
-    if is_folder:
-        folder = Boundary(root.root / place.parent, root.limits)
-        inside = itertools.islice(folder.files(_OF_A_MODEL), root.limits.max_files)
-        files |= dict.fromkeys((place.parent / name).as_posix() for name in inside if is_unicode(name))
-    try:
-        main = _Config.read(own, path).model if is_folder else path
-        model = read_model(own, main, asset_id)
-    except MeshError:  # it is read again, and then it is the failure of this asset
-        pass
-    else:
-        for mesh in dict.fromkeys(mesh_paths(model)):
-            if mesh not in files or not is_folder:  # all files of a model folder are listed
-                files |= dict.fromkeys((mesh, *files_beside(own, mesh)))
-        files |= dict.fromkeys(own.opened)
-    return SourceRef(asset_id, path, tuple(files), entry)
+    place = PurePosixPath(path)
+    if place.name.lower() != CONFIG:
+        return found_model(root, path, ids.of_path(place.stem, path), licences, read_model, place.stem)
+    name = place.parent.name or root.root.name
+    folder = Boundary(root.root / place.parent, root.limits)
+    inside = itertools.islice(folder.files(_OF_A_MODEL), root.limits.max_files)
+    listed = [(place.parent / file).as_posix() for file in inside if is_unicode(file)]
+
+    def read(own: Boundary, config: str, asset_id: str) -> RigidModel:
+        return read_model(own, _Config.read(own, config).model, asset_id)
+
+    return found_model(root, path, ids.of_path(name, place.parent.as_posix()), licences, read, name, listed)
 
 
 def read_model(root: Boundary, path: str, asset_id: str) -> RigidModel:

@@ -13,6 +13,11 @@ _LICENCE_FILE = re.compile(r"^(?:licen[cs]es?|copying|unlicense)(?:[._ -].*)?$",
 _README = re.compile(r"^read[ _-]?me(?:\..*)?$", re.IGNORECASE)
 _WORDS = re.compile(r"licen[cs]e|creative ?commons|\bcc[ -]?(?:by|0)\b|public domain", re.IGNORECASE)
 _RESTRICTED = re.compile(r"\b[al]?gpl\b|general public licen[cs]e|non[ -]?commercial", re.IGNORECASE)
+_MARKS = re.compile(
+    r"\S*(?:://|www\.)[^\s()]*|\bcopyright\b|\(c\)|©|\b(?:19|20)\d\d\b(?: ?[-–] ?(?:(?:19|20)\d\d|present)\b)?", re.IGNORECASE
+)
+_PARTS = re.compile(r"[,;|()]|(?<=\w\w\w)\.(?: |$)| [-–] ")
+_RIGHTS = re.compile(r"\brights?\b", re.IGNORECASE)
 _TEXT_SUFFIXES = ("", ".txt", ".md", ".rst")
 _HEAD = 65_536  # bytes of a file that are looked at
 _MOST_LINES = 80  # lines of a file that are looked at
@@ -94,6 +99,16 @@ def licence_of_text(text: str, where: str) -> GivenLicence | None:
 def licence_of_field(text: str, where: str) -> GivenLicence | None:
     """Returns the licence in a field that may hold a copyright alone; None if it names no licence."""
     return _given([text], where) if normalise_licence(text) or _WORDS.search(text) else None
+
+
+def author_of_copyright(text: str) -> str:
+    """Returns who a line of copyright names, without the years and the licence; empty if it names nobody."""
+    named = []
+    for part in _PARTS.split(" ".join(_MARKS.sub(" ", text[:_MOST_CHARACTERS]).split())):
+        words = part.strip(" .-")
+        if any(map(str.isalpha, words)) and not (_WORDS.search(words) or _RIGHTS.search(words) or normalise_licence(words)):
+            named.append(words)
+    return ", ".join(named)
 
 
 def _given(lines: list[str], where: str) -> GivenLicence:

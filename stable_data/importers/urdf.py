@@ -4,7 +4,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
-from typing import Any
 
 import numpy as np
 
@@ -21,8 +20,7 @@ from stable_data.importers.formats.model_xml import (
     rotation_of_rpy,
 )
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
-from stable_data.importers.mesh_files import files_beside
-from stable_data.importers.rigid_models import MOST_LINKS, Geometry, Joint, Link, LinkShape, RigidModel, assemble, mesh_paths
+from stable_data.importers.rigid_models import MOST_LINKS, Geometry, Joint, Link, LinkShape, RigidModel, assemble, found_model
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
@@ -47,7 +45,7 @@ class UrdfReader:
                     asset_id_of(name), "find", "model_unreadable", f"{path}: is a xacro macro, expected a URDF; {_XACRO}"
                 )
             else:
-                yield _found(root, path, ids.of_path(name, path), licences)
+                yield found_model(root, path, ids.of_path(name, path), licences, read_model)
 
     def read(self, root: Boundary, ref: SourceRef, options: ReaderOptions) -> SourceAsset:
         """Reads a file; see :class:`stable_data.importers.source.Reader`."""
@@ -61,22 +59,6 @@ class UrdfReader:
             licences=licences_of_file(root, beside) if beside else (),
             notices=(*(() if renamed is None else (renamed,)), *asset.notices),
         )
-
-
-def _found(root: Boundary, path: str, asset_id: str, licences: LicenceFiles) -> SourceRef:
-    """A file as an item, with the files that it names."""
-    own, entry, files = Boundary(root.root, root.limits), dict[str, Any](), {path: None}
-    if (licence := licences.nearest(path)) is not None:
-        entry["licence_file"] = licence
-        files[licence] = None
-    try:
-        model = read_model(own, path, asset_id)
-    except MeshError:  # it is read again, and then it is the failure of this asset
-        pass
-    else:
-        for mesh in dict.fromkeys(mesh_paths(model)):
-            files |= dict.fromkeys((mesh, *files_beside(own, mesh)))
-    return SourceRef(asset_id, path, tuple(files), entry)
 
 
 def read_model(root: Boundary, path: str, asset_id: str) -> RigidModel:

@@ -1,7 +1,8 @@
 """Mass, centre of mass and inertia of an imported asset: as its source states them, where they can be; else from a density.
 
 The table ``densities.csv`` names the source of each density. They are effective ones: a bottle counts as it stands on a table, with
-air or liquid in it.
+air or liquid in it. A density of a thing with thin walls would make a model with thick ones, or a solid one, far too heavy: ``fill`` is the
+largest share of its convex hull that a thing of the category fills, and more does not count.
 """
 
 import csv
@@ -29,6 +30,7 @@ _LIKELY = (5.0, 25_000.0)  # densities of solids, kg/m³: from foam to gold and 
 _OUTSIDE = 0.05  # by how much a centre of mass may lie outside of the hull, share of its size
 _ROUNDING = 1e-3  # relative error of an inertia that was written with few digits
 _LIGHTEST = 1e-3  # kilograms
+_FULLER = 1.1  # share of the hull that an asset may fill, relative to the fullest thing of its category
 _MOST_DENSE = 2.0  # density of a thing of a dense material, relative to that of its category
 
 
@@ -76,8 +78,10 @@ def inertial_of(
     volume = report.volume if report.is_solid else 0.0
     if given is None or not given.is_weighed or not 0 < given.mass < float("inf"):
         density, source = _density(material, category)
-        found = mass_properties(mesh, density=density, is_sheet=not report.is_solid)
-        return AssetInertial(max(_LIGHTEST, found.mass), source, material, None, None), _not_a_mass(asset_id, given)
+        mass = mass_properties(mesh, density=density, is_sheet=not report.is_solid).mass
+        if volume > 0:
+            mass *= _counted_share(mesh, volume, category)
+        return AssetInertial(max(_LIGHTEST, mass), source, material, None, None), _not_a_mass(asset_id, given)
     notices: tuple[Notice, ...] = ()
     if volume > 0 and not _LIKELY[0] <= given.mass / volume <= _LIKELY[1]:
         message = (
@@ -104,6 +108,18 @@ def _density(material: str | None, category: str) -> tuple[float, str]:
         own = densities["material", material]
         return (own if of_category is None else min(own, _MOST_DENSE * of_category)), "material"
     return (DEFAULT_DENSITY, "default") if of_category is None else (of_category, "category")
+
+
+def _counted_share(mesh: Mesh, volume: float, category: str) -> float:
+    """The share of a solid's volume that things of its category have too."""
+    most = _fills().get(_weighed_categories().known(category))
+    if most is None:
+        return 1.0
+    try:
+        hull = mass_properties(hull_of_mesh(mesh), density=1.0).mass
+    except MeshError:  # too thin for a hull
+        return 1.0
+    return min(1.0, _FULLER * most * hull / volume)
 
 
 def _not_a_mass(asset_id: str, given: GivenInertial | None) -> tuple[Notice, ...]:
@@ -163,6 +179,11 @@ def _rows() -> tuple[Mapping[str, str], ...]:
 @lru_cache(maxsize=1)
 def _densities() -> Mapping[tuple[str, str], float]:
     return {(row["kind"], row["name"]): float(row["density"]) for row in _rows()}
+
+
+@lru_cache(maxsize=1)
+def _fills() -> Mapping[str, float]:
+    return {row["name"]: float(row["fill"]) for row in _rows() if row["fill"]}
 
 
 @lru_cache(maxsize=1)

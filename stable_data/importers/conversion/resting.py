@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from stable_data.errors import MeshError
 from stable_data.geometry.convex_decomposition import hull_of_mesh
 from stable_data.geometry.hollow import Hollow, upward_hollow
+from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh import Mesh
 from stable_data.rotations import heading, normalise_quat, quat_of, rotation_matrix, tilt_of
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Tabletop
@@ -111,7 +112,7 @@ def resting_poses(
         return (StablePose(UPRIGHT, 1),), "up_axis"
     hull = hull_of_mesh(mesh)
     candidates = [own, *_quasi_static(hull, center_of_mass)]
-    rested = _dropped(candidates, hull)
+    rested = _dropped(candidates, hull, center_of_mass)
     if not rested:  # a needle or a ball that rolls: the source's axis is all that is known
         return (StablePose(UPRIGHT, 1),), "up_axis"
     center = np.zeros(3) if center_of_mass is None else center_of_mass
@@ -178,10 +179,14 @@ def _merged(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     return sorted(kept, key=lambda c: (-c.probability, not c.is_source))
 
 
-def _dropped(candidates: Sequence[_Candidate], hull: Mesh) -> list[_Candidate]:
+def _dropped(candidates: Sequence[_Candidate], hull: Mesh, center_of_mass: FloatArray | None) -> list[_Candidate]:
     """Lets an object fall by 2 mm in each pose, and returns the poses in which it comes to rest; on a table its hull touches."""
-    from stable_data.simulation.settling import PhysicsOptions, RigidBody, settle
+    from stable_data.simulation.settling import Inertial, PhysicsOptions, RigidBody, settle
 
+    try:
+        even = None if center_of_mass is None else mass_properties(hull, mass=_UNIT_MASS)
+    except MeshError:  # a hull without a volume
+        even = None
     reach = _GAP * float(np.linalg.norm(hull.extents))
     bodies = []
     for k, candidate in enumerate(candidates):
@@ -189,7 +194,11 @@ def _dropped(candidates: Sequence[_Candidate], hull: Mesh) -> list[_Candidate]:
         low, high = corners.min(axis=0), corners.max(axis=0)
         turned = Mesh(corners - (low + high) / 2, hull.faces)
         place = ((k + 0.5) * reach, reach / 2, float(high[2] - low[2]) / 2 + _DROP)
-        bodies.append(RigidBody(f"pose {k}", (turned,), _UNIT_MASS, place))
+        inertial = None
+        if center_of_mass is not None and even is not None:
+            matrix = candidate.matrix
+            inertial = Inertial(matrix @ center_of_mass - (low + high) / 2, matrix @ even.inertia @ matrix.T)
+        bodies.append(RigidBody(f"pose {k}", (turned,), _UNIT_MASS, place, inertial=inertial))
     options = PhysicsOptions(settle_seconds=_SECONDS, watch_seconds=0.1, rest_speed=5e-3)
     try:
         result = settle(bodies, Tabletop("table", (len(bodies) * reach, reach)), options)

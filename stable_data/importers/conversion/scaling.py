@@ -14,8 +14,8 @@ from stable_data.storage.schemas import Row
 SMALLEST, LARGEST = 1e-3, 5.0
 """Range of the longest side of an asset, metres."""
 _USUAL = (0.01, 2.0)  # longest side of a thing of unknown category, metres
-_ODD = 3.0  # an asset whose size would be wrong by more than this keeps its own scale and not that of its set
-_SURE = 0.6  # confidence of that own scale
+_SURE = 0.6  # confidence from which the unit of a set counts for its assets
+_ODD, _FAR = 3.0, 2.5  # factor, and standard deviations, by which an asset's own scale differs if it is not of that unit
 _UNKNOWN = 2.0  # factor by which a thing may be smaller or larger than the user's default
 _NOT_SAME = 1.1  # ratio by which the proportions of a stated size may differ from those of the mesh
 
@@ -70,8 +70,9 @@ def choose_scale(
         category: Its category.
         extents: Box of its surfaces, their unit, (3,).
         sizes: Sizes of categories.
-        set_scale: The common unit of its set, if one was found. An asset keeps it unless its size would then be wrong by more than a
-            factor of three for its category, such as a table among toys.
+        set_scale: The common unit of its set, if one was found. An asset of a set that surely has one unit keeps it, unless its size
+            would then be wrong by far for its category, such as a table among toys. In a folder of files of many units the surer
+            of both scales counts.
         default_longest_m: Longest side if nothing else is known, metres; 0 for none.
 
     Raises:
@@ -86,12 +87,14 @@ def choose_scale(
         chosen = _stated(asset, extents)
     else:
         own = sizes.infer_scale(category, extents.tolist())
-        if set_scale is not None and not (own is not None and _is_odd(own, set_scale)):
+        if set_scale is not None and _counts(set_scale, own):
             chosen = ChosenScale(set_scale.unit_m, "set", set_scale.confidence, low, high)
         elif own is not None:
             chosen = ChosenScale(own.unit_m, "category", own.confidence, low, high)
         elif default_longest_m > 0:
             chosen = ChosenScale(default_longest_m / longest, "option", None, low, high)
+        elif set_scale is not None:
+            chosen = ChosenScale(set_scale.unit_m, "set", set_scale.confidence, low, high)
         else:
             message = (
                 f"asset {asset.asset_id}: its file states no unit and no size of a {category.replace('_', ' ')} is known, expected "
@@ -109,8 +112,13 @@ def choose_scale(
     return chosen
 
 
-def _is_odd(own: Scale, common: SetScale) -> bool:
-    return own.confidence >= _SURE and abs(math.log(own.unit_m / common.unit_m)) > math.log(_ODD)
+def _counts(common: SetScale, own: Scale | None) -> bool:
+    """Whether an asset has the unit of its set, and not the scale that its category suggests."""
+    if own is None:
+        return common.confidence >= _SURE
+    if common.confidence < _SURE:
+        return common.confidence >= own.confidence
+    return abs(math.log(own.unit_m / common.unit_m)) <= max(math.log(_ODD), _FAR * own.spread)
 
 
 def _stated(asset: SourceAsset, extents: FloatArray) -> ChosenScale:

@@ -59,8 +59,8 @@ def read_dae(content: bytes, path: str, companions: Companions, *, max_faces: in
         states_up = any(_name(element) == "up_axis" for element in document.xmlnode.getroot().iter())
     unit = asset.unitmeter if asset.unitmeter is not None and np.isfinite(asset.unitmeter) and asset.unitmeter > 0 else None
     up: FileAxis = _UP.get(asset.upaxis, "") if states_up else ""
-    licence, author = ("", "") if contributor is None else (contributor.copyright or "", contributor.author or "")
-    return MeshFile(tuple(surfaces), unit, up, licence.strip(), author.strip(), tuple(names))
+    rights, author = ("", "") if contributor is None else (contributor.copyright or "", contributor.author or "")
+    return MeshFile(tuple(surfaces), unit, up, "", rights.strip(), author.strip(), tuple(names))
 
 
 def _name(element: Any) -> str:

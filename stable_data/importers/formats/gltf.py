@@ -40,14 +40,15 @@ def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: i
         asset = document.get("asset", {})
         extras = asset.get("extras", {})
         extras = extras if isinstance(extras, dict) else {}
-        licence = str(extras.get("license") or extras.get("licence") or asset.get("copyright") or "")
+        licence = str(extras.get("license") or extras.get("licence") or "")
+        rights = str(asset.get("copyright") or "")
         author = str(extras.get("author") or "")
     limits = MeshLimits(max_bytes=len(whole), max_faces=max_faces, max_corners=3 * max_faces)
     try:
         found = load_surfaces(whole, path, limits=limits)
     except MeshError as error:
         raise MeshError(str(error).removeprefix("asset "), _CODES.get(error.code, error.code)) from error
-    return MeshFile(tuple(_as_in_the_file(surface) for surface in found), None, "y", licence, author)
+    return MeshFile(tuple(_as_in_the_file(surface) for surface in found), None, "y", licence, rights, author)
 
 
 def _as_in_the_file(surface: Surface) -> Surface:

@@ -23,7 +23,8 @@ class MeshFile:
             the axes and the unit of the file, nothing turned; transforms of the file's own nodes are applied.
         unit_m: Metres for each unit, if the file states it (COLLADA); glTF demands metres and files do not keep to it, so None.
         up: The upward axis of the file: as it states it (COLLADA) or its format demands it (glTF: y); empty if neither does.
-        licence: Licence or copyright that the file states.
+        licence: Licence that the file states.
+        copyright: Line of copyright that the file states; it may name an author, a licence or both.
         author: Author that the file states.
         names: For each surface the names under which a model may ask for it alone; empty where the format has none.
     """
@@ -32,6 +33,7 @@ class MeshFile:
     unit_m: float | None = None
     up: FileAxis = ""
     licence: str = ""
+    copyright: str = ""
     author: str = ""
     names: tuple[frozenset[str], ...] = ()
 

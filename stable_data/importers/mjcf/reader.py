@@ -238,7 +238,7 @@ def _compile(isolated: IsolatedModel, path: str) -> "_Shapes":
         except (ValueError, TypeError, RuntimeError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError) as error:
             failure = failure or error
     found = " ".join(str(failure).split())[:300]
-    message = f"{quote_value(path)}: MuJoCo does not compile it ({found}), expected a valid model; correct it"
+    message = f"{quote_value(path)}: MuJoCo does not compile it ({found}), expected a model that it compiles; correct it"
     raise MeshError(message, "model_unreadable") from failure
 
 

@@ -12,14 +12,14 @@ from xml.etree.ElementTree import Element, tostring
 from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
+from stable_data.importers.mjcf_files import FILE_ATTRIBUTES, file_reference
 from stable_data.json_text import quote_value
 
 _MOST_LEVELS = 8  # includes within includes
 _MOST_ELEMENTS = 200_000
 _MODEL = re.compile(rb"<mujoco[\s/>]")
 _NOT_FINITE = re.compile(r"(?i)nan|inf")
-_FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
-_DIRECTORIES = {"mesh": "meshdir", "texture": "texturedir"}
+_ASSETS = ("mesh", "texture")
 # What could execute code, has files of its own, or makes much out of few words; no rigid object needs it.
 _REFUSED = frozenset(
     {"attach", "composite", "deformable", "extension", "flex", "flexcomp", "hfield", "plugin", "replicate", "skin"}
@@ -115,7 +115,7 @@ class MjcfText:
     def says_total_mass(self) -> bool:
         """Whether the model states the mass of all its bodies together."""
         try:
-            return float(self._compiler("settotalmass") or -1) > 0
+            return float(self._compiler.get("settotalmass") or -1) > 0
         except ValueError:
             return False
 
@@ -127,7 +127,7 @@ class MjcfText:
     def references(self) -> Iterator[str]:
         """The names of files of meshes and textures as they stand in the model, with their directories."""
         for element in self._assets():
-            yield from (self._reference(element, name) for name in _FILES if name in element.attrib)
+            yield from (self._reference(element, name) for name in FILE_ATTRIBUTES if name in element.attrib)
 
     def isolated(self, boundary: Boundary) -> IsolatedModel:
         """Reads the meshes and returns the model with all names of files replaced.
@@ -153,7 +153,7 @@ class MjcfText:
             else:
                 model._replace_texture(element, textures)
         known = set(map(id, assets))
-        if any(name in element.attrib for element in model.root.iter() if id(element) not in known for name in _FILES):
+        if any(name in element.attrib for element in model.root.iter() if id(element) not in known for name in FILE_ATTRIBUTES):
             self._fail("names a file outside of its assets", "files of meshes and textures alone", "model_unsupported")
         for compiler in model.root.iter("compiler"):
             for name in _COMPILER_DROPPED:
@@ -164,18 +164,14 @@ class MjcfText:
 
     def _assets(self) -> Iterator[Element]:
         for asset in self.root.iter("asset"):
-            yield from (element for element in asset if element.tag in _DIRECTORIES)
+            yield from (element for element in asset if element.tag in _ASSETS)
 
-    def _compiler(self, name: str) -> str:
-        values = [c.attrib[name] for c in self.root.iter("compiler") if name in c.attrib]
-        return values[-1] if values else ""
+    @property
+    def _compiler(self) -> Mapping[str, str]:
+        return {name: value for compiler in self.root.iter("compiler") for name, value in compiler.attrib.items()}
 
     def _reference(self, element: Element, attribute: str) -> str:
-        file = element.attrib[attribute].replace("\\", "/")
-        if self._compiler("strippath").lower() == "true":
-            file = PurePosixPath(file).name
-        folder = self._compiler(_DIRECTORIES[element.tag]) or self._compiler("assetdir")
-        return f"{folder}/{file}" if folder and not file.startswith("/") else file
+        return file_reference(element.tag, element.attrib[attribute], self._compiler)
 
     def _replace_mesh(self, element: Element, meshes: dict[str, bytes], boundary: Boundary) -> None:
         if "file" not in element.attrib:
@@ -189,7 +185,7 @@ class MjcfText:
 
     def _replace_texture(self, element: Element, textures: dict[str, Texture]) -> None:
         """Records a texture and replaces it by a pixel: MuJoCo would decode images of any size, and PNG alone."""
-        files = [self._reference(element, name) for name in _FILES if name in element.attrib]
+        files = [self._reference(element, name) for name in FILE_ATTRIBUTES if name in element.attrib]
         if "file" in element.attrib:
             element.attrib.setdefault("name", PurePosixPath(element.attrib["file"].replace("\\", "/")).stem)
         mirrored = element.get("hflip", "").lower() == "true", element.get("vflip", "").lower() == "true"

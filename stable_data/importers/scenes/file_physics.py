@@ -10,6 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError
+from stable_data.geometry.mass_properties import mass_properties
+from stable_data.geometry.mesh import join_meshes
 from stable_data.importers.mjcf_files import compile_model
 from stable_data.importers.scenes.mjcf_scenes import MjcfScene
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
@@ -118,8 +120,11 @@ def model_of_shapes(file: SceneFile, poses: Mapping[str, BodyPose]) -> mujoco.Mj
                 mesh.uservert = part.vertices.ravel()
                 share = mass * volume / sum(volumes)
                 added.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, mass=share)
-        if body.center_of_mass is not None and body.inertia is not None:
+        if body.center_of_mass is not None and sum(volumes) > 0:
             tensor = body.inertia
+            if tensor is None:  # that of homogeneous parts
+                solids = [part for part, volume in zip(body.parts, volumes, strict=True) if volume > 0]
+                tensor = mass_properties(join_meshes(solids), mass=mass).inertia
             added.explicitinertial, added.mass, added.ipos = True, mass, body.center_of_mass
             added.fullinertia = [*tensor.diagonal(), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
     return compile_model(spec, file.path)

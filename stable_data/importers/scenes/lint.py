@@ -7,7 +7,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from stable_data.assets.store import AssetStore
-from stable_data.errors import Notice, StableDataError
+from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.formats import SUFFIXES, is_scene_candidate, is_usd, repaired_name
 from stable_data.importers.scenes.layouts import scenes_of_file
@@ -29,6 +29,19 @@ def scene_candidates(root: Path) -> list[str]:
     return [path for path in found if path not in repaired and is_scene_candidate(root, path)]
 
 
+def no_scene_error(root: Path, num_files: int, others: str = "") -> ConfigError:
+    """The error that a folder holds no scene (``source_missing``).
+
+    Args:
+        root: The folder.
+        num_files: Its files that may be scenes.
+        others: What else is expected, beside scene files.
+    """
+    found = "no scene file" if num_files == 0 else f"no scene, because none of its files ({num_files}) has a free body"
+    expected = f"a scene file ({', '.join(sorted(SUFFIXES))}) with a free body{others}"
+    return ConfigError(f"{root}: {found}, expected {expected}; check the path", "source_missing")
+
+
 def lint_scene_files(root: Path, paths: Sequence[str], *, progress: bool = False) -> LintResult:
     """Audits scene files: one row for each surface on which free bodies stand.
 
@@ -38,6 +51,9 @@ def lint_scene_files(root: Path, paths: Sequence[str], *, progress: bool = False
         root: The source folder; nothing outside of it is read.
         paths: The files, relative to it.
         progress: Whether to show a progress bar.
+
+    Raises:
+        ConfigError: There is no scene, and no file that could not be read (``source_missing``).
     """
     rows: list[Row] = []
     failures: list[Notice] = []
@@ -62,4 +78,7 @@ def lint_scene_files(root: Path, paths: Sequence[str], *, progress: bool = False
             message = f"{path}: {type(error).__name__}: {error}; please report this with the file"
             failures.append(Notice(path, "read", "unexpected", message))
     left = [n for n in failures if n.code != "no_free_body" and n.item_id not in used]
+    if not rows and not left:
+        others = ", or Layout_info/<table type>/<scene> as in the MesaTask-10K format"
+        raise no_scene_error(root, len(paths), others)
     return LintResult(root, tuple(rows), tuple(left), tuple(warnings))

@@ -19,12 +19,14 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError, Notice, SceneError, StableDataError
 from stable_data.geometry.convex_decomposition import collider_parts
-from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mass_properties import usable_inertia
+from stable_data.geometry.mesh import Mesh, join_meshes
 from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes import convex_solids
 from stable_data.importers.scenes.formats import repaired_name
 from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
+from stable_data.importers.usd.physics import Collider, StageFrame, inertial_of
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, Vec3
 
@@ -241,20 +243,29 @@ class _StageReader:
         root = self.stage.GetPrimAtPath(name)
         position, rotation = self._rigid_pose(cache.GetLocalToWorldTransform(root))
         parts: list[Mesh] = []
+        colliders: list[Collider] = []
         for prim in prims:
-            parts += self._parts(prim, cache, position, rotation, is_free=is_free)
+            own = list(self._parts(prim, cache, position, rotation, is_free=is_free))
+            parts += own
+            if own:
+                solid = join_meshes(own)
+                colliders.append(Collider(prim, Mesh((rotation.apply(solid.vertices) + position) / self.unit, solid.faces)))
         if not parts:
             return None
-        mass, com = None, None
-        if root.HasAPI(UsdPhysics.MassAPI):
-            api = UsdPhysics.MassAPI(root)
-            stated = float(api.GetMassAttr().Get() or 0.0)
-            mass = stated * UsdPhysics.GetStageKilogramsPerUnit(self.stage) if stated > 0 and math.isfinite(stated) else None
-            given = api.GetCenterOfMassAttr().Get()
-            if given is not None and all(math.isfinite(v) for v in given):
-                point = self._points(cache.GetLocalToWorldTransform(root), np.array([given], np.float64))[0]
-                com = _vec3(rotation.inv().apply(point - position))
-        return SceneBody(name, _vec3(position), quat_of(rotation), tuple(parts), is_free, mass, com)
+        if not is_free:
+            return SceneBody(name, _vec3(position), quat_of(rotation), tuple(parts), is_free)
+        frame = StageFrame(_axes(self.is_y_up), self.unit, float(UsdPhysics.GetStageKilogramsPerUnit(self.stage)))
+        given = inertial_of(root, [], colliders, frame, cache)
+        mass, com, inertia = None, None, None
+        if given is not None:
+            mass = given.mass
+            turn = rotation.as_matrix()
+            com = None if given.center_of_mass is None else _vec3((np.array(given.center_of_mass) - position) @ turn)
+            inertia = None if given.inertia is None else usable_inertia(turn.T @ given.inertia @ turn)
+            if inertia is None and given.inertia is not None:
+                message = f"{self.path}: {name} states an inertia that no body can have; that of its shape is used; correct it"
+                self.notices.append(Notice(self.path, "read", "inertia_replaced", message))
+        return SceneBody(name, _vec3(position), quat_of(rotation), tuple(parts), is_free, mass, com, inertia)
 
     def _rigid_pose(self, matrix: Gf.Matrix4d) -> tuple[FloatArray, Rotation]:
         """The pose of a matrix without its scale, metres, z up."""
@@ -369,7 +380,7 @@ def _triangles(prim: Usd.Prim, path: str) -> Mesh | None:
         return None
     if counts.min() < 0 or counts.sum() != len(corners) or corners.min() < 0 or corners.max() >= len(points):
         raise MeshError(
-            f"{path}: {prim.GetPath()} has faces of points that it lacks, expected valid indices", "model_unreadable"
+            f"{path}: {prim.GetPath()} has faces of points that it lacks, expected indices of its points", "model_unreadable"
         )
     if not np.isfinite(points).all():
         raise MeshError(f"{path}: {prim.GetPath()} has points that are not finite, expected numbers", "mesh_not_finite")

@@ -50,7 +50,7 @@ def quiet_usd(path: str) -> Iterator[None]:
     except StableDataError:
         raise
     except (Tf.ErrorException, Tf.CppException, *_PARSE_ERRORS) as error:
-        message = f"{quote_value(path)}: USD cannot read it ({_reason(error)}), expected a valid layer; export it again"
+        message = f"{quote_value(path)}: USD cannot read it ({_reason(error)}), expected a layer that it reads; export it again"
         raise MeshError(message, "model_unreadable") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
@@ -163,7 +163,7 @@ class LayerLoader:
         with quiet_usd(str(place)):
             layer = Sdf.Layer.OpenAsAnonymous(str(Place(str(self.boundary.root / place.path), place.member)))
         if layer is None:
-            raise _refusal(str(place), "is no layer that USD can read", "a valid layer; export it again", "model_unreadable")
+            raise _refusal(str(place), "is no layer that USD can read", "a layer of USD; export it again", "model_unreadable")
         return layer
 
     def _load(self, place: Place, trail: tuple[Place, ...]) -> Any:
@@ -234,7 +234,7 @@ class LayerLoader:
                     path, "has compressed or encrypted members", "a usdz file, which stores them plainly", "archive_bomb"
                 )
             if sum(member.file_size for member in members) > len(content):
-                raise _refusal(path, "states larger members than it has bytes", "a valid usdz file", "archive_bomb")
+                raise _refusal(path, "states larger members than it has bytes", "a usdz file", "archive_bomb")
             self._packages[path] = package
         return self._packages[path]
 

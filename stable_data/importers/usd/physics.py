@@ -1,18 +1,20 @@
 """Mass, friction and joints of a composed USD stage, as UsdPhysics states them."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import networkx as nx
 import numpy as np
 
+from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh import Mesh, double_areas, signed_volumes
 from stable_data.importers.source import GivenInertial
 from stable_data.rotations import normalise_quat, rotation_matrix
 from stable_data.scene import FloatArray, Vec3
 
 _TORSIONAL, _ROLLING = 0.005, 0.0001  # m; MuJoCo's defaults: USD states sliding friction alone
+_ASSUMED_DENSITY = 1000.0  # kg/m³, of UsdPhysics
 _FIXED_AXES = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
 
 
@@ -164,10 +166,11 @@ def friction_of(colliders: Sequence[Collider]) -> tuple[Vec3 | None, bool]:
 def inertial_of(
     root: Any, bodies: Sequence[Any], colliders: Sequence[Collider], frame: StageFrame, cache: Any
 ) -> GivenInertial | None:
-    """The mass of an asset: of all its bodies, or of its root without any.
+    """The mass of an asset: of all its bodies, or of its root without any. If one body has none, it is not known.
 
-    The mass of a body is the one that it states, else the sum of those that its colliders state, else what follows from a density
-    that it, its colliders or their physics materials state. Without any of these, or if one body has none, it is not known.
+    What a body states wins. The rest follows from its colliders, if one of these has a mass or a density: each has the mass that it
+    states, else that of a density, which it, its body or its physics material states, in this order, else that of the density which
+    UsdPhysics assumes. A collider is homogeneous, unless it states its centre of mass and inertia.
     """
     parts: list[GivenInertial] = []
     for body in bodies or [root]:
@@ -176,6 +179,19 @@ def inertial_of(
         if part is None:
             return None
         parts.append(part)
+    whole, length = _joined(parts), frame.unit_m
+    if length is None:
+        return GivenInertial(whole.mass * frame.unit_kg, is_weighed=whole.is_weighed)
+    return GivenInertial(
+        whole.mass * frame.unit_kg,
+        None if whole.center_of_mass is None else _vec3(np.multiply(whole.center_of_mass, length)),
+        None if whole.inertia is None else whole.inertia * frame.unit_kg * length**2,
+        whole.is_weighed,
+    )
+
+
+def _joined(parts: Sequence[GivenInertial]) -> GivenInertial:
+    """The mass properties of what is fixed to each other, in any units."""
     if len(parts) == 1:
         return parts[0]
     mass = sum(part.mass for part in parts)
@@ -183,71 +199,107 @@ def inertial_of(
     known = [(part.mass, np.array(part.center_of_mass), part.inertia) for part in parts if part.center_of_mass is not None]
     if len(known) < len(parts):
         return GivenInertial(mass, is_weighed=is_weighed)
-    centre = sum(one * place for one, place, _ in known) / mass
-    x, y, z = np.asarray(centre).tolist()
+    centre = np.asarray(sum(one * place for one, place, _ in known) / mass)
     inertia = np.zeros((3, 3))
     for one, place, tensor in known:
         if tensor is None:
-            return GivenInertial(mass, (x, y, z), is_weighed=is_weighed)
+            return GivenInertial(mass, _vec3(centre), is_weighed=is_weighed)
         offset = place - centre
         inertia += tensor + one * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    return GivenInertial(mass, (x, y, z), inertia, is_weighed)
+    return GivenInertial(mass, _vec3(centre), inertia, is_weighed)
 
 
 def _inertial(body: Any, colliders: Sequence[Collider], frame: StageFrame, cache: Any) -> GivenInertial | None:
-    from pxr import UsdPhysics
-
-    mass = _stated_mass(body)
-    if mass is None:
-        masses = [_stated_mass(collider.prim) for collider in colliders]
-        if masses and None not in masses:
-            return GivenInertial(sum(filter(None, masses)) * frame.unit_kg)
-        return _of_densities(body, colliders, frame)
-    if frame.unit_m is None or not body.HasAPI(UsdPhysics.MassAPI):
-        return GivenInertial(mass * frame.unit_kg)
-    api, world = UsdPhysics.MassAPI(body), frame.world(body, cache)
-    stated = np.array(api.GetCenterOfMassAttr().Get(), float)
-    centre: Vec3 | None = None
-    if api.GetCenterOfMassAttr().HasAuthoredValue() and np.isfinite(stated).all():
-        x, y, z = ((world[:3, :3] @ stated + world[:3, 3]) * frame.unit_m).tolist()
-        centre = x, y, z
-    diagonal = np.array(api.GetDiagonalInertiaAttr().Get(), float)
-    if not (np.isfinite(diagonal).all() and (diagonal > 0).all()):
-        return GivenInertial(mass * frame.unit_kg, centre)
-    # Inertia is not scaled with the body: only the rotation of its frame counts.
-    left, _, right = np.linalg.svd(world[:3, :3])
-    axes = left @ right @ _rotation(api.GetPrincipalAxesAttr().Get())
-    inertia = axes @ np.diag(diagonal) @ axes.T * frame.unit_kg * frame.unit_m**2
-    return GivenInertial(mass * frame.unit_kg, centre, inertia)
-
-
-def _stated_mass(prim: Any) -> float | None:
-    from pxr import UsdPhysics
-
-    if not prim.HasAPI(UsdPhysics.MassAPI):
+    """The mass properties of a body, in the units of the stage; None if its mass is not known."""
+    own, found = _stated(body, frame, cache), _of_colliders(body, colliders, frame, cache)
+    if own.mass is not None:
+        whole = GivenInertial(own.mass)
+        if found is not None:
+            inertia = None if found.inertia is None else found.inertia * (own.mass / found.mass)
+            whole = GivenInertial(own.mass, found.center_of_mass, inertia)
+    elif found is not None:
+        whole = found
+    else:
         return None
-    mass = float(UsdPhysics.MassAPI(prim).GetMassAttr().Get())
-    return mass if 0 < mass < float("inf") else None
+    if own.center is not None:  # an inertia about another centre does not count
+        whole = replace(whole, center_of_mass=own.center, inertia=None)
+    return whole if own.inertia is None else replace(whole, inertia=own.inertia)
 
 
-def _of_densities(body: Any, colliders: Sequence[Collider], frame: StageFrame) -> GivenInertial | None:
-    """The mass that follows from stated densities; None if a collider has none or is not closed."""
-    mass = 0.0
-    for collider in colliders:
-        density = _stated_density(body) or _stated_density(collider.prim) or _material_density(collider.prim)
-        if density is None or collider.mesh is None:
+def _of_colliders(body: Any, colliders: Sequence[Collider], frame: StageFrame, cache: Any) -> GivenInertial | None:
+    """What the colliders of a body give; None if nothing is stated, or a volume that is needed is not known."""
+    of_body = _stated(body, frame, cache).density
+    states = [_stated(collider.prim, frame, cache) for collider in colliders]
+    densities = [
+        state.density or of_body or _material_density(collider.prim) for state, collider in zip(states, colliders, strict=True)
+    ]
+    if not any(state.mass or density for state, density in zip(states, densities, strict=True)):
+        return None
+    parts: list[GivenInertial] = []
+    for collider, state, density in zip(colliders, states, densities, strict=True):
+        assumed = None if frame.unit_m is None else _ASSUMED_DENSITY * frame.unit_m**3 / frame.unit_kg
+        part = _of_collider(collider, state, density or assumed)
+        if part is None:
             return None
-        mass += density * abs(float(signed_volumes(collider.mesh.triangles).sum())) * frame.unit_kg
-    return GivenInertial(mass, is_weighed=False) if mass > 0 else None
+        parts.append(part)
+    return _joined(parts)
 
 
-def _stated_density(prim: Any) -> float | None:
+def _of_collider(collider: Collider, state: "_Stated", density: float | None) -> GivenInertial | None:
+    mesh = collider.mesh
+    volume = 0.0 if mesh is None else float(signed_volumes(mesh.triangles).sum())
+    if mesh is None or not 0 < abs(volume) < float("inf"):
+        return None if state.mass is None else GivenInertial(state.mass, state.center, state.inertia)
+    mass = state.mass
+    if mass is None:
+        if density is None:
+            return None
+        mass = density * abs(volume)
+    solid = mesh if volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])
+    even = mass_properties(solid, mass=mass)
+    if state.center is None:
+        center, inertia = _vec3(even.center_of_mass), even.inertia
+    else:
+        center, inertia = state.center, None
+    return GivenInertial(mass, center, inertia if state.inertia is None else state.inertia, state.mass is not None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stated:
+    """What the mass API of a prim states, in the frame of the asset's surfaces and the units of the stage; None if it does not."""
+
+    mass: float | None = None
+    density: float | None = None
+    center: Vec3 | None = None
+    inertia: FloatArray | None = None
+
+
+def _stated(prim: Any, frame: StageFrame, cache: Any) -> _Stated:
     from pxr import UsdPhysics
 
     if not prim.HasAPI(UsdPhysics.MassAPI):
-        return None
-    density = float(UsdPhysics.MassAPI(prim).GetDensityAttr().Get())
-    return density if 0 < density < float("inf") else None
+        return _Stated()
+    api, world = UsdPhysics.MassAPI(prim), frame.world(prim, cache)
+    stated = np.array(api.GetCenterOfMassAttr().Get(), float)
+    is_placed = api.GetCenterOfMassAttr().HasAuthoredValue() and np.isfinite(stated).all()
+    diagonal, inertia = np.array(api.GetDiagonalInertiaAttr().Get(), float), None
+    if np.isfinite(diagonal).all() and (diagonal > 0).all():
+        # Inertia is not scaled with the prim: only the rotation of its frame counts.
+        left, _, right = np.linalg.svd(world[:3, :3])
+        axes = left @ right @ _rotation(api.GetPrincipalAxesAttr().Get())
+        inertia = axes @ np.diag(diagonal) @ axes.T
+    return _Stated(
+        _positive(api.GetMassAttr()),
+        _positive(api.GetDensityAttr()),
+        _vec3(world[:3, :3] @ stated + world[:3, 3]) if is_placed else None,
+        inertia,
+    )
+
+
+def _positive(attribute: Any) -> float | None:
+    """A number above 0; None for others, which state nothing."""
+    value = float(attribute.Get())
+    return value if 0 < value < float("inf") else None
 
 
 def _material_density(prim: Any) -> float | None:
@@ -256,8 +308,7 @@ def _material_density(prim: Any) -> float | None:
     material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
     if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
         return None
-    density = float(UsdPhysics.MaterialAPI(material.GetPrim()).GetDensityAttr().Get())
-    return density if 0 < density < float("inf") else None
+    return _positive(UsdPhysics.MaterialAPI(material.GetPrim()).GetDensityAttr())
 
 
 def _rotation(quat: Any) -> FloatArray:
@@ -265,3 +316,8 @@ def _rotation(quat: Any) -> FloatArray:
     w, (x, y, z) = float(quat.GetReal()), (float(part) for part in quat.GetImaginary())
     norm = x * x + y * y + z * z + w * w
     return rotation_matrix(normalise_quat((x, y, z, w))) if 0 < norm < float("inf") else np.eye(3)
+
+
+def _vec3(values: FloatArray) -> Vec3:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -100,7 +100,7 @@ class LayerScanner:
         if not line or not line.endswith(b"\n"):
             self._stop()
             found = f"was not read in {_SECONDS:.0f} s" if line is None else "ends the process that reads it"
-            raise MeshError(f"{quote_value(path)} {found}, expected a valid layer; export it again", "model_unreadable")
+            raise MeshError(f"{quote_value(path)} {found}, expected a layer of USD; export it again", "model_unreadable")
         answer: dict[str, Any] = json.loads(line)
         if "error" in answer:
             raise MeshError(answer["error"], answer["code"])

@@ -164,6 +164,11 @@ def test_two_assets_of_one_name_are_both_there(tmp_path: Path) -> None:
         (["import", "mesh", "{source}", "--out", "{source}/out"], "choose one outside"),
         (["import", "mesh", "{source}", "--out", "{out}", "--manifest", "none.csv"], "none.csv"),
         (["import", "mesh", "{source}", "--out", "{out}", "--preset", "nothing"], "preset"),
+        (
+            ["import", "mesh", "{source}", "--out", "{out}", "--allow-licence", "foo"],
+            "expected one of CC0-1.0, CC-BY, CC-BY-SA",
+        ),
+        (["import", "mesh", "{source}", "--out", "{out}", "--licence", "free to use"], "names no known licence"),
     ],
 )
 def test_what_cannot_start_says_so(source: Path, tmp_path: Path, arguments: list[str], message: str) -> None:

@@ -17,6 +17,7 @@ from pipelines.scene_files.commands import resolve_source
 from pipelines.scene_files.folder import FileVerdict, RepairStatus, repair_folder, write_verdicts
 from pipelines.scene_files.importing import import_scenes
 from pipelines.scene_files.repair import RepairOptions, repair_file, repair_states
+from stable_data.cli import app as stable_data_app
 from stable_data.errors import ConfigError, SceneError
 from stable_data.export.exporter import export_run
 from stable_data.importers.boundary import Boundary
@@ -240,3 +241,26 @@ def test_what_a_repair_wrote_is_no_scene_of_its_own(tmp_path: Path) -> None:
     for name in ("a.usda", "a_repaired.usda", "b_repaired.usda"):
         (tmp_path / name).write_text("#usda 1.0\n")
     assert scene_candidates(tmp_path) == ["a.usda", "b_repaired.usda"]
+
+
+@pytest.mark.parametrize("num_files", [0, 1])
+def test_a_folder_without_a_scene_is_an_error(tmp_path: Path, num_files: int) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    for k in range(num_files):
+        (source / f"{k}.xml").write_text("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")
+    runner, out = CliRunner(), str(tmp_path / "out")
+    for done in (
+        runner.invoke(stable_data_app, ["lint", str(source)]),
+        runner.invoke(app, ["repair", str(source), "--out", out]),
+        runner.invoke(app, ["import-scenes", str(source), "--out", out]),
+    ):
+        assert (done.exit_code, done.stdout) == (2, "")
+        found = "none of its files (1) has a free body" if num_files else "no scene file"
+        assert found in done.stderr
+        assert "expected a scene file (.mjcf" in done.stderr
+    assert not (tmp_path / "out").exists()
+    (source / "broken.usda").write_text("#usda 1.0\n(((")
+    done = runner.invoke(stable_data_app, ["lint", str(source)])
+    assert done.exit_code == 1, "a file that cannot be read is listed"
+    assert "broken.usda" in done.stdout

@@ -66,7 +66,7 @@ SERVED = frozenset({"plate", "fork", "table_knife", "mug", "bowl", "spoon", "dri
 
 
 def test_drawn_tasks_ask_only_for_what_is_served() -> None:
-    source = served_tasks(sample_tasks(2, 5, ["dressing_table", "dining_table"]), SERVED.__contains__)
+    source = served_tasks(sample_tasks(2, 5, ["dressing_table", "dining_table"]), SERVED.__contains__, "")
     assert [notice.code for notice in source.odd] == ["table_not_served"]
     assert [notice.item_id for notice in source.odd] == ["dressing_table"]
     assert [task.scene_id for task in source.tasks] == [f"dining_table_{k:05d}_seed5" for k in range(2)]
@@ -74,7 +74,7 @@ def test_drawn_tasks_ask_only_for_what_is_served() -> None:
     for task in tasks:
         assert task.reference is not None
         assert all(SERVED & set(r.categories) for r in task.reference.required if r.categories)
-    more = served_tasks(sample_tasks(9, 5, ["dressing_table", "dining_table"]), SERVED.__contains__).tasks
+    more = served_tasks(sample_tasks(9, 5, ["dressing_table", "dining_table"]), SERVED.__contains__, "").tasks
     assert [task.sample(SERVED.__contains__) for task in more[:2] if isinstance(task, SampledTask)] == tasks
     (only,) = sample_tasks(1, 5, ["dressing_table"]).tasks
     assert isinstance(only, SampledTask)
@@ -83,10 +83,31 @@ def test_drawn_tasks_ask_only_for_what_is_served() -> None:
 
 
 def test_libraries_that_serve_no_task_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"hardly any task of nightstand, expected .* add --assets embedded"):
-        served_tasks(sample_tasks(3, 0, ["nightstand"]), lambda _: False)
+    with pytest.raises(ConfigError, match=r"hardly any task of nightstand, expected .* serve; name more libraries"):
+        served_tasks(sample_tasks(3, 0, ["nightstand"]), lambda _: False, "name more libraries")
     one = task_of_instruction("Lift it.", "office_table", (120, 60))
-    assert served_tasks(one, lambda _: False) is one  # a task of the user's own is not drawn
+    assert served_tasks(one, lambda _: False, "") is one  # a task of the user's own is not drawn
+
+
+@pytest.mark.parametrize(
+    ("only_served", "places", "advice"),
+    [
+        ("auto", ("/lib",), "name more libraries, add --assets embedded, or set only_served=never"),
+        ("always", ("/lib",), "name more libraries, or set only_served=never"),
+        ("always", ("/lib", "embedded"), "name more libraries, or set only_served=auto"),
+        ("always", ("embedded",), "name a library other than embedded, or set only_served=auto"),
+        ("always", (), "name a library other than embedded, or set only_served=auto"),
+    ],
+)
+def test_advice_where_no_task_is_served_helps(
+    only_served: Literal["auto", "always", "never"], places: tuple[str, ...], advice: str
+) -> None:
+    settings = GenerateSettings(only_served=only_served)
+    assert settings.serving_advice(places) == advice
+    if "only_served=auto" in advice:  # what it advises ends the search that fails
+        assert not GenerateSettings(only_served="auto").draws_served(places)
+    if "--assets embedded" in advice:
+        assert not settings.draws_served((*places, "embedded"))
 
 
 @pytest.mark.parametrize(

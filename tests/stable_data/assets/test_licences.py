@@ -5,7 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from stable_data.assets.licences import LicenceTerms, is_licence_allowed, is_restricted, licence_terms, normalise_licence
+from stable_data.assets.licences import (
+    KNOWN_LICENCES,
+    LicenceTerms,
+    is_licence_allowed,
+    is_restricted,
+    licence_terms,
+    normalise_licence,
+)
 
 
 @pytest.mark.parametrize(
@@ -199,3 +206,8 @@ def test_restrictions_of_texts_that_name_no_licence() -> None:
     assert is_restricted("for research only")
     assert is_restricted("(c) A. All rights reserved.")
     assert not is_restricted("see the page of the author")
+
+
+def test_known_licences_are_their_own_names() -> None:
+    assert [normalise_licence(name) for name in KNOWN_LICENCES] == list(KNOWN_LICENCES)
+    assert len(set(KNOWN_LICENCES)) == len(KNOWN_LICENCES)

@@ -214,7 +214,7 @@ def test_dae_has_unit_axis_transforms_and_looks(tmp_path: Path) -> None:
         + ('<instance_geometry url="#g"/></node></node>')
     )
     file, _ = read(tmp_path, "m.DAE", dae(asset=asset, nodes=moved))
-    assert (file.unit_m, file.up, file.author, file.licence) == (0.01, "y", "Ann", "CC BY 4.0")
+    assert (file.unit_m, file.up, file.author, file.copyright) == (0.01, "y", "Ann", "CC BY 4.0")
     assert size_of(file) == [4.0, 0.0, 1.0]
     assert joined_triangles(file.surfaces)[..., 2].min() == 5
     # y and z change places: a mirrored surface still faces the same way.
@@ -335,7 +335,7 @@ def test_gltf_states_licence_and_author(tmp_path: Path) -> None:
     extras = {"license": "CC-BY-4.0 (http://creativecommons.org/licenses/by/4.0/)", "author": "Ann"}
     document = json.loads(gltf_text(tmp_path)) | {"asset": {"version": "2.0", "copyright": "2020 Ann", "extras": extras}}
     file, _ = read(tmp_path, "m.gltf", json.dumps(document))
-    assert (file.licence, file.author) == (extras["license"], "Ann")
+    assert (file.licence, file.copyright, file.author) == (extras["license"], "2020 Ann", "Ann")
 
 
 @pytest.mark.parametrize(

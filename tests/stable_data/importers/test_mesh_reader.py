@@ -124,7 +124,18 @@ def test_licences_come_from_the_file_and_from_the_nearest_folder(tmp_path: Path)
     assert [licence.where for licence in found_ones["a"].licences] == ["a.glb", "kit/LICENSE.txt"]
     assert [licence.text for licence in found_ones["b"].licences] == ["License: (Creative Commons Zero, CC0)"]
     assert [licence.text for licence in found_ones["c"].licences] == ["MIT License"]
-    assert found_ones["a"].author == "Ann"
+    assert [found_ones[name].author for name in "abc"] == ["Ann", "Company", ""]
+
+
+def test_a_licence_in_the_line_of_copyright_counts_beside_others(tmp_path: Path) -> None:
+    document, binary = document_of(glb_bytes(BOX))
+    document["asset"] |= {"copyright": "(c) 2019 Ann, CC BY-NC 4.0", "extras": {"license": "CC0"}}
+    (asset,) = assets(write(tmp_path, {"a.glb": rebuilt(document, binary)})).values()
+    assert [(licence.text, licence.where) for licence in asset.licences] == [
+        ("CC0", "a.glb"),
+        ("(c) 2019 Ann, CC BY-NC 4.0", "a.glb"),
+    ]
+    assert asset.author == "Ann"
 
 
 def test_names_of_any_alphabet_have_identifiers(tmp_path: Path) -> None:

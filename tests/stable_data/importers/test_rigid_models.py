@@ -345,6 +345,16 @@ def test_included_models_are_parts(tmp_path: Path) -> None:
     assert {"leg/model.config", "leg/model.sdf"} <= set(ref.files)
 
 
+def test_files_of_a_model_are_found_in_an_order_of_their_own(tmp_path: Path) -> None:
+    """Whatever the order of sets of words in a process: the order shapes the identifiers of shards."""
+    for k in range(5):
+        model_folder(tmp_path, f"leg{k}", link(SHAPES))
+    parts = "".join(f"<include><uri>model://leg{k}</uri><name>l{k}</name></include>" for k in (3, 1, 4, 0, 2))
+    (tmp_path / "m.sdf").write_text(sdf(link(SHAPES) + parts))
+    (ref,) = (item for item in found(tmp_path, "sdformat") if isinstance(item, SourceRef) and item.asset_id == "m")
+    assert ref.files == ("m.sdf", *(f"leg{k}/model.{end}" for k in range(5) for end in ("config", "sdf")))
+
+
 def test_bad_includes_are_refused(tmp_path: Path) -> None:
     root = tmp_path / "in"
     model_folder(tmp_path, "outside", link(SHAPES))

@@ -6,7 +6,13 @@ import pytest
 
 from stable_data.assets.licences import normalise_licence
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.stated_licences import LicenceFiles, licence_of_field, licence_of_text, licences_of_file
+from stable_data.importers.stated_licences import (
+    LicenceFiles,
+    author_of_copyright,
+    licence_of_field,
+    licence_of_text,
+    licences_of_file,
+)
 
 APACHE = "                                 Apache License\n                           Version 2.0, January 2004\n" + (
     "   1. Definitions.\n      by such Contributor that are necessarily infringed by their\n"
@@ -71,3 +77,19 @@ def test_sentences_and_fields() -> None:
     assert licence_of_field("2019 (c) Company", "a.glb") is None
     assert licence_of_field("MIT", "a.glb") is not None
     assert licence_of_field("by-nc", "a.glb") is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "author"),
+    [
+        ("© 2017, Ann Nopper, CC BY 4.0", "Ann Nopper"),
+        ("(c) 2017-2019 Company. All rights reserved.", "Company"),
+        ("Copyright 2020 Ann. Licensed under CC-BY 4.0 International", "Ann"),
+        ("CC0 1.0 Universal", ""),
+        ("2020", ""),
+        ("", ""),
+        ("J. R. Müller (https://example.org/ann); MIT License", "J. R. Müller"),
+    ],
+)
+def test_authors_in_lines_of_copyright(text: str, author: str) -> None:
+    assert author_of_copyright(text) == author

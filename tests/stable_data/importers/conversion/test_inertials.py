@@ -5,6 +5,7 @@ import pytest
 
 from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh_repair import repair_mesh
+from stable_data.importers.conversion import inertials
 from stable_data.importers.conversion.inertials import DEFAULT_DENSITY, AssetInertial, inertial_of, material_of
 from stable_data.importers.source import GivenInertial
 from stable_data.scene import FloatArray
@@ -73,6 +74,31 @@ def test_densities_follow_from_material_or_category() -> None:
     bottle, _ = of_box(None, "thermos", ("steel", "thermos"))
     assert bottle.mass_source == "material"
     assert bottle.mass < 2700 * VOLUME
+
+
+def test_a_solid_model_of_a_thing_with_walls_weighs_no_more_than_its_walls() -> None:
+    """A cup is a quarter of its hull; a solid one must not weigh four times as much."""
+    thin, solid = (repair_mesh(revolved(profile), "a") for profile in (CUP, [*CUP[:3], (0.0, 0.09)]))
+    masses = []
+    for mesh, report, _ in (thin, solid):
+        assert report.is_solid
+        masses.append(inertial_of(None, mesh, report, asset_id="a", category="mug")[0].mass / report.volume)
+    assert masses[0] > 1000, "of the clay itself"
+    assert masses[1] < 0.4 * masses[0]
+    plate, _ = of_box(None, "plate")
+    assert plate.mass == pytest.approx(2300 * 0.33 * 1.1 * VOLUME)
+    clay, _ = of_box(None, "plate", ("clay",))
+    assert clay.mass == pytest.approx(plate.mass)
+
+
+def test_every_density_is_sound() -> None:
+    names = set()
+    for row in inertials._rows():
+        names.add((row["kind"], row["name"]))
+        assert 20 < float(row["density"]) < 10_000
+        assert (row["fill"] != "") == (row["kind"] == "category")
+        assert row["fill"] == "" or 0 < float(row["fill"]) <= 1
+    assert len(names) == len(inertials._rows())
 
 
 def test_several_materials_are_none() -> None:

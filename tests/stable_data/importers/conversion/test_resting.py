@@ -67,6 +67,16 @@ def test_a_pose_of_the_source_that_is_not_at_rest_is_left_out() -> None:
     assert 0.04 in flat
 
 
+def test_a_leaning_body_that_is_heavy_below_stands() -> None:
+    upright = box(0.05, 0.05, 0.1)
+    leaning = centred(Mesh(upright.vertices + upright.vertices[:, 2:] * (0.8, 0, 0), upright.faces))
+    low = np.array([-0.03, 0.0, -0.04])
+    assert resting_poses(leaning, is_upright=True)[0][0].quat_xyzw != UPRIGHT
+    assert resting_poses(leaning, is_upright=True, center_of_mass=np.zeros(3))[0][0].quat_xyzw != UPRIGHT
+    poses, rests_on = resting_poses(leaning, is_upright=True, center_of_mass=low)
+    assert (poses[0].quat_xyzw, rests_on) == (UPRIGHT, "up_axis")
+
+
 def test_a_box_has_six_poses_and_counts_that_never_rise() -> None:
     poses, _ = resting_poses(box(0.1, 0.11, 0.12), is_upright=True)
     counts = [pose.count for pose in poses]

@@ -101,6 +101,29 @@ def test_an_asset_keeps_the_scale_of_its_set_unless_it_would_be_odd() -> None:
     assert 0.4 < unit < 1.0
 
 
+def test_in_a_folder_of_many_units_an_asset_has_the_surer_scale() -> None:
+    mixed = SetScale(0.15, 0.2, 80)
+    unit, source = scale(MUG, (0.7, 0.6, 0.6), set_scale=mixed)
+    assert (unit != 0.15, source) == (True, "category")
+    unsure = TABLE.infer_scale("candle", (1.0, 0.1, 0.1))
+    assert unsure is not None
+    assert unsure.confidence < 0.58
+    assert scale(MUG, (1.0, 0.1, 0.1), "candle", set_scale=SetScale(0.15, 0.58, 80)) == (0.15, "set")
+    assert scale(MUG, (1.0, 1.0, 1.0), "zorble", set_scale=mixed) == (0.15, "set")
+    assert scale(MUG, (4.0, 1.0, 1.0), "zorble", set_scale=mixed, default_longest_m=0.2) == (0.05, "option")
+
+
+@given(st.lists(st.sampled_from([1e-3, 0.01, 0.0254, 1.0, 30.0]), min_size=10, max_size=10))
+def test_things_whose_files_have_units_of_their_own_keep_their_sizes(units: list[float]) -> None:
+    """Whatever the mixture: either the common unit is that of a thing, or the thing has its own."""
+    names = ["mug", "plate", "bowl", "fork", "spoon", "teapot", "kettle", "knife", "wine_glass", "vase"]
+    boxes = [np.exp(read_sizes()[name].log_sides) / unit for name, unit in zip(names, units, strict=True)]
+    common = TABLE.set_scale(zip(names, (box.tolist() for box in boxes), strict=True))
+    for name, box, unit in zip(names, boxes, units, strict=True):
+        found = choose_scale(SourceAsset("a", name, ()), name, box, TABLE, set_scale=common)
+        assert abs(math.log(found.unit_m / unit)) < math.log(3)
+
+
 def test_without_any_size_an_asset_is_refused_or_gets_the_default() -> None:
     with pytest.raises(MeshError, match="no size of a zorble") as error:
         scale(MUG, (1.0, 1.0, 1.0), "zorble")

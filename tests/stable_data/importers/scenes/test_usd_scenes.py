@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError, SceneError
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.scenes.scene_file import BodyPose
+from stable_data.importers.scenes.scene_file import BodyPose, SceneBody
 from stable_data.importers.scenes.supports import find_supports
 from stable_data.importers.scenes.usd_scenes import read_usd_scene, write_overrides
 from stable_data.rotations import quat_of
@@ -125,3 +125,79 @@ def test_what_is_no_scene_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MeshError) as unreadable:
         read_usd_scene(Boundary(tmp_path), "a.usda")
     assert unreadable.value.code == "model_unreadable"
+
+
+def bar_over_the_edge(path: Path) -> "Usd.Stage":
+    """A table whose top is z = 0 and which ends at x = 0, and a bar of two cubes of which the right one has nothing below it."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 0.001)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    bar = UsdGeom.Xform.Define(stage, "/World/bar")
+    bar.AddTranslateOp().Set((-1, 0, 5))
+    UsdPhysics.RigidBodyAPI.Apply(bar.GetPrim())
+    for name, at, size in (
+        ("table", (-40, 0, -2), (80, 60, 4)),
+        ("bar/left", (-5, 0, 0), (10, 10, 10)),
+        ("bar/right", (5, 0, 0), (10,) * 3),
+    ):
+        cube = UsdGeom.Cube.Define(stage, f"/World/{name}")
+        cube.GetSizeAttr().Set(1.0)
+        cube.AddTranslateOp().Set(at)
+        cube.AddScaleOp().Set(size)
+        UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+    return stage
+
+
+def bar_of(stage: "Usd.Stage", folder: Path) -> tuple[SceneBody, bool, list[str]]:
+    """The body of the bar, whether it stays where it is, and the codes of the notices."""
+    stage.GetRootLayer().Save()
+    scene = read_usd_scene(Boundary(folder), "a.usda")
+    (body,) = (body for body in scene.file.bodies if body.is_free)
+    return body, scene.watch()["/World/bar"].is_at_rest, [notice.code for notice in scene.file.notices]
+
+
+def test_masses_that_colliders_state_count(tmp_path: Path) -> None:
+    stage = bar_over_the_edge(tmp_path / "a.usda")
+    left, right = (UsdPhysics.MassAPI.Apply(stage.GetPrimAtPath(f"/World/bar/{side}")) for side in ("left", "right"))
+    left.CreateMassAttr(100.0)
+    right.CreateMassAttr(300.0)
+    body, is_at_rest, _ = bar_of(stage, tmp_path)
+    assert body.mass == pytest.approx(0.4)
+    np.testing.assert_allclose(body.center_of_mass, (0.025, 0, 0), atol=1e-9)  # type: ignore[arg-type]
+    own, apart = 0.01 / 6, 0.05**2 * 0.75  # kg m² for each kg: of a cube, and of 100 g and 300 g at 7.5 and 2.5 cm
+    np.testing.assert_allclose(body.inertia, 0.4 * np.diag([own, own + apart, own + apart]), rtol=1e-6, atol=1e-9)  # type: ignore[arg-type]
+    assert not is_at_rest
+    left.GetMassAttr().Set(600.0)
+    body, is_at_rest, _ = bar_of(stage, tmp_path)
+    assert body.mass == pytest.approx(0.9)
+    assert is_at_rest
+
+
+def test_the_mass_of_a_body_wins_and_its_colliders_say_where_it_is(tmp_path: Path) -> None:
+    stage = bar_over_the_edge(tmp_path / "a.usda")
+    whole = UsdPhysics.MassAPI.Apply(stage.GetPrimAtPath("/World/bar"))
+    whole.CreateMassAttr(50.0)
+    body, is_at_rest, _ = bar_of(stage, tmp_path)
+    assert body.mass == pytest.approx(0.05)
+    assert (body.center_of_mass, body.inertia) == (None, None)
+    assert is_at_rest
+    UsdPhysics.MassAPI.Apply(stage.GetPrimAtPath("/World/bar/right")).CreateDensityAttr(3.0)  # the left one has 1 g/cm³
+    body, is_at_rest, _ = bar_of(stage, tmp_path)
+    assert body.mass == pytest.approx(0.05)
+    np.testing.assert_allclose(body.center_of_mass, (0.025, 0, 0), atol=1e-6)  # type: ignore[arg-type]
+    assert not is_at_rest
+    whole.CreateCenterOfMassAttr((-4, 0, -2))
+    body, is_at_rest, _ = bar_of(stage, tmp_path)
+    np.testing.assert_allclose(body.center_of_mass, (-0.04, 0, -0.02), atol=1e-9)  # type: ignore[arg-type]
+    assert (body.inertia, is_at_rest) == (None, True)
+
+
+def test_an_inertia_that_no_body_can_have_is_replaced(tmp_path: Path) -> None:
+    stage = bar_over_the_edge(tmp_path / "a.usda")
+    whole = UsdPhysics.MassAPI.Apply(stage.GetPrimAtPath("/World/bar"))
+    whole.CreateMassAttr(50.0)
+    whole.CreateDiagonalInertiaAttr((1, 1, 5))
+    body, is_at_rest, codes = bar_of(stage, tmp_path)
+    assert (body.inertia, is_at_rest, codes) == (None, True, ["inertia_replaced"])
