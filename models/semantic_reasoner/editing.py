@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from models.semantic_reasoner.replies.checks import name_faults
+from models.semantic_reasoner.staged_layout import table_with_zone
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, layout_names, layout_objects
 from stable_data.errors import SceneError
@@ -28,7 +29,7 @@ class EditPrompt:
 
     Attributes:
         scene: The scene; its objects have their supports if these are known.
-        layout: Its objects as layout objects, in the order of generation.
+        layout: Its objects that are not fixed as layout objects, in the order of generation.
         names: Instance -> its name in the layout.
     """
 
@@ -38,7 +39,7 @@ class EditPrompt:
 
     def question(self, instruction: str) -> ReasonerQuestion:
         """Returns the question that asks for an edit."""
-        return ReasonerQuestion(instruction, self.scene.table, "edit", self.layout)
+        return ReasonerQuestion(instruction, table_with_zone(self.scene.table, self.scene.surroundings), "edit", self.layout)
 
 
 def edit_prompt_of(scene: Scene) -> EditPrompt:
@@ -47,7 +48,7 @@ def edit_prompt_of(scene: Scene) -> EditPrompt:
     Raises:
         SceneError: Its supports form a cycle (``support_circle``).
     """
-    objects = generation_order(scene.scene_id, scene.objects)
+    objects = generation_order(scene.scene_id, scene.movable)
     names = layout_names(objects)
     return EditPrompt(scene, layout_objects(objects, names), MappingProxyType(names))
 

@@ -263,7 +263,7 @@ def _edit_row(edit: EditRequest, kind: str, taken: SourceScene, after: Scene) ->
         "split": taken.origin["split"],
         "kind": kind,
         "instruction": edit.instruction,
-        "objects_in": [object_row(o, with_source=False) for o in taken.scene.objects],
+        "objects_in": [object_row(o, with_source=False) for o in taken.scene.movable],
         "objects_out": [object_row(o, with_source=False) for o in changed],
         "removed": [name for name in before if name not in names],
     }

@@ -63,7 +63,8 @@ def stage_scene(scene: Scene, threshold: float = THRESHOLD) -> Scene:
         threshold: Largest distance of an important object's box to a task object's box, metres.
 
     Returns:
-        The scene with ``stage`` set on every object. Task objects that the scene does not contain are ignored.
+        The scene with ``stage`` set on every object but the fixed ones, which have none. Task objects that the scene does not contain
+        are ignored.
 
     Raises:
         SceneError: There is no task (``task_missing``), or supports form a cycle (``support_circle``).
@@ -71,12 +72,12 @@ def stage_scene(scene: Scene, threshold: float = THRESHOLD) -> Scene:
     if scene.task is None:
         raise SceneError(f"{scene.scene_id}: no task, expected one for staging; derive a task first", "task_missing")
     named = [o for o in scene.objects if o.instance in scene.task.task_objects]
-    stages = {o.instance: _stage_of(o, named, threshold) for o in scene.objects}
-    tree = SupportTree.of(scene.objects, scene.scene_id)
+    stages = {o.instance: _stage_of(o, named, threshold) for o in scene.movable}
+    tree = SupportTree.of(scene.movable, scene.scene_id)
     for name in reversed(tree.bottom_up()):  # from the top down, so that a stage reaches the lowest support
-        if (carrier := tree.parent(name)) is not None:
+        if (carrier := tree.parent(name)) is not None and carrier not in scene.fixed:
             stages[carrier] = min(stages[carrier], stages[name], key=_ORDER.__getitem__)
-    return replace(scene, objects=tuple(replace(o, stage=stages[o.instance]) for o in scene.objects))
+    return replace(scene, objects=tuple(replace(o, stage=stages.get(o.instance)) for o in scene.objects))
 
 
 def _stage_of(item: SceneObject, named: Iterable[SceneObject], threshold: float) -> Stage:
@@ -86,20 +87,20 @@ def _stage_of(item: SceneObject, named: Iterable[SceneObject], threshold: float)
 
 
 def samples_of(scene: Scene) -> tuple[StageSample, ...]:
-    """Returns the three samples of a staged scene, in the order of generation.
+    """Returns the three samples of a staged scene, in the order of generation, without fixed objects.
 
     A stage without objects has an empty ``objects_out``.
 
     Raises:
         SceneError: An object has no stage (``stage_missing``), or supports form a cycle (``support_circle``).
     """
-    unstaged = [o.instance for o in scene.objects if o.stage is None]
+    unstaged = [o.instance for o in scene.movable if o.stage is None]
     if unstaged:
         raise SceneError(f"{scene.scene_id}: {unstaged} have no stage; call stage_scene first", "stage_missing")
     samples: list[StageSample] = []
     done: tuple[SceneObject, ...] = ()
     for stage in Stage:
-        objects_out = generation_order(scene.scene_id, [o for o in scene.objects if o.stage is stage])
+        objects_out = generation_order(scene.scene_id, [o for o in scene.movable if o.stage is stage])
         samples.append(StageSample(scene.scene_id, stage, done, objects_out))
         done += objects_out
     return tuple(samples)

@@ -69,10 +69,11 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     if not previous:
         _write_manifest(target, manifest | {"status": "running"})
     scene_ids, asset_ids = set[str](), set[str]()
-    for part in run.batches("scenes", ["scene_id", "objects"], query.expression):
+    for part in run.batches("scenes", ["scene_id", "objects", "surface"], query.expression):
         scene_ids.update(part["scene_id"].to_pylist())
         objects = pc.list_flatten(part["objects"])
-        asset_ids.update(pc.struct_field(objects, "asset_id").drop_null().to_pylist())
+        for holder in (objects, part["surface"]):
+            asset_ids.update(pc.struct_field(holder, "asset_id").drop_null().to_pylist())
     for table in read:
         if table == "scenes":
             _write(run, table, query.expression, target)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from models.semantic_reasoner.editing import edit_prompt_of
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask, table_with_zone
 from models.semantic_reasoner.text.prompt import WANTED
@@ -32,10 +33,12 @@ from stable_data.errors import ConfigError
 from stable_data.export.exporter import export_run
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop
+from stable_data.scene_graph.staging import samples_of, stage_scene
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.run_reader import SceneSelection
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.subset import select
 from stable_data.storage.table_rows import scene_from_row
 from tests.pipelines.scripts import entry
 
@@ -245,3 +248,18 @@ def test_generated_scenes_need_no_library_of_supports(made: str, supports: str, 
     content = next((tmp_path / "out").glob("*.glb")).read_bytes()
     assert b'"support"' in content
     assert np.frombuffer(content[:4], np.uint32)[0] == 0x46546C67
+
+
+def test_an_edit_on_a_surface_names_what_can_be_moved_alone(made: str) -> None:
+    scene = next(s for s in scenes_of(made) if s.fixed)
+    prompt = edit_prompt_of(scene)
+    assert set(prompt.names) == {o.instance for o in scene.movable}
+    assert len(prompt.layout) == 3
+    assert [o.stage for o in stage_scene(scene).surroundings] == [None] * len(scene.fixed)
+    samples = samples_of(stage_scene(scene))
+    assert {o.instance for sample in samples for o in sample.objects_out} == {o.instance for o in scene.movable}
+
+
+def test_a_part_of_a_run_keeps_its_supports(made: str, tmp_path: Path) -> None:
+    select(RunFolder(made), "scene_id == 'task_0'", RunFolder(str(tmp_path / "part")))
+    assert COFFEE in {row["asset_id"] for row in RunFolder(str(tmp_path / "part")).table("meshes").to_pylist()}
