@@ -275,5 +275,6 @@ def closeness(found: str, wanted: str) -> int:
     return int(is_name and (bool(found_classes & wanted_classes) or not (found_classes and wanted_classes)))
 
 
-def _names_of(category: str) -> list[tuple[str, ...]]:
-    return [singular(type_words(noun)) for noun in nouns_of(category)]
+@cache
+def _names_of(category: str) -> tuple[tuple[str, ...], ...]:
+    return tuple(singular(type_words(noun)) for noun in nouns_of(category))
