@@ -2,14 +2,13 @@
 
 import re
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from functools import lru_cache
 
 _IRREGULAR = {"knife": "knives", "loaf": "loaves", "mouse": "mice", "dice": "dice", "die": "dice", "shelf": "shelves"}
 _SINGULAR = {many: one for one, many in _IRREGULAR.items() if many != one}
 _NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten"}
 
 
-@lru_cache(maxsize=65536)
 def type_words(name: str) -> tuple[str, ...]:
     """Splits a type or category into lower-case words: ``NestingCup``, ``nesting_cup`` and ``nesting cup`` give the same two."""
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)
@@ -21,13 +20,18 @@ def type_name(category: str) -> str:
     return "".join(word.capitalize() for word in type_words(category))
 
 
-@lru_cache(maxsize=65536)
 def singular(words: tuple[str, ...]) -> tuple[str, ...]:
     """Removes the plural ending of each word, so that ``berries`` equals ``berry``; the result is not always an English word."""
     return tuple(map(_stem, words))
 
 
-@cache
+@lru_cache(maxsize=65536)
+def category_words(category: str) -> tuple[str, ...]:
+    """Returns the words of a category without plural endings, from a cache."""
+    return singular(type_words(category))
+
+
+@lru_cache(maxsize=65536)
 def _stem(word: str) -> str:
     if word in _SINGULAR:
         return _SINGULAR[word]
