@@ -59,6 +59,7 @@ def main() -> None:
             "taste": ([run, run, "--generated-split", "train"], []),
             "chaos": ([], ["--scenes", "16", "--kills", "3", "--per-shard", "2"]),
             "asset_import": ([data], ["--limit", "6"]),
+            "import_scale": ([data], ["--assets", "32", "--subset", "8"]),
             "synth": (["--scenes", "200"], ["--scenes", "20"]),
         }
         failed = []

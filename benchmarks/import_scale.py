@@ -1,7 +1,7 @@
 """The import of many assets: its rate, its memory over time, and what a kill in the middle costs.
 
-``python -m benchmarks.import_scale DATA OUT [--assets 300] [--workers 2] [--subset 100] [--json FILE]``, with DATA a dataset in the
-MesaTask-10K format. Copies of its meshes are written to ``OUT/source``, each with other proportions, so that no two have the same
+``python -m benchmarks.import_scale DATA [--out OUT] [--assets 300] [--workers 2] [--subset 100] [--json FILE]``, with DATA a dataset in
+the MesaTask-10K format. Copies of its meshes are written to ``OUT/source``, each with other proportions, so that no two have the same
 geometry, and every fourth with a texture of its own. ``stable-data import mesh`` then makes a library of them in ``OUT/library``. When
 half of the assets are done, its process is killed and started again. At the end:
 
@@ -10,7 +10,7 @@ half of the assets are done, its process is killed and started again. At the end
 - Memory is read every few seconds, of the driver and of each worker, and is written to ``OUT/memory.jsonl``. The growth compares the
   medians of the second tenth and of the last tenth of the assets.
 
-The benchmark may be stopped and started again with the same arguments.
+With ``--out``, the benchmark may be stopped and started again with the same arguments; else OUT is a temporary folder.
 """
 
 import json
@@ -25,9 +25,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 import typer
 from tqdm import tqdm
 
@@ -51,7 +54,7 @@ _LOOK_SECONDS = 2.0
 _STOPPED_SECONDS = 30.0  # without a sample, in which the benchmark did not run
 _WAIT_SECONDS = 20.0  # for the processes of a killed driver to end
 _WORKERS = ("ray::_call", "ray::IDLE")  # processes of Ray that work on shards, or wait for one
-_TABLES = {"assets": "asset_id", "meshes": "asset_id", "warnings": "id", "failures": "id"}
+_TABLES = {"assets": "asset_id", "meshes": "asset_id", "warnings": "id", "failures": "id", "textures": "sha256"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,20 +168,9 @@ def import_copies(source: Path, library: Path, workers: int, num: int, *, log: P
     Raises:
         RuntimeError: The import ended with an error.
     """
-    command = [
-        sys.executable,
-        "-m",
-        "stable_data",
-        "import",
-        "mesh",
-        str(source),
-        "--out",
-        str(library),
-        "--licence",
-        "CC0-1.0",
-    ]
-    command += ["--workers", str(workers), "--set", f"assets_per_shard={_PER_SHARD}", "--set", "decomposes=false"]
-    command += ["--set", "unit_m=1", "--set", "num_pictures=24"]
+    words = f"--workers {workers} --licence CC0-1.0 --set assets_per_shard={_PER_SHARD} --set decomposes=false"
+    words += " --set unit_m=1 --set num_pictures=24"
+    command = [sys.executable, "-m", "stable_data", "import", "mesh", str(source), "--out", str(library), *words.split()]
     killed = None if log is None else log.with_name("killed")
     process = subprocess.Popen(command)
     while process.poll() is None:
@@ -259,22 +251,27 @@ def check_rows(library: Path, expected: Iterable[str]) -> tuple[int, int]:
     return made.total(), failed.total()
 
 
-def different_rows(one: Path, other: Path, ids: Sequence[str]) -> dict[str, int]:
-    """Counts the rows of some assets that differ between two libraries, by table; of a warning the place of the file does not count."""
+def different_rows(library: Path, alone: Path) -> dict[str, int]:
+    """Counts the rows of a library that differ from those of a smaller one made of some of its assets, by table."""
+    ids = RunFolder(str(alone)).table("assets", ["asset_id"])["asset_id"].to_pylist()
     found = {}
     for table, column in _TABLES.items():
-        both = [_rows_of(path, table, column, set(ids)) for path in (one, other)]
-        found[table] = sum(both[0].get(uid) != both[1].get(uid) for uid in {*both[0], *both[1]})
+        own = RunFolder(str(alone)).table("textures", [column])[column].to_pylist() if table == "textures" else ids
+        one, other = (_rows_of(path, table, column, own) for path in (library, alone))
+        found[table] = sum(one.get(key) != other.get(key) for key in {*one, *other})
     return found
 
 
-def _rows_of(library: Path, table: str, column: str, ids: set[str]) -> dict[str, list[Row]]:
+def _rows_of(library: Path, table: str, column: str, ids: Sequence[str]) -> dict[str, list[Row]]:
+    """The rows of some assets or textures. The same texture may be in several shards."""
     rows: dict[str, list[Row]] = defaultdict(list)
-    for batch in RunFolder(str(library)).batches(table, SCHEMAS[table].names):
+    for batch in RunFolder(str(library)).batches(
+        table, SCHEMAS[table].names, pc.field(column).isin(pa.array(ids, pa.string()))
+    ):
         for row in batch.to_pylist():
-            if row[column] in ids:
-                rows[row[column]].append({key: value for key, value in row.items() if key != "source_path"})
-    return {uid: sorted(found, key=str) for uid, found in rows.items()}
+            if table != "textures" or row not in rows[row[column]]:
+                rows[row[column]].append(row)
+    return {key: sorted(found, key=str) for key, found in rows.items()}
 
 
 def _samples(log: Path) -> list[MemorySample]:
@@ -326,20 +323,21 @@ def measure(data: Path, out: Path, num: int, workers: int, subset: int) -> Impor
         _tenths(samples, num, [s.driver_mb for s in samples]),
         _tenths(samples, num, largest),
         len(some),
-        different_rows(library, out / "subset_library", [file.stem for file in some]),
+        different_rows(library, out / "subset_library"),
     )
 
 
 def main(
     data: Annotated[Path, typer.Argument(help="dataset in the MesaTask-10K format")],
-    out: Annotated[Path, typer.Argument(help="folder for the copies and the libraries")],
+    out: Annotated[Path | None, typer.Option(help="folder for the copies and the libraries; default: a temporary one")] = None,
     assets: Annotated[int, typer.Option(help="number of copies")] = 300,
     workers: Annotated[int, typer.Option(help="worker processes")] = 2,
     subset: Annotated[int, typer.Option(help="assets that are imported a second time, uninterrupted")] = 100,
     output: Annotated[Path | None, typer.Option("--json", help="file of the figures")] = None,
 ) -> None:
     """Measures the import of many assets."""
-    found = measure(data, out, assets, workers, subset)
+    with TemporaryDirectory() as folder:
+        found = measure(data, out or Path(folder), assets, workers, subset)
     lines = [(name.replace("_", " "), str(value)) for name, value in asdict(found).items()]
     print(align_columns([("figure", "value"), *lines], 1))
     if output is not None:

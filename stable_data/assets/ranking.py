@@ -37,10 +37,8 @@ TURNED_FIT = 0.2
 
 _FREE_MISFIT = 1.25  # a factor between the sizes that costs nothing
 _MISFIT_LOSS = 2.0  # of the size score, for a factor of e beyond that: 0.2 of the score
-_NARROWED, _NARROWING = (
-    1 << 14,
-    16,
-)  # assets from which, and queries up to which bounds of the text scores tell what is compared
+_NARROWED = 1 << 14  # assets from which bounds of the text scores tell which ones are compared
+_NARROWING = 16  # queries up to which they do: one product for many queries costs less
 _PROBED = 256  # assets with high bounds that are scored first
 _FEW = 8  # the rows of up to an eighth of the assets are copied to multiply them alone
 _BARRED = -2.0  # score of an excluded asset; the dot product of unit rows is at least -1
