@@ -32,6 +32,7 @@ class TextBounds:
         self._turned: Rows = np.empty((len(rows), kept + 1), np.float32)
         for start in range(0, len(rows), _AT_ONCE):
             self._turned[start : start + _AT_ONCE] = self._turn(rows[start : start + _AT_ONCE])
+        self._last: tuple[bytes, Rows] = (b"", np.zeros((0, len(rows)), np.float32))
 
     def bounds(self, features: Rows, chosen: IntArray | None = None) -> Rows:
         """Returns upper bounds of the dot products, (B, M), up to the rounding error of a product of float32.
@@ -40,12 +41,17 @@ class TextBounds:
             features: (B, D) float32.
             chosen: The M given rows; None for all.
         """
-        own = self._turn(features)
-        if chosen is None:
-            return own @ self._turned.T
-        if len(chosen) * _FEW < len(self._turned):
-            return own @ self._turned[chosen].T
-        return (own @ self._turned.T)[:, chosen]
+        if chosen is not None and len(chosen) * _FEW < len(self._turned):
+            return self._turn(features) @ self._turned[chosen].T
+        every = self._every(features)
+        return every.copy() if chosen is None else every[:, chosen]
+
+    def _every(self, features: Rows) -> Rows:
+        """The bounds for all rows; those of the last call are kept, since a search among fewer rows often follows."""
+        key, last = features.tobytes(), self._last
+        if last[0] != key:
+            last = self._last = key, self._turn(features) @ self._turned.T
+        return last[1]
 
     def _turn(self, rows: Rows) -> Rows:
         """The coordinates that are kept, and the length of the remainder, (B, K + 1)."""
