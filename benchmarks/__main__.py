@@ -60,6 +60,7 @@ def main() -> None:
             "chaos": ([], ["--scenes", "16", "--kills", "3", "--per-shard", "2"]),
             "asset_import": ([data], ["--limit", "6"]),
             "supports": ([], ["--faces", "2000"]),
+            "import_scale": ([data], ["--assets", "32", "--subset", "8"]),
             "synth": (["--scenes", "200"], ["--scenes", "20"]),
         }
         failed = []

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from stable_data.assets.text_bounds import TextBounds
 from stable_data.assets.text_embeddings import Rows, TextEncoder, check_rows, embed_texts
 from stable_data.errors import ConfigError
 from stable_data.geometry.leaning import CATALOGUE_ANGLES, SLENDER_ASSET, leaning_tilt
@@ -158,6 +159,12 @@ class AssetLibrary:
     def __len__(self) -> int:
         """Number of assets."""
         return len(self.assets)
+
+    @cached_property
+    def text_bounds(self) -> TextBounds:
+        """Bounds of text scores by the features, which must be there."""
+        assert self.features is not None
+        return TextBounds(self.features)
 
     def only(self, asset_ids: Collection[str]) -> "AssetLibrary":
         """Returns the library with some of its assets, at least one."""

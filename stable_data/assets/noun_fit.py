@@ -3,7 +3,7 @@
 from enum import IntEnum
 
 from stable_data.instructions.wording.vocabulary import closeness, nouns_of
-from stable_data.instructions.wording.words import singular, type_words
+from stable_data.instructions.wording.words import category_words, singular, type_words
 
 
 class NounFit(IntEnum):
@@ -24,7 +24,7 @@ class NounFit(IntEnum):
 
 def noun_fit(category: str, wanted: str) -> NounFit:
     """Returns how well a category fits a wanted one; either may be empty, which means unknown."""
-    own, asked = singular(type_words(category)), singular(type_words(wanted))
+    own, asked = category_words(category), category_words(wanted)
     if close := closeness(category, wanted):
         return NounFit.EQUAL if close == 2 else NounFit.KIND
     return NounFit.POSSIBLE if not (own and asked) or own[-1] == asked[-1] else NounFit.OTHER

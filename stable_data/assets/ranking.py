@@ -37,6 +37,9 @@ TURNED_FIT = 0.2
 
 _FREE_MISFIT = 1.25  # a factor between the sizes that costs nothing
 _MISFIT_LOSS = 2.0  # of the size score, for a factor of e beyond that: 0.2 of the score
+_NARROWED = 1 << 14  # assets from which bounds of the text scores tell which ones are compared
+_NARROWING = 16  # queries up to which they do: one product for many queries costs less
+_PROBED = 256  # assets with high bounds that are scored first
 _FEW = 8  # the rows of up to an eighth of the assets are copied to multiply them alone
 _BARRED = -2.0  # score of an excluded asset; the dot product of unit rows is at least -1
 _DECIMALS = 9  # scores that agree to this number of decimals are equal
@@ -137,6 +140,7 @@ class AssetScores:
         self.assets: tuple[Asset, ...] = tuple(library.assets[k] for k in allowed)
         # The rows of all assets are kept as they are, since they may be a file that several processes share.
         self._features: Rows = library.features
+        self._library = library
         self._feature = None if len(allowed) == len(library) else np.array(allowed, np.int64)
         self.names_category = library.names_category
         extents = np.array([t.extents for a in self.assets for t in a.tilts] or np.ones((0, 3)), np.float64)
@@ -194,12 +198,15 @@ class AssetScores:
         boxes, barred = WantedBoxes(box_proportions(wanted), diagonal(wanted), leans, holds), self._barred(without)
         found = RankedAssets.empty(len(features))
         for rows, cols in self._groups(categories, least):
-            size = max(1, min(_BLOCK, (_MAX_PAIRS if must_fit and self.has_sizes else _MAX_SCORES) // max(1, len(cols))))
+            narrows = len(cols) >= _NARROWED and len(rows) <= _NARROWING and self._settings.top_k_text is None
+            choose = self._choose_narrowed if narrows else self._choose
+            pairs = _MAX_PAIRS if must_fit and self.has_sizes and not narrows else _MAX_SCORES
+            size = max(1, min(_BLOCK, pairs // max(1, len(cols))))
             for start in range(0, len(rows), size):
                 block = rows[start : start + size]
-                fits = np.stack([self._category_fits(categories[k] or "") for k in block.tolist()])[:, self._category[cols]]
+                fits = np.stack([self._category_fits(categories[k] or "") for k in block.tolist()])
                 own = self._barred_places(block, cols, barred)
-                part = self._choose(
+                part = choose(
                     features[block], boxes.of(block), fits, tickets[block], own, cols, must_fit=must_fit, nearest=not least
                 )
                 found.put(block, part)
@@ -254,6 +261,89 @@ class AssetScores:
     def _feature_rows(self, cols: IntArray) -> IntArray:
         return cols if self._feature is None else self._feature[cols]
 
+    def _choose_narrowed(
+        self,
+        features: Rows,
+        boxes: WantedBoxes,
+        fits: FitArray,
+        tickets: Tickets,
+        barred: Sequence[tuple[int, int]],
+        cols: IntArray,
+        *,
+        must_fit: bool,
+        nearest: bool,
+    ) -> RankedAssets:
+        """Chooses as :meth:`_choose`, for each query among those assets alone that can be its best or nearest one."""
+        chosen = None if len(cols) == len(self._features) else self._feature_rows(cols)
+        bounds = self._library.text_bounds.bounds(features, chosen)
+        for k, n in barred:
+            bounds[k, n] = _BARRED
+        found = RankedAssets.empty(len(features))
+        for k in range(len(features)):
+            one, own = slice(k, k + 1), list[tuple[int, int]]()
+            places = self._promising(bounds[k], features[one], boxes.of(one), fits[k], cols, must_fit=must_fit, nearest=nearest)
+            if nearest and not len(places):  # all are excluded
+                places, own = np.arange(len(cols)), [(0, n) for row, n in barred if row == k]
+            if len(places):
+                part = self._choose(
+                    features[one],
+                    boxes.of(one),
+                    fits[one],
+                    tickets[one],
+                    own,
+                    cols[places],
+                    must_fit=must_fit,
+                    nearest=nearest,
+                )
+                found.put(np.array([k]), part)
+        return found
+
+    def _promising(
+        self,
+        bounds: Rows,
+        features: Rows,
+        boxes: WantedBoxes,
+        fits: FitArray,
+        cols: IntArray,
+        *,
+        must_fit: bool,
+        nearest: bool,
+    ) -> IntArray:
+        """Returns the places of the assets that can be the best or the nearest one of a query, in order; no excluded ones.
+
+        Args:
+            bounds: Upper bounds of the text scores, (M,); :data:`_BARRED` for excluded assets.
+            features: Unit row of the query, (1, D).
+            boxes: The requested box.
+            fits: How well each category fits, (C,); the floor does not apply to the wanted kind.
+            cols: The assets, (M,).
+            must_fit: See :meth:`choose`.
+            nearest: Whether the asset with the highest text score is needed if there is no match.
+        """
+        s, slack = self._settings, 3 * self._slack  # of the bound, and of both rough scores that are compared later
+        # The scores of some assets, those with the highest bounds of their parts of the library, are lower bounds of the best score.
+        width = -(-len(bounds) // _PROBED)
+        padded = np.full(_PROBED * width, np.float32(_BARRED))
+        padded[: len(bounds)] = bounds
+        probed = padded.reshape(_PROBED, width).argmax(axis=1) + width * np.arange(_PROBED)
+        probed = probed[padded[probed] > _BARRED]
+        if must_fit:
+            probed = probed[~self._is_misfit(cols[probed], boxes)[0]]
+        query = np.zeros(len(probed), np.int64)
+        text = self._text(query, cols[probed], features)
+        is_kind = fits >= NounFit.KIND
+        passes = (text >= s.floor) | is_kind[self._category[cols[probed]]]
+        if passes.any():
+            size = self._sizes(cols[probed[passes]], boxes.of(query[passes]))
+            known = float((s.text_weight * text[passes] + s.size_weight * size).max())
+            least = (known - s.margin - s.size_weight) / s.text_weight
+            return np.flatnonzero(bounds >= np.float32(max(least, -1.0) - slack))
+        least = min(s.floor, float(text.max(initial=-1.0))) if nearest else s.floor
+        may_serve = bounds >= np.float32(least - slack)
+        if is_kind.any():
+            may_serve |= is_kind[self._category[cols]] & (bounds > _BARRED)
+        return np.flatnonzero(may_serve)
+
     def _choose(
         self,
         features: Rows,
@@ -266,10 +356,12 @@ class AssetScores:
         must_fit: bool,
         nearest: bool,
     ) -> RankedAssets:
-        """Chooses for a block of queries among the assets ``cols``, (M,); ``barred`` has the excluded pairs.
+        """Chooses for a block of queries among the assets ``cols``, (M,), in order.
 
-        Only with ``nearest`` the nearest asset is named where there is no match.
+        ``fits`` has the fit of each category, (B, C), and ``barred`` the excluded pairs. Only with ``nearest`` the nearest asset is
+        named where there is no match.
         """
+        fits = fits[:, self._category[cols]]
         rough = self._rough(features, cols)
         for k, n in barred:
             rough[k, n] = _BARRED

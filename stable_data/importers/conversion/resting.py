@@ -268,7 +268,7 @@ def _ranked(
 
 def _sides(posed: Mesh) -> tuple[FloatArray, float]:
     """Sides of the smallest upright box around a posed mesh, the longest first, (3,); and its height."""
-    around = shapely.minimum_rotated_rectangle(shapely.multipoints(posed.vertices[:, :2]))
+    around = shapely.minimum_rotated_rectangle(shapely.linestrings(posed.vertices[:, :2]))  # a line is made faster than points
     corners = shapely.get_coordinates(around)[:3]
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     height = float(posed.extents[2])

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 
-from stable_data.instructions.wording.words import singular, type_words
+from stable_data.instructions.wording.words import category_words
 
 TAXONOMY_FILE = Path(__file__).with_name("taxonomy.csv")
 """The table."""
@@ -26,21 +26,17 @@ def _things() -> tuple[Mapping[Words, Words], Mapping[Words, Words]]:
     parents: dict[Words, Words] = {}
     with TAXONOMY_FILE.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            own = _words(row["name"])
-            names |= {_words(name): own for name in (row["name"], *filter(None, row["synonyms"].split("; ")))}
+            own = category_words(row["name"])
+            names |= {category_words(name): own for name in (row["name"], *filter(None, row["synonyms"].split("; ")))}
             if row["parent"]:
-                parents[own] = _words(row["parent"])
+                parents[own] = category_words(row["parent"])
     return names, parents
-
-
-def _words(name: str) -> Words:
-    return singular(type_words(name))
 
 
 @lru_cache(maxsize=65536)
 def is_listed(category: str) -> bool:
     """Whether the taxonomy has a category, by its name or a synonym."""
-    return _words(category) in _things()[0]
+    return category_words(category) in _things()[0]
 
 
 @lru_cache(maxsize=65536)
@@ -54,7 +50,7 @@ def is_kind_of(category: str, wanted: str) -> bool:
         wanted: A category that the taxonomy has; no other one has kinds.
     """
     names, parents = _things()
-    asked, words = names.get(_words(wanted)), _words(category)
+    asked, words = names.get(category_words(wanted)), category_words(category)
     ends = (words[start:] for start in range(len(words)))
     thing = next((names[end] for end in ends if end in names), None)
     while thing is not None and asked is not None and thing != asked:

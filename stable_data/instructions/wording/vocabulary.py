@@ -9,7 +9,7 @@ from functools import cache, lru_cache
 from types import MappingProxyType
 
 from stable_data.instructions.wording.taxonomy import is_kind_of, is_listed
-from stable_data.instructions.wording.words import singular, singular_noun, type_words
+from stable_data.instructions.wording.words import category_words, singular_noun, type_words
 
 _CLASSES: Mapping[str, str] = MappingProxyType(
     {
@@ -204,14 +204,14 @@ def _by_words() -> dict[tuple[str, ...], frozenset[str]]:
     found: dict[tuple[str, ...], set[str]] = {}
     for name, entries in _CLASSES.items():
         for entry in entries.split(", "):
-            found.setdefault(singular(type_words(entry)), set()).add(name)
+            found.setdefault(category_words(entry), set()).add(name)
     return {words: frozenset(names) for words, names in found.items()}
 
 
 @cache
 def classes_of(category: str) -> frozenset[str]:
     """Returns the classes of a category, possibly none."""
-    words = singular(type_words(category))
+    words = category_words(category)
     ends = (words[start:] for start in range(len(words)))
     return next((_by_words()[end] for end in ends if end in _by_words()), frozenset())
 
@@ -258,7 +258,7 @@ def closeness(found: str, wanted: str) -> int:
     What is a kind of what follows from the :mod:`~stable_data.instructions.wording.taxonomy`; for a category that it does not list,
     from the last words. A name that the vocabulary has for the wanted category fits too: a ``cup`` for a ``mug``.
     """
-    found_words, wanted_words = singular(type_words(found)), singular(type_words(wanted))
+    found_words, wanted_words = category_words(found), category_words(wanted)
     if not found_words or not wanted_words:
         return 0
     if found_words == wanted_words:
@@ -275,5 +275,6 @@ def closeness(found: str, wanted: str) -> int:
     return int(is_name and (bool(found_classes & wanted_classes) or not (found_classes and wanted_classes)))
 
 
-def _names_of(category: str) -> list[tuple[str, ...]]:
-    return [singular(type_words(noun)) for noun in nouns_of(category)]
+@cache
+def _names_of(category: str) -> tuple[tuple[str, ...], ...]:
+    return tuple(category_words(noun) for noun in nouns_of(category))

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from functools import cache
+from functools import lru_cache
 
 _IRREGULAR = {"knife": "knives", "loaf": "loaves", "mouse": "mice", "dice": "dice", "die": "dice", "shelf": "shelves"}
 _SINGULAR = {many: one for one, many in _IRREGULAR.items() if many != one}
@@ -25,7 +25,13 @@ def singular(words: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(map(_stem, words))
 
 
-@cache
+@lru_cache(maxsize=65536)
+def category_words(category: str) -> tuple[str, ...]:
+    """Returns the words of a category without plural endings, from a cache."""
+    return singular(type_words(category))
+
+
+@lru_cache(maxsize=65536)
 def _stem(word: str) -> str:
     if word in _SINGULAR:
         return _SINGULAR[word]
