@@ -7,6 +7,7 @@ mesh they are as wide as it is anywhere there.
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -23,6 +24,7 @@ _CEILING = 0.02  # metres: thickness of the body for what covers a table
 _THICKNESS = 1e-3  # metres that a sheet is given on both sides
 _STEP = 5e-3  # levels that are nearer than this count as one, metres
 _MOST_LEVELS = 16
+_LAYER = 0.05  # greatest height of a layer without level faces, metres
 _SAME = 3e-3  # metres: layers whose outlines differ by less are one
 _GAP = 4e-3  # metres: half the width of gaps that are closed
 _BULGE = 2e-4  # m² by which the hull of a piece may be larger than it,
@@ -48,7 +50,8 @@ def seen_from_open_side(mesh: Mesh, surface: SupportSurface, fit: TabletopFit, o
         others: Things fixed on the support, in its frame.
     """
     parts = find_obstacles(mesh, fit.frame(surface), fit.tabletop, others)
-    low = [part for part in parts if part.vertices[:, 2].min() < (fit.tabletop.clearance or math.inf)]
+    ceiling = (fit.tabletop.clearance or math.inf) - 2 * _THICKNESS
+    low = [part for part in parts if part.vertices[:, 2].min() < ceiling]
     shadow = union([shapely.convex_hull(shapely.multipoints(part.vertices[:, :2])) for part in low])
     width, depth = fit.tabletop.size_xy
     sides = [
@@ -86,7 +89,7 @@ def find_obstacles(
     """
     shadows = Shadows(to_frame(join_meshes([mesh, *others]), frame))
     (width, depth), low = table.size_xy, limits.flatness
-    high = limits.high if table.clearance is None else table.clearance
+    high = limits.high if table.clearance is None else table.clearance - _THICKNESS
     free = shapely.box(0.0, 0.0, width, depth)
     if table.restricted_zone is not None:
         x_min, x_max, y_min, y_max = table.restricted_zone
@@ -111,7 +114,7 @@ def find_obstacles(
 
 
 def _layers(levels: FloatArray) -> Iterator[tuple[float, float]]:
-    """Layers, each from a height to another one: thin ones around the levels of a mesh, where faces may lie, and those between."""
+    """Layers, each from a height to another one: thin ones around the levels of faces, and those between, of limited height."""
     step = _STEP
     while len(groups := np.split(levels, np.flatnonzero(np.diff(levels) >= step) + 1)) > _MOST_LEVELS:
         step *= 1.5
@@ -120,7 +123,8 @@ def _layers(levels: FloatArray) -> Iterator[tuple[float, float]]:
     for group in groups:
         start, end = max(low, float(group[0]) - _THICKNESS), min(high, float(group[-1]) + _THICKNESS)
         if start > reached:
-            yield reached, start
+            between = np.linspace(reached, start, math.ceil((start - reached) / _LAYER) + 1).tolist()
+            yield from pairwise(between)
         if end > start:
             yield start, end
         reached = end

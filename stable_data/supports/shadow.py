@@ -10,6 +10,7 @@ from stable_data.scene import FloatArray
 
 _SNAP = 1e-6  # grid of coordinates in unions, metres
 _FLATTEST = 1e-12  # area of a slice that shades nothing, m²
+_LEVEL = 1e-3  # rise of a triangle that counts as level, metres
 _BESIDE = 0.01  # metres around a shape in which triangles are near it
 
 
@@ -41,8 +42,10 @@ class Shadows:
         return float(np.maximum(self._low[above], low).min()) if len(above) else None
 
     def levels(self, area: shapely.Geometry, low: float, high: float) -> FloatArray:
-        """Returns the heights of the corners near an area that lie between two heights, and these two, rising."""
-        heights = self._triangles[self._rows(area, low, high)][..., 2].ravel()
+        """Returns the heights of level faces near an area that lie between two heights, and these two, rising."""
+        rows = self._rows(area, low, high)
+        rows = rows[self._high[rows] - self._low[rows] < _LEVEL]
+        heights = self._low[rows]
         return np.unique(np.r_[low, heights[(heights > low) & (heights < high)], high])
 
     def _rows(self, area: shapely.Geometry, low: float, high: float) -> Any:

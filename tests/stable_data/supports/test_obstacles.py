@@ -57,6 +57,25 @@ def test_obstacles_contain_what_rises_near_a_table_and_leave_its_room_free(suppo
                 assert shapely.intersection(outline, free).area < 1e-4
 
 
+def test_a_fine_mesh_has_obstacles_as_narrow_as_a_coarse_one() -> None:
+    """Below the shade of a lamp there is room, although the corners of its mesh lie at all heights."""
+    fine = lamp()
+    for _ in range(3):
+        fine = Mesh(*trimesh.remesh.subdivide(fine.vertices, fine.faces))
+    support = join_meshes([desk(), fine])
+    surface = find_surfaces(support)[0]
+    fit = as_tabletop(surface)
+    parts = find_obstacles(support, fit.frame(surface), fit.tabletop)
+    assert len(parts) < 30
+    radius = {
+        height: max(np.ptp(p.vertices[:, 0]) / 2 for p in parts if p.vertices[:, 2].min() <= height <= p.vertices[:, 2].max())
+        for height in (0.01, 0.2, 0.41)
+    }
+    assert radius[0.01] == pytest.approx(0.08, abs=0.004)  # the foot
+    assert radius[0.2] == pytest.approx(0.01, abs=0.004)  # the pole
+    assert radius[0.41] == pytest.approx(0.1, abs=0.02)  # the shade
+
+
 def test_a_plain_table_has_no_obstacles() -> None:
     surface = find_surfaces(desk())[0]
     fit = as_tabletop(surface)
