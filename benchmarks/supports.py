@@ -17,7 +17,6 @@ from benchmarks.text_table import align_columns
 from pipelines.sources.assets import AssetLibraries, absolute_places
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.mesh import Mesh, join_meshes
-from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.geometry.shape import Shape
 from stable_data.supports import as_tabletop, find_obstacles, find_surfaces, seen_from_open_side
 
@@ -37,7 +36,6 @@ class SupportFigure:
         surfaces_ms: To find the surfaces.
         tables_ms: To choose the tables on all of them, and the sides from which they are seen.
         obstacles_ms: To find what is in the way on all of them.
-        of_repair: All three as a share of the time that the repair of the mesh takes.
     """
 
     name: str
@@ -47,7 +45,6 @@ class SupportFigure:
     surfaces_ms: float
     tables_ms: float
     obstacles_ms: float
-    of_repair: float
 
 
 def measure(name: str, mesh: Mesh) -> SupportFigure:
@@ -61,15 +58,10 @@ def measure(name: str, mesh: Mesh) -> SupportFigure:
         times.append(time.perf_counter())
         parts = [find_obstacles(mesh, fit.frame(s), fit.tabletop) for s, fit in zip(surfaces, fits, strict=True)]
         times.append(time.perf_counter())
-        repair_mesh(mesh, name)
-        times.append(time.perf_counter())
         rows.append(np.diff(times))
     best = np.min(rows, axis=0)
-    finding, choosing, blocking = (round(1e3 * float(seconds), 1) for seconds in best[:3])
-    share = round(float(best[:3].sum() / best[3]), 2)
-    return SupportFigure(
-        name, len(mesh.faces), len(surfaces), sum(map(len, parts)), finding, choosing, blocking, share
-    )  # fmt: skip
+    finding, choosing, blocking = (round(1e3 * float(seconds), 1) for seconds in best)
+    return SupportFigure(name, len(mesh.faces), len(surfaces), sum(map(len, parts)), finding, choosing, blocking)
 
 
 def shelf(num_faces: int) -> Mesh:
@@ -112,7 +104,7 @@ def main() -> None:
     while size <= arguments.faces:
         figures.append(measure(f"shelf of {_BOARDS} boards", shelf(size)))
         size *= 12
-    names = ["support", "faces", "surfaces", "obstacles", "surfaces, ms", "tables, ms", "obstacles, ms", "of the repair"]
+    names = ["support", "faces", "surfaces", "obstacles", "surfaces, ms", "tables, ms", "obstacles, ms"]
     print(align_columns([names, *([str(value) for value in asdict(figure).values()] for figure in figures)], 1))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps([asdict(figure) for figure in figures], indent=2) + "\n", "utf-8")

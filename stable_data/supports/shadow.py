@@ -59,6 +59,18 @@ class Shadows:
 
 def slices(triangles: FloatArray, low: float, high: float) -> Any:
     """Returns the vertical projections of the parts of triangles (F, 3, 3) between two heights, (F,) shapes: convex."""
+    shapes = np.full(len(triangles), shapely.Polygon(), dtype=object)
+    flat, heights = triangles[..., :2], triangles[..., 2]
+    (ax, ay), (bx, by) = (flat[:, 1] - flat[:, 0]).T, (flat[:, 2] - flat[:, 0]).T
+    is_whole = (abs(ax * by - ay * bx) > 2 * _FLATTEST) & (heights >= low).all(axis=1) & (heights <= high).all(axis=1)
+    shapes[is_whole] = shapely.polygons(flat[is_whole])  # most of a fine mesh
+    rest = np.flatnonzero(~is_whole & (heights.max(axis=1) >= low) & (heights.min(axis=1) <= high))
+    shapes[rest] = _cut_slices(triangles[rest], low, high)
+    return shapes
+
+
+def _cut_slices(triangles: FloatArray, low: float, high: float) -> Any:
+    """The same for triangles of which a part is between the heights, or that are upright."""
     a, b = triangles, np.roll(triangles, -1, axis=1)
     corners = [a]
     for level in (low, high):
@@ -84,7 +96,8 @@ def slices(triangles: FloatArray, low: float, high: float) -> Any:
 
 def union(shapes: Any) -> shapely.Geometry:
     """Returns the union of shapes, of which polygons alone remain."""
-    return polygons(shapely.union_all(shapes, grid_size=_SNAP))
+    # Snapping afterwards closes the same slits in a fifth of the time.
+    return polygons(shapely.set_precision(shapely.union_all(shapes), _SNAP))
 
 
 def polygons(shape: shapely.Geometry) -> shapely.Geometry:
