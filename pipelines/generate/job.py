@@ -71,7 +71,7 @@ class GenerateJob(ShardJob):
 
     @cached_property
     def _libraries(self) -> AssetLibraries:
-        return AssetLibraries(self.places, scenes=self._asked.supports)
+        return AssetLibraries(self.places, scenes=self._asked.supports, offers_scenes=False)
 
     @cached_property
     def _inputs(self) -> dict[str, Any]:

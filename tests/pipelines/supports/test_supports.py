@@ -189,6 +189,11 @@ def test_scenes_of_others_are_supports_too(dataset: Path, tmp_path: Path) -> Non
     assert isinstance(task, LayoutTask)
     assert [o.category for o in task.surroundings] == ["microwave"]
     assert task.shown_table.restricted_zone == pytest.approx((0.08, 0.52, 0.27, 0.63), abs=1e-3)
+    # What is not fixed is no part of the support, and is not used in scenes on it.
+    first, *_ = AssetLibraries([str(dataset)], scenes=run, offers_scenes=False).libraries
+    assert {a.category: a.is_offered for a in first.assets} == {"microwave": False, "mug": False}
+    first, *_ = AssetLibraries([run, str(dataset)], scenes=run, offers_scenes=False).libraries
+    assert {a.category: a.is_offered for a in first.assets} == {"microwave": False, "mug": True}
 
 
 def test_the_zone_of_things_far_apart_is_that_of_the_largest() -> None:
