@@ -112,7 +112,9 @@ def prepare_supports(
     known = shelf.asset_ids
     if unknown := [asset_id for asset_id in asset_ids if asset_id not in known]:
         raise ConfigError(f"{library}: has no asset {unknown[0]}, expected one of {_some(known)}", "asset_unknown")
-    chosen = list(asset_ids) or [a for a in known if (shelf.rows(a) or ({},))[0].get("is_static")] or list(known)
+    chosen = list(dict.fromkeys(asset_ids)) or [a for a in known if (shelf.rows(a) or ({},))[0].get("is_static")] or list(known)
+    if not chosen:
+        raise ConfigError(f"{library}: has no asset, expected furniture; make it with stable-data import", "no_surface")
     store, found, failures = AssetStore(shelf), list[PreparedSupport](), list[Notice]()
     for asset_id in tqdm(chosen, desc="supports", unit="support", disable=not progress):
         try:
