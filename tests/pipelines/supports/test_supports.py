@@ -1,8 +1,10 @@
 """From a piece of furniture as its authors ship it to scenes on its surfaces."""
 
 import json
+import pickle
 import shutil
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +29,18 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.scene_files.importing import import_scenes
 from pipelines.scene_files.repair import RepairOptions
 from pipelines.sources.assets import AssetLibraries
-from pipelines.sources.generation_tasks import SampledTask, TaskSource, sample_tasks, tasks_on_supports
-from pipelines.supports.preparing import SupportOptions, prepare_supports, table_type_of
+from pipelines.sources.generation_tasks import (
+    SampledTask,
+    TaskSource,
+    fingerprints_of_tasks,
+    sample_tasks,
+    tasks_on_supports,
+)
+from pipelines.supports.preparing import SupportOptions, _fixed_furniture, prepare_supports, table_type_of
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.cli import app as stable_data
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.export.exporter import export_run
 from stable_data.metrics.audit import audit_scene
@@ -202,6 +211,27 @@ def test_sampled_tasks_fit_their_surfaces(supports: str) -> None:
         assert drawn.scene_id.startswith("coffee_table_")
         assert (drawn.table.clearance is None) is (not drawn.surroundings)
         assert drawn.reference is not None
+
+
+def test_the_fingerprint_of_a_task_tells_its_surroundings(supports: str) -> None:
+    drawn = tasks_on_supports(sample_tasks(8, 3), supports).tasks
+    given = tasks_on_supports(TaskSource("tasks", [LayoutTask("t", "Lift it.", DESK)] * 8), supports).tasks
+    for tasks in (drawn, given):
+        assert len({content_id(row) for row in fingerprints_of_tasks(tasks)}) == 8
+        second = tasks[1]
+        if isinstance(second, SampledTask):
+            assert second.place is not None
+            changed: SampledTask | LayoutTask = replace(second, place=replace(second.place, surroundings=()))
+        else:
+            first, *others = second.surroundings
+            changed = replace(second, surroundings=(first.moved((0.0, 0.0, 0.0), 0.0), *others))
+        assert fingerprints_of_tasks([second]) != fingerprints_of_tasks([changed])
+        assert fingerprints_of_tasks([second]) == fingerprints_of_tasks([pickle.loads(pickle.dumps(second))])
+
+
+def test_fixed_furniture_is_used_where_no_asset_is_named(library: str, dataset: Path) -> None:
+    assert COFFEE in _fixed_furniture(library)
+    assert _fixed_furniture(str(dataset)) == []
 
 
 def test_scenes_of_others_are_supports_too(dataset: Path, tmp_path: Path) -> None:
