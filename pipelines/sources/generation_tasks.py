@@ -180,7 +180,8 @@ def tasks_on_supports(source: TaskSource, supports: str) -> TaskSource:
     for number, task in enumerate(source.tasks):
         place = places[number % len(places)]
         if place.frame is not None:
-            piece = f"{place.frame.support}_{number // len(places):05d}"
+            seed = f"_seed{task.seed}" if isinstance(task, SampledTask) and task.seed else ""  # as in the id of its scene
+            piece = f"{place.frame.support}_{number // len(places):05d}{seed}"
             place = replace(place, frame=replace(place.frame, support=piece))
         if isinstance(task, SampledTask):
             kind = place.table.table_type

@@ -31,8 +31,9 @@ def join_scenes(scenes: Sequence[Scene], low: FloatArray, high: FloatArray) -> S
 
     Returns:
         A scene with the name of the support. Its frame is upright on the floor, and turned as that of the first scene. Objects have
-        the names ``<surface>_<instance>``. Each surface is the top of a fixed body ``<surface>_board``. A fixed object of one surface
-        ends at the plane of another one over which it would reach. It has no task and no relations.
+        the names ``<surface>_<instance>``. Each surface is the top of fixed bodies ``<surface>_board_<k>`` around its restricted
+        zone, which may be a sink. A fixed object of one surface ends at the plane of another one over which it would reach. The
+        scene has no task and no relations.
 
     Raises:
         SceneError: A scene has no frame, or they name different supports (``not_joined``).
@@ -47,21 +48,26 @@ def join_scenes(scenes: Sequence[Scene], low: FloatArray, high: FloatArray) -> S
     x, y = rotate_xy(start[None], first.yaw)[0].tolist()
     joined = replace(first, surface=FLOOR, origin=(x, y, float(low[2])))
     width, depth = (end - start).tolist()
-    boards = [_board(scene, scenes, joined) for scene in scenes]
+    boards = [_boards(scene, scenes, joined) for scene in scenes]
+    ends = [board for own in boards for board in own]
     objects: list[SceneObject] = []
-    for scene, board in zip(scenes, boards, strict=True):
+    fixed: set[str] = set()
+    for scene, own in zip(scenes, boards, strict=True):
         assert scene.frame is not None
-        objects.append(board)
+        objects += own
+        fixed |= {board.instance for board in own}
         for o in scene.objects:
             named = replace(o, instance=f"{scene.frame.surface}_{o.instance}", support=None, stage=None)
             moved = _moved(named, scene.frame, joined)
-            objects.append(_ended(moved, boards) if o.instance in scene.fixed else moved)
-    fixed = {f"{scene.frame.surface}_{name}" for scene in scenes if scene.frame for name in (*scene.fixed, "board")}
+            if o.instance in scene.fixed:
+                moved = _ended(moved, ends)
+                fixed.add(moved.instance)
+            objects.append(moved)
     return Scene(first.support, Tabletop(FLOOR, (width, depth)), tuple(objects), fixed=frozenset(fixed), frame=joined)
 
 
-def _board(scene: Scene, others: Sequence[Scene], target: SupportFrame) -> SceneObject:
-    """The body below a surface, as thin as the furniture is above the free room of another surface."""
+def _boards(scene: Scene, others: Sequence[Scene], target: SupportFrame) -> list[SceneObject]:
+    """The bodies below a surface around its restricted zone, as thin as the furniture is above the free room of another surface."""
     frame, (width, depth) = scene.frame, scene.table.size_xy
     assert frame is not None
     area, thick = _area(scene), _BOARD
@@ -71,8 +77,17 @@ def _board(scene: Scene, others: Sequence[Scene], target: SupportFrame) -> Scene
         sheet = frame.origin[2] - (other.frame.origin[2] + other.table.clearance)
         thick = min(thick, sheet) if sheet > -_THINNEST else thick
     thick = max(thick, _THINNEST)
-    board = SceneObject(f"{frame.surface}_board", "board", (width / 2, depth / 2, -thick / 2), 0.0, (width, depth, thick))
-    return _moved(board, frame, target)
+    x_min, x_max, y_min, y_max = scene.table.restricted_zone or (width, width, 0.0, depth)
+    sides = [(0.0, x_min, 0.0, depth), (x_max, width, 0.0, depth), (x_min, x_max, 0.0, y_min), (x_min, x_max, y_max, depth)]
+    bodies = [
+        ((left + right) / 2, (near + far) / 2, right - left, far - near)
+        for left, right, near, far in sides
+        if right - left > _THINNEST and far - near > _THINNEST
+    ]
+    return [
+        _moved(SceneObject(f"{frame.surface}_board_{k}", "board", (x, y, -thick / 2), 0.0, (wide, deep, thick)), frame, target)
+        for k, (x, y, wide, deep) in enumerate(bodies)
+    ]
 
 
 def _area(scene: Scene) -> shapely.Polygon:
