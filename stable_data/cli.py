@@ -304,6 +304,8 @@ def export(
     from stable_data.storage.run_folder import RunFolder
 
     if format_name == "original":
+        if join:
+            raise ConfigError("--join makes new scenes, which original does not know; leave it out", "usage")
         _export_originals(run, out, SceneSelection(where, tuple(scene or ()), limit), originals)
         return
     with tqdm(desc="export", unit="scene", disable=None) as bar:

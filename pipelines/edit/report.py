@@ -1,6 +1,7 @@
 """The report page of an edit run: edits by kind, results, and pictures before and after."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from html import escape
 from typing import Any
@@ -86,7 +87,9 @@ def _in_turn(edits: list[Row]) -> list[Row]:
 
 
 def _before(row: Row, after: Scene) -> Scene:
-    return Scene(row["scene_id"], after.table, tuple(object_from_row(o) for o in row["objects_in"]))
+    """The scene before an edit, with the surroundings that no edit changes."""
+    objects = (*after.surroundings, *(object_from_row(o) for o in row["objects_in"]))
+    return replace(after, scene_id=row["scene_id"], objects=objects, task=None, relations=())
 
 
 def _names(row: Row) -> str:

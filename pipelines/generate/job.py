@@ -18,7 +18,7 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
 from pipelines.sources.asset_copies import CopyAssets, asset_shards
 from pipelines.sources.assets import AssetLibraries, absolute_places
-from pipelines.sources.generation_tasks import TaskSource, served_tasks
+from pipelines.sources.generation_tasks import TaskSource, fingerprints_of_tasks, served_tasks
 from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import Notice
@@ -71,14 +71,14 @@ class GenerateJob(ShardJob):
 
     @cached_property
     def _libraries(self) -> AssetLibraries:
-        return AssetLibraries(self.places, scenes=self._asked.supports)
+        return AssetLibraries(self.places, scenes=self._asked.supports, offers_scenes=False)
 
     @cached_property
     def _inputs(self) -> dict[str, Any]:
         settings, tasks = self.settings, self.tasks
         load_flow(settings.weights, settings.steps)
         return {
-            "tasks": content_id([asdict(task) for task in tasks.tasks], [asdict(notice) for notice in tasks.lost]),
+            "tasks": content_id(fingerprints_of_tasks(tasks.tasks), [asdict(notice) for notice in tasks.lost]),
             "weights": weights_fingerprint(settings.weights),
             "reasoner": content_id(proposal_config(settings.engine, settings.reasoner)),
             **{f"assets.{library}": found for library, found in self._libraries.fingerprints.items()},
@@ -96,7 +96,7 @@ class GenerateJob(ShardJob):
         """One step over the tasks. The id of a shard is a hash of its own tasks and of the settings, not of other tasks."""
         shaping = self.settings.shaping(), {key: value for key, value in self._inputs.items() if key != "tasks"}
         shards = [
-            Shard(content_id("generate", *shaping, [asdict(task) for task in part]), tuple(part))
+            Shard(content_id("generate", *shaping, fingerprints_of_tasks(part)), tuple(part))
             for part in split_groups(self.tasks.tasks, self.settings.scenes_per_shard)
         ]
         return [StepShards(GenerateWork(self.places, self.settings, content_id(self._inputs), self._asked.supports), shards)]

@@ -344,7 +344,7 @@ def _read_asset(work: GenerateWork, asset_id: str) -> None:
 
 @lru_cache(maxsize=1)
 def _open_certifier(work: GenerateWork) -> LocalCertifier:
-    return _certifier(work.settings, AssetLibraries(work.assets, scenes=work.supports))
+    return _certifier(work.settings, AssetLibraries(work.assets, scenes=work.supports, offers_scenes=False))
 
 
 def _opened_corrector(work: GenerateWork) -> tuple[PhysicsCorrector, AssetStore]:
@@ -366,7 +366,7 @@ def _certifier(settings: GenerateSettings, shelf: AssetLibraries, shared: Pooled
 @lru_cache(maxsize=1)
 def _opened(work: GenerateWork) -> GenerateWorkerState:
     settings = work.settings
-    shelf = AssetLibraries(work.assets, scenes=work.supports)
+    shelf = AssetLibraries(work.assets, scenes=work.supports, offers_scenes=False)
     reasoner, interpret = load_reasoner(settings.engine, settings.reasoner, work.pool)
     retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf, work.correctors)
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)

@@ -89,6 +89,7 @@ class AssetLibraries:
             repository. Empty: the embedded library alone.
         scenes: A source of scenes whose own library is the first, before those of the places, of which there may then be none. It
             may contain no usable asset.
+        offers_scenes: Whether the assets of ``scenes`` may be retrieved too.
 
     Attributes:
         libraries: The catalogues, not encoded.
@@ -97,7 +98,7 @@ class AssetLibraries:
         ConfigError: A library cannot be read, or contains no usable asset.
     """
 
-    def __init__(self, places: Sequence[str] = (), *, scenes: str | None = None) -> None:
+    def __init__(self, places: Sequence[str] = (), *, scenes: str | None = None, offers_scenes: bool = True) -> None:
         named = [run for place in places for run in (_real_runs() if place == REAL else (place,))]
         every = (tuple(named) or (EMBEDDED,)) if scenes is None else (scenes, *named)
         twice = {name for name, count in Counter(map(_name, every)).items() if count > 1}
@@ -105,6 +106,8 @@ class AssetLibraries:
             _opened(place, place if _name(place) in twice else _name(place), may_be_empty=scenes is not None and k == 0)
             for k, place in enumerate(every)
         ]
+        if scenes is not None and not offers_scenes and scenes not in named:
+            self._places[0] = _not_offered(self._places[0])
         self._of: dict[str, _Place] = {}
         libraries = []
         for place in self._places:
@@ -257,6 +260,15 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, partial(library_of_folder, root, name, scenes=shown, keeps_sizes=True), may_be_empty=may_be_empty)
+
+
+def _not_offered(place: _Place) -> _Place:
+    """A library of which no asset may be retrieved."""
+    if place.library is None:
+        return place
+    return replace(
+        place, library=replace(place.library, assets=tuple(replace(a, on_table=False) for a in place.library.assets))
+    )
 
 
 def _listed(read: Callable[[], AssetLibrary], *, may_be_empty: bool) -> AssetLibrary | None:

@@ -2,13 +2,14 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from models.semantic_reasoner.staged_layout import LayoutTask, table_with_zone, task_of_scene
 from pipelines.sources.tasks import STEP, read_tasks, task_of
+from stable_data.content_id import content_id
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.embedded_world.sampling import sample_task
 from stable_data.embedded_world.scenes import plan_of, scene_id_of
@@ -104,6 +105,27 @@ def _missing(task: LayoutTask, serves: Callable[[str], bool]) -> list[str]:
 Task: TypeAlias = LayoutTask | SampledTask
 
 
+def fingerprints_of_tasks(tasks: Iterable[Task]) -> list[dict[str, Any]]:
+    """Returns what the scenes of tasks depend on; surroundings, which many tasks share, are named by a hash."""
+    hashes: dict[int, str] = {}
+
+    def named(surroundings: tuple[SceneObject, ...]) -> dict[str, str]:
+        if id(surroundings) not in hashes:
+            hashes[id(surroundings)] = content_id([asdict(o) for o in surroundings])
+        return {"surroundings_id": hashes[id(surroundings)]}
+
+    found = []
+    for task in tasks:
+        if isinstance(task, SampledTask) and task.place is not None:
+            bare = replace(task, place=replace(task.place, surroundings=()))
+            found.append(asdict(bare) | named(task.place.surroundings))
+        elif isinstance(task, LayoutTask) and task.surroundings:
+            found.append(asdict(replace(task, surroundings=())) | named(task.surroundings))
+        else:
+            found.append(asdict(task))
+    return found
+
+
 @dataclass(frozen=True, slots=True)
 class TaskSource:
     """The tasks of a run.
@@ -158,7 +180,8 @@ def tasks_on_supports(source: TaskSource, supports: str) -> TaskSource:
     for number, task in enumerate(source.tasks):
         place = places[number % len(places)]
         if place.frame is not None:
-            piece = f"{place.frame.support}_{number // len(places):05d}"
+            seed = f"_seed{task.seed}" if isinstance(task, SampledTask) and task.seed else ""  # as in the id of its scene
+            piece = f"{place.frame.support}_{number // len(places):05d}{seed}"
             place = replace(place, frame=replace(place.frame, support=piece))
         if isinstance(task, SampledTask):
             kind = place.table.table_type

@@ -34,6 +34,7 @@ def supports(
     from PIL import Image
 
     from pipelines.supports.preparing import SupportOptions, prepare_supports
+    from stable_data.atomic_files import safe_file_name
     from stable_data.errors import ConfigError
     from stable_data.storage.run_folder import RunFolder
     from stable_data.supports.picture import draw_surfaces
@@ -55,7 +56,7 @@ def supports(
                 continue
             place = Path(folder.root) / "report"
             place.mkdir(exist_ok=True)
-            picture.save(place / f"{support.asset_id}.png")
+            picture.save(place / f"{safe_file_name(support.asset_id)}.png")
     for notice in counts.failures:
         typer.echo(f"not used: {notice.message}", err=True)
     num = sum(len(support.scenes) for support in counts.supports)

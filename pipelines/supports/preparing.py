@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 from tqdm import tqdm
 
 from pipelines.execution.item_progress import ItemProgress
@@ -112,7 +113,9 @@ def prepare_supports(
     known = shelf.asset_ids
     if unknown := [asset_id for asset_id in asset_ids if asset_id not in known]:
         raise ConfigError(f"{library}: has no asset {unknown[0]}, expected one of {_some(known)}", "asset_unknown")
-    chosen = list(asset_ids) or [a for a in known if (shelf.rows(a) or ({},))[0].get("is_static")] or list(known)
+    chosen = list(dict.fromkeys(asset_ids)) or _fixed_furniture(place) or list(known)
+    if not chosen:
+        raise ConfigError(f"{library}: has no asset, expected furniture; make it with stable-data import", "no_surface")
     store, found, failures = AssetStore(shelf), list[PreparedSupport](), list[Notice]()
     for asset_id in tqdm(chosen, desc="supports", unit="support", disable=not progress):
         try:
@@ -123,6 +126,14 @@ def prepare_supports(
         raise ConfigError(f"{library}: no asset has a surface, expected at least one; {failures[0].message}", "no_surface")
     _write_run(RunFolder(out), library, place, shelf, options, found, failures)
     return SupportCounts(tuple(found), tuple(failures))
+
+
+def _fixed_furniture(place: str) -> list[str]:
+    """The assets of a library that their source says are fixed; none if the library is no run."""
+    run = RunFolder(place)
+    if not ("://" in place or run.files("assets")):
+        return []
+    return sorted(run.table("assets", ["asset_id"], pc.field("is_static"))["asset_id"].to_pylist())
 
 
 def _some(names: Sequence[str]) -> str:

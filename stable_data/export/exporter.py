@@ -86,10 +86,16 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
     with target.locked():
         _check_same(target, run, name, choice)
         try:
-            shown = iter(scenes) if pieces is None else (_joined(piece, scenes.store) for piece in pieces)
+            shown = scenes if pieces is None else pieces
             return _export(scenes, shown, total, annotations, out, chosen, progress)
         except OSError as error:
             raise cannot_write(str(out), error) from error
+
+
+def _piece_of(piece: Sequence[Scene]) -> str:
+    frame = piece[0].frame
+    assert frame is not None
+    return frame.support
 
 
 def _joined(piece: Sequence[Scene], store: AssetStore) -> Scene:
@@ -106,7 +112,7 @@ def _joined(piece: Sequence[Scene], store: AssetStore) -> Scene:
 
 def _export(
     scenes: RunScenes,
-    chosen_scenes: Iterable[Scene],
+    chosen_scenes: Iterable[Scene] | Iterable[Sequence[Scene]],
     total: int,
     annotations: Mapping[str, AssetAnnotation],
     out: Path,
@@ -114,8 +120,10 @@ def _export(
     progress: Progress | None,
 ) -> ExportResult:
     written, existing, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
-    for scene in chosen_scenes:
+    for item in chosen_scenes:
+        name = item.scene_id if isinstance(item, Scene) else _piece_of(item)
         try:
+            scene = item if isinstance(item, Scene) else _joined(item, scenes.store)
             if chosen.scene_path(scene, out).exists():
                 existing += 1
             else:
@@ -132,9 +140,9 @@ def _export(
         except StableDataError as error:
             if isinstance(error, ConfigError) and error.code != "uid_path_traversal":
                 raise  # the run or the folder is unusable
-            failures.append(_line(scene.scene_id, str(error)))
+            failures.append(_line(name, str(error)))
         except Exception as error:  # noqa: BLE001 - an unexpected error loses one scene only
-            failures.append(_line(scene.scene_id, f"unexpected {type(error).__name__}: {error}; please report it"))
+            failures.append(_line(name, f"unexpected {type(error).__name__}: {error}; please report it"))
         if progress is not None:
             progress(written + existing + len(failures), total, len(failures))
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})

@@ -104,7 +104,10 @@ def find_obstacles(
         elif not shape.is_empty:
             found.append((start, end, shape))
     if table.clearance is not None:
-        found.append((high, high + _CEILING, area))
+        if found and found[-1][1] == high:  # what is beside the table reaches up to its ceiling
+            found[-1] = (found[-1][0], table.clearance, found[-1][2])
+        # Over the table alone: beside it may be the room of another surface.
+        found.append((high, high + _CEILING, shapely.box(0.0, 0.0, width, depth)))
     return tuple(
         _prism(piece, start, end)
         for start, end, shape in found

@@ -1,13 +1,17 @@
 """From a piece of furniture as its authors ship it to scenes on its surfaces."""
 
 import json
+import pickle
 import shutil
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
@@ -18,17 +22,25 @@ from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.__main__ import app
 from pipelines.asset_import.job import import_assets
 from pipelines.asset_import.settings import ImportSettings
+from pipelines.edit.report import _before
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.scene_files.importing import import_scenes
 from pipelines.scene_files.repair import RepairOptions
 from pipelines.sources.assets import AssetLibraries
-from pipelines.sources.generation_tasks import SampledTask, TaskSource, sample_tasks, tasks_on_supports
-from pipelines.supports.preparing import SupportOptions, prepare_supports, table_type_of
+from pipelines.sources.generation_tasks import (
+    SampledTask,
+    TaskSource,
+    fingerprints_of_tasks,
+    sample_tasks,
+    tasks_on_supports,
+)
+from pipelines.supports.preparing import SupportOptions, _fixed_furniture, prepare_supports, table_type_of
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.cli import app as stable_data
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.export.exporter import export_run
 from stable_data.metrics.audit import audit_scene
@@ -39,7 +51,7 @@ from stable_data.simulation.run_reader import SceneSelection
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.subset import select
-from stable_data.storage.table_rows import scene_from_row
+from stable_data.storage.table_rows import object_row, scene_from_row
 from tests.pipelines.scripts import entry
 
 TABLES = Path(__file__).parents[2] / "data" / "import" / "tables"
@@ -158,6 +170,33 @@ def test_joined_scenes_open_in_mujoco_and_stay_at_rest(made: str, tmp_path: Path
         export_run(RunFolder(made), tmp_path / "m", "mesatask", SceneSelection(joined=True))
 
 
+def test_a_piece_that_cannot_be_joined_is_one_failure(made: str, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(made, run)
+    (scenes,) = (run / "scenes").glob("*.parquet")
+    table = pq.read_table(scenes)
+    rows = table.to_pylist()
+    for row in rows[4:]:
+        row["surface"]["asset_id"] = "sofa"  # which the run lacks
+    pq.write_table(pa.Table.from_pylist(rows, table.schema), scenes)
+    result = export_run(RunFolder(str(run)), tmp_path / "out", "glb", SceneSelection(joined=True))
+    assert result.num_written == 1
+    (failure,) = result.failures
+    assert failure.startswith(f"{COFFEE}_00001: ")
+    assert "sofa" in failure
+    refused = CliRunner().invoke(stable_data, ["export", str(run), str(tmp_path / "o"), "--format", "original", "--join"])
+    assert refused.exit_code == 2
+    assert "--join" in refused.output
+
+
+def test_the_picture_before_an_edit_has_the_surroundings(made: str) -> None:
+    scene = next(s for s in scenes_of(made) if s.fixed)
+    before = _before({"scene_id": "old", "objects_in": [object_row(o) for o in scene.movable[:1]]}, scene)
+    assert before.frame == scene.frame
+    assert before.surroundings == scene.surroundings
+    assert before.movable == scene.movable[:1]
+
+
 def test_a_run_without_supports_has_nothing_to_join(tiny_run: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no selected scene stands on a support"):
         export_run(RunFolder(str(tiny_run)), tmp_path / "out", "glb", SceneSelection(joined=True))
@@ -170,8 +209,31 @@ def test_sampled_tasks_fit_their_surfaces(supports: str) -> None:
         drawn = task.sample(lambda _: True)
         assert drawn.table.table_type == "coffee_table"
         assert drawn.scene_id.startswith("coffee_table_")
+        assert drawn.frame is not None
+        assert drawn.frame.support.endswith("_seed3")  # runs with different seeds can be joined
         assert (drawn.table.clearance is None) is (not drawn.surroundings)
         assert drawn.reference is not None
+
+
+def test_the_fingerprint_of_a_task_tells_its_surroundings(supports: str) -> None:
+    drawn = tasks_on_supports(sample_tasks(8, 3), supports).tasks
+    given = tasks_on_supports(TaskSource("tasks", [LayoutTask("t", "Lift it.", DESK)] * 8), supports).tasks
+    for tasks in (drawn, given):
+        assert len({content_id(row) for row in fingerprints_of_tasks(tasks)}) == 8
+        second = tasks[1]
+        if isinstance(second, SampledTask):
+            assert second.place is not None
+            changed: SampledTask | LayoutTask = replace(second, place=replace(second.place, surroundings=()))
+        else:
+            first, *others = second.surroundings
+            changed = replace(second, surroundings=(first.moved((0.0, 0.0, 0.0), 0.0), *others))
+        assert fingerprints_of_tasks([second]) != fingerprints_of_tasks([changed])
+        assert fingerprints_of_tasks([second]) == fingerprints_of_tasks([pickle.loads(pickle.dumps(second))])
+
+
+def test_fixed_furniture_is_used_where_no_asset_is_named(library: str, dataset: Path) -> None:
+    assert COFFEE in _fixed_furniture(library)
+    assert _fixed_furniture(str(dataset)) == []
 
 
 def test_scenes_of_others_are_supports_too(dataset: Path, tmp_path: Path) -> None:
@@ -189,6 +251,11 @@ def test_scenes_of_others_are_supports_too(dataset: Path, tmp_path: Path) -> Non
     assert isinstance(task, LayoutTask)
     assert [o.category for o in task.surroundings] == ["microwave"]
     assert task.shown_table.restricted_zone == pytest.approx((0.08, 0.52, 0.27, 0.63), abs=1e-3)
+    # What is not fixed is no part of the support, and is not used in scenes on it.
+    first, *_ = AssetLibraries([str(dataset)], scenes=run, offers_scenes=False).libraries
+    assert {a.category: a.is_offered for a in first.assets} == {"microwave": False, "mug": False}
+    first, *_ = AssetLibraries([run, str(dataset)], scenes=run, offers_scenes=False).libraries
+    assert {a.category: a.is_offered for a in first.assets} == {"microwave": False, "mug": True}
 
 
 def test_the_zone_of_things_far_apart_is_that_of_the_largest() -> None:
@@ -207,7 +274,13 @@ def test_the_zone_of_things_far_apart_is_that_of_the_largest() -> None:
 
 def test_the_command_says_what_it_found_and_what_is_wrong(library: str, supports: str, tmp_path: Path) -> None:
     runner = CliRunner()
-    done = runner.invoke(app, ["supports", library, "--asset", COFFEE, "--out", str(tmp_path / "a"), "--surface", "top"])
+    empty = str(tmp_path / "empty")
+    shutil.copytree(library, empty)
+    for path in Path(empty).glob("*/*.parquet"):
+        pq.write_table(pq.read_table(path).slice(0, 0), path)
+    done = runner.invoke(
+        app, ["supports", library, "--asset", COFFEE, "--asset", COFFEE, "--out", str(tmp_path / "a"), "--surface", "top"]
+    )
     assert done.exit_code == 0, done.output
     assert f"{COFFEE} top: 131 x 65 cm" in done.output
     assert [s.frame.surface for s in scenes_of(str(tmp_path / "a")) if s.frame] == ["top"]
@@ -215,6 +288,7 @@ def test_the_command_says_what_it_found_and_what_is_wrong(library: str, supports
         ([library, "--asset", "sofa"], "has no asset sofa"),
         ([library, "--surface", "lid"], "has no surface lid, expected one of top, shelf_1"),
         ([str(tmp_path / "missing")], "missing"),
+        ([empty], "has no asset, expected furniture"),
     ):
         failed = runner.invoke(app, ["supports", *arguments, "--out", str(tmp_path / "b")])
         assert failed.exit_code == 2, failed.output
