@@ -399,10 +399,11 @@ def generate(
     elif scenes is not None:
         found = tasks_of_scenes(scenes, where)
     elif instruction is not None:
-        found = task_of_instruction(instruction, (table or ["table"])[0], size or (100.0, 60.0), restricted)
+        found = task_of_instruction(instruction, (table or ["table"])[0], size or _ANY_SIZE, restricted)
     else:
         found = sample_tasks(count or 0, settings.seed, table or ())
     if supports is not None:
+        _check_no_table(size, restricted)
         found = tasks_on_supports(found, supports)
     if dry_run:
         typer.echo(json.dumps(describe(GenerateJob(found, settings, assets or ())), indent=2))
@@ -469,6 +470,17 @@ def show_settings(
 app.command("repair")(scene_files.repair)
 app.command("import-scenes")(scene_files.import_scenes)
 app.command("supports")(supports)
+
+
+_ANY_SIZE = (100.0, 60.0)  # centimetres; the surface of a support replaces the table of an instruction
+
+
+def _check_no_table(size: object, restricted: object) -> None:
+    """Refuses a table of its own where supports have the tables."""
+    if size or restricted:
+        raise ConfigError(
+            "--size and --restricted are those of a table, but --supports has the tables; leave them out", "usage"
+        )
 
 
 def _further_libraries(assets: list[str]) -> list[str]:

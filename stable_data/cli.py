@@ -288,7 +288,10 @@ def export(
     ],
     where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
     scene: Annotated[list[str] | None, typer.Option("--scene", help="Export only this scene; may be repeated.")] = None,
-    limit: Annotated[int | None, typer.Option(min=0, help="Export at most this many of the selected scenes.")] = None,
+    limit: Annotated[
+        int | None,
+        typer.Option(min=0, help="At most this many of the selected scenes; with --join, pieces of furniture."),
+    ] = None,
     settled: Annotated[bool, typer.Option(help="Use the poses after the simulation in MuJoCo (table settled).")] = False,
     join: Annotated[bool, typer.Option(help="Export the scenes on one piece of furniture as one scene, others not.")] = False,
     originals: Annotated[Path | None, typer.Option(help="Folder of the scene files, for the format original.")] = None,

@@ -149,8 +149,9 @@ def staged_layouts(
 
 
 def task_of_scene(scene: Scene) -> LayoutTask:
-    """Returns the instruction and the table of a scene that has a task, with the labels of the task if its objects are known."""
+    """Returns the task of a scene that has one, on its table with its surroundings; with labels if its objects are known."""
     assert scene.task is not None
+    task = LayoutTask(scene.scene_id, scene.task.task, scene.table, surroundings=scene.surroundings, frame=scene.frame)
     with suppress(SceneError):
-        return LayoutTask(scene.scene_id, scene.task.task, scene.table, reference=reference_of(scene))
-    return LayoutTask(scene.scene_id, scene.task.task, scene.table)
+        return replace(task, reference=reference_of(scene))
+    return task

@@ -14,6 +14,7 @@ from models.semantic_reasoner.editing import EditPrompt, EditResult, apply_edit,
 from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import load_reasoner
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
+from models.semantic_reasoner.staged_layout import table_with_zone
 from models.semantic_reasoner.text.reply_json import parse_reply
 from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.shard import correction_row
@@ -256,7 +257,8 @@ def _edit_row(edit: EditRequest, kind: str, taken: SourceScene, after: Scene) ->
     before = {o.instance: o for o in taken.scene.objects}
     names = {o.instance for o in after.objects}
     changed = [o for o in after.objects if o.instance not in before or _is_other(o, before[o.instance])]
-    head = scene_row(taken.scene)
+    # The table as the reasoner sees it, so that a model is trained on the question that it is asked.
+    head = scene_row(replace(taken.scene, table=table_with_zone(taken.scene.table, taken.scene.surroundings)))
     return {
         "edit_id": edit.edit_id,
         **{name: head[name] for name in ("scene_id", "table_type", "table_size", "restricted_zone")},

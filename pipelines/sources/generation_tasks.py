@@ -282,7 +282,7 @@ def task_of_instruction(instruction: str, table_type: str, size_cm: object, rest
 
 
 def tasks_of_scenes(place: str, where: str = "") -> TaskSource:
-    """The tasks of existing scenes: their instructions and tables, without their objects.
+    """The tasks of existing scenes: their instructions, tables and fixed surroundings, without their other objects.
 
     Args:
         place: A run with a table ``scenes``, or a folder in the MesaTask-10K format.
@@ -292,7 +292,9 @@ def tasks_of_scenes(place: str, where: str = "") -> TaskSource:
         ConfigError: The place is neither, or ``where`` is not a valid condition on a run.
     """
     if "://" in place or RunFolder(place).files("scenes"):
-        return TaskSource.of(Path(place).name, _of_run(RunFolder(place), where))
+        source = TaskSource.of(Path(place).name, _of_run(RunFolder(place), where))
+        stands = any(isinstance(task, LayoutTask) and (task.surroundings or task.frame) for task in source.tasks)
+        return replace(source, supports=absolute_uri(place)) if stands else source
     if where:
         raise ConfigError(f"{place}: has no table scenes; a condition needs a run", "not_a_run")
     dataset = MesaTaskDataset(Path(place).expanduser().resolve())

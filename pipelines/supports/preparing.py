@@ -56,6 +56,9 @@ class SupportOptions:
     limits: SupportLimits = field(default_factory=SupportLimits)
 
 
+OBSTACLES = "supports"
+"""The source of assets that are bodies in the way on a support, made of its mesh."""
+
 _DEFAULT = SupportOptions()
 
 
@@ -133,7 +136,8 @@ def _fixed_furniture(place: str) -> list[str]:
     run = RunFolder(place)
     if not ("://" in place or run.files("assets")):
         return []
-    return sorted(run.table("assets", ["asset_id"], pc.field("is_static"))["asset_id"].to_pylist())
+    rows = run.table("assets", ["asset_id", "source"], pc.field("is_static")).to_pylist()
+    return sorted(row["asset_id"] for row in rows if row["source"] != OBSTACLES)
 
 
 def _some(names: Sequence[str]) -> str:

@@ -34,6 +34,7 @@ from pipelines.sources.generation_tasks import (
     TaskSource,
     fingerprints_of_tasks,
     sample_tasks,
+    tasks_of_scenes,
     tasks_on_supports,
 )
 from pipelines.supports.preparing import SupportOptions, _fixed_furniture, prepare_supports, table_type_of
@@ -43,7 +44,11 @@ from stable_data.cli import app as stable_data
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.export.exporter import export_run
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.sdf.exact import SignedDistance
+from stable_data.geometry.surface_sampling import sample_surface
 from stable_data.metrics.audit import audit_scene
+from stable_data.rotations import rotate_xy
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop
 from stable_data.scene_graph.staging import samples_of, stage_scene
 from stable_data.simulation.collision_bodies import bodies_of
@@ -52,6 +57,7 @@ from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.subset import select
 from stable_data.storage.table_rows import object_row, scene_from_row
+from stable_data.supports import to_frame
 from tests.pipelines.scripts import entry
 
 TABLES = Path(__file__).parents[2] / "data" / "import" / "tables"
@@ -136,12 +142,19 @@ def test_scenes_on_surfaces_are_clean_at_rest_and_within_the_furniture(made: str
         resolved, shapes, _ = store.resolved(scene)
         assert audit_scene(resolved, shapes).card().clean
         assert settle(bodies_of(resolved, shapes, store), resolved.table).stable
-        # What is in the way contains the furniture above the surface, so nothing is in the furniture itself.
         assert scene.table.clearance is None or all(o.top <= scene.table.clearance for o in scene.movable)
+        # No point of the furniture above its plane, which may be 2 mm high, is in an object: the bodies in the way contain it.
+        there = to_frame(furniture, scene.frame)
+        points = np.concatenate([sample_surface(there, 30_000), there.vertices])
+        points = points[points[:, 2] > 0.002]
+        for o, shape, pose in zip(resolved.objects, shapes, resolved.poses(), strict=True):
+            if o.instance not in resolved.fixed:
+                own = np.column_stack([rotate_xy(points[:, :2] - pose[:2], -pose[3]), points[:, 2] - pose[2]])
+                near = own[(abs(own) < shape.size / 2 + 0.01).all(axis=1)]
+                assert SignedDistance(Mesh(shape.vertices, shape.faces))(near).min(initial=1.0) > -5e-4, o.instance
         assert not {name for r in scene.relations for name in (r.subject, r.target)} & scene.fixed
         assert {o.support for o in scene.movable} <= {"table", *(o.instance for o in scene.movable)}
     assert pieces == {f"{COFFEE}_{n:05d}": {"top", "shelf_1", "shelf_2", "shelf_3"} for n in (0, 1)}
-    assert furniture.extents[0] > 1.3
     for row in RunFolder(made).table("scenes").to_pylist():
         assert row["num_objects"] == 3
         assert row["surface"]["asset_id"] == COFFEE
@@ -322,6 +335,21 @@ def test_generated_scenes_need_no_library_of_supports(made: str, supports: str, 
     content = next((tmp_path / "out").glob("*.glb")).read_bytes()
     assert b'"support"' in content
     assert np.frombuffer(content[:4], np.uint32)[0] == 0x46546C67
+
+
+def test_tasks_of_scenes_on_surfaces_stay_there(made: str) -> None:
+    source = tasks_of_scenes(made)
+    assert source.supports == made
+    scenes = {s.scene_id: s for s in scenes_of(made)}
+    for task in source.tasks:
+        assert isinstance(task, LayoutTask)
+        scene = scenes[task.scene_id]
+        assert (task.table, task.frame, task.surroundings) == (scene.table, scene.frame, scene.surroundings)
+
+
+def test_bodies_in_the_way_are_no_supports(supports: str, tmp_path: Path) -> None:
+    again = prepare_supports(supports, [], str(tmp_path / "again"))
+    assert [s.asset_id for s in again.supports] == [COFFEE]
 
 
 def test_an_edit_on_a_surface_names_what_can_be_moved_alone(made: str) -> None:
