@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.scenes.formats import is_usd
+from stable_data.importers.scenes.formats import is_gltf, is_usd
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
 
 if TYPE_CHECKING:  # MuJoCo takes long to import
@@ -87,6 +87,10 @@ def read_scene_file(boundary: Boundary, path: str, key: str = "", *, is_everywhe
         from stable_data.importers.scenes.usd_scenes import read_usd_scene
 
         return read_usd_scene(boundary, path)
+    if is_gltf(path):
+        from stable_data.importers.scenes.gltf_scenes import read_gltf_scene
+
+        return read_gltf_scene(boundary, path)
     from stable_data.importers.scenes.mjcf_scenes import read_mjcf_scene
 
     return _OpenedMjcf(read_mjcf_scene(boundary, path, key), is_everywhere)
