@@ -160,7 +160,7 @@ def sheet(*corners: tuple[float, float, float]) -> Mesh:
 
 def gltf_parts(meshes: Sequence[Mesh], nodes: Sequence[dict[str, Any]], **entries: Any) -> tuple[dict[str, Any], bytes]:
     """A glTF document and its buffer; mesh k of it is ``meshes[k]``, y up, and the first node is the root of its scene."""
-    content, views, accessors = b"", [], []
+    content, views, accessors = b"", list[dict[str, Any]](), list[dict[str, Any]]()
     for mesh in meshes:
         for array, kind, shape in ((mesh.vertices.astype("<f4"), 5126, "VEC3"), (mesh.faces.astype("<u4"), 5125, "SCALAR")):
             accessor = {"bufferView": len(views), "componentType": kind, "type": shape}
@@ -173,9 +173,7 @@ def gltf_parts(meshes: Sequence[Mesh], nodes: Sequence[dict[str, Any]], **entrie
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": list(nodes),
-        "meshes": [
-            {"primitives": [{"attributes": {"POSITION": 2 * k}, "indices": 2 * k + 1}]} for k in range(len(meshes))
-        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 2 * k}, "indices": 2 * k + 1}]} for k in range(len(meshes))],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": len(content)}],
@@ -223,7 +221,13 @@ def kitchen() -> tuple[dict[str, Any], bytes]:
         {"name": "box_b-rigid.001", "mesh": 0, "translation": [-15, 76, 3], "scale": [size, size, 6.0]},
         {"name": "floating_RIGID", "mesh": 0, "matrix": turned.T.ravel().tolist()},
         {"name": "fine-rigid", "children": [10], "translation": [35, 72, -15]},
-        {"name": "bottle", "mesh": 3, "rotation": lying, "translation": [5, 75, -15], "extensions": {"KHR_physics_rigid_bodies": physics}},
+        {
+            "name": "bottle",
+            "mesh": 3,
+            "rotation": lying,
+            "translation": [5, 75, -15],
+            "extensions": {"KHR_physics_rigid_bodies": physics},
+        },
         {"name": "sun-noimp", "mesh": 0, "translation": [35, 76, -15], "scale": [20, 20, 20]},
         {"name": "shelf", "mesh": 0, "translation": [0, 110, -28], "scale": [100, 2, 4]},
         {"name": "part of it", "mesh": 0, "translation": [0, 4, 0], "scale": [size] * 3},

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from stable_data.importers.scenes.standing import Upright
 
 Source = Annotated[
-    Path, typer.Argument(metavar="FILE|DIR", help="A scene file (MuJoCo XML or USD), or a folder of scene files.")
+    Path, typer.Argument(metavar="FILE|DIR", help="A scene file (MuJoCo XML, USD or glTF), or a folder of scene files.")
 ]
 Root = Annotated[
     Path | None,

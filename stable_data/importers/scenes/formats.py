@@ -25,6 +25,11 @@ SUFFIXES = MJCF_SUFFIXES | USD_SUFFIXES | GLTF_SUFFIXES
 """Suffixes of scene files."""
 
 
+def is_mjcf(path: str) -> bool:
+    """Whether a file is read as a MuJoCo file: it has the suffix of no other format."""
+    return not is_usd(path) and not is_gltf(path)
+
+
 def is_usd(path: str) -> bool:
     """Whether a file is a USD file by its suffix."""
     return PurePosixPath(path).suffix.lower() in USD_SUFFIXES

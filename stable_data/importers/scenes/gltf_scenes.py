@@ -7,9 +7,9 @@ states, else its meshes. Poses are those of the nodes; what an animation moves c
 import hashlib
 import posixpath
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -31,15 +31,13 @@ from stable_data.rotations import quat_of, rotation_matrix
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.simulation.room import RESTRICTED_ZONE
 
-if TYPE_CHECKING:  # MuJoCo takes long to import
-    from stable_data.importers.scenes.file_physics import BodyMotion
-
 LIMITS = MeshLimits(max_bytes=2**30, max_json_bytes=16 * 2**20, max_faces=2_000_000, max_corners=6_000_000)
 """Sizes beyond which a scene is refused; its file has at most 4 MiB of JSON."""
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """The rotation from the axes of a glTF file, y up, to z up, (3, 3)."""
 
+_FARTHEST = 1e7  # metres
 _MOST_BYTES = 512 * 2**20  # of buffers
 _MOST_FREE = 1000  # free bodies
 _MOST_MESHES = 16  # nodes with a mesh of an object that are cut one by one; more are cut as one
@@ -69,21 +67,6 @@ class GltfScene:
     nodes: tuple[PlacedNode, ...]
     free_nodes: Mapping[str, int]
 
-    def watch(self) -> Mapping[str, "BodyMotion"]:
-        """How its free bodies move in MuJoCo, with its own shapes and masses."""
-        return self._watched({})
-
-    def moved(self, poses: Mapping[str, BodyPose]) -> tuple[Mapping[str, bytes], Mapping[str, "BodyMotion"]]:
-        """Writes new poses into the file, and watches them; see :func:`~stable_data.importers.scenes.gltf_patch.patch_nodes`."""
-        from stable_data.importers.scenes.gltf_patch import patch_nodes
-
-        return {self.file.path: patch_nodes(self, poses)}, self._watched(poses)
-
-    def _watched(self, poses: Mapping[str, BodyPose]) -> Mapping[str, "BodyMotion"]:
-        from stable_data.importers.scenes.file_physics import watch_shapes
-
-        return watch_shapes(self.file, poses)
-
 
 def read_gltf_scene(boundary: Boundary, path: str) -> GltfScene:
     """Reads a glTF scene, ``.gltf`` or ``.glb``.
@@ -96,7 +79,7 @@ def read_gltf_scene(boundary: Boundary, path: str) -> GltfScene:
         MeshError: The file cannot be read (``model_unreadable``), a file that it names is missing (``file_missing``), lies outside
             of the folder or on a network (``path_outside``), it is too large (``file_too_large``, ``mesh_too_large``), compressed
             (``glb_unsupported``), or its nodes are no tree (``cyclic_reference``, ``glb_invalid``).
-        SceneError: No node is a free body with a shape (``no_free_body``), or transforms are not finite (``not_finite``).
+        SceneError: No node is a free body with a shape (``no_free_body``), or transforms are not finite or far out (``not_finite``).
     """
     content = boundary.read_bytes(path)
     beside = _FilesBeside(boundary, path)
@@ -207,23 +190,23 @@ class _SceneReader:
     num_cut: int = 0
 
     def read(self) -> tuple[list[SceneBody], list[Ground]]:
-        if not all(np.isfinite(node.world_from_node).all() for node in self.nodes):
-            found = "has nodes whose transforms are not finite"
-            raise SceneError(f"{self.path}: {found}, expected numbers; export it again", "not_finite")
+        if not all((np.abs(node.world_from_node) < _FARTHEST).all() for node in self.nodes):
+            found = f"has nodes whose transforms are not finite, or beyond {_FARTHEST:g} m"
+            raise SceneError(f"{self.path}: {found}, expected usual numbers; export it again", "not_finite")
         self._name_nodes()
         left_out = self._left_out()
         kept = [node for node in self.nodes if node.index not in left_out]
         self.free = {node.index for node in kept if gltf_nodes.is_free(self._entry(node))}
-        self.free -= self._held(kept)
         if len(self.free) > _MOST_FREE:
             raise SceneError(
                 f"{self.path}: has {len(self.free)} free bodies, expected at most {_MOST_FREE}; divide it", "file_too_large"
             )
+        self.free -= self._held(kept)
         for node in kept:
             above = None if node.parent is None else self.owners.get(node.parent)
             self.owners[node.index] = node.index if node.index in self.free else above
-        grounds = list(self._grounds(kept))
-        shapes = self._shapes(kept)
+        grounds = dict(self._grounds(kept))
+        shapes = self._shapes(kept, grounds)
         bodies = [self._free_body(node, shapes.get(node.index, [])) for node in kept if node.index in self.free]
         free = [body for body in bodies if body is not None]
         boxes = [_box_of(np.concatenate([body.placed(part) for part in body.parts])) for body in free]
@@ -235,7 +218,7 @@ class _SceneReader:
                 if body is not None:
                     num_parts += len(body.parts)
                     free.append(body)
-        return free, grounds
+        return free, list(grounds.values())
 
     def _entry(self, node: PlacedNode) -> dict[str, Any]:
         entry: dict[str, Any] = self.document["nodes"][node.index]
@@ -287,27 +270,32 @@ class _SceneReader:
             self._note("body_held", f"{self.names[index]} is {held[index]}; it counts as fixed", "find")
         return set(held)
 
-    def _shapes(self, kept: Sequence[PlacedNode]) -> dict[int, list[_Shape]]:
+    def _shapes(self, kept: Sequence[PlacedNode], grounds: Collection[int]) -> dict[int, list[_Shape]]:
         """The shapes of each body, in file order: by the number of a free body's node, or of the fixed node itself."""
         shown, trees = dict[int, int](), dict[int, list[tuple[int, FloatArray]]]()
         for node in kept:
             if self._is_collider(node):
                 trees[node.index] = list(self._collider_meshes(node))
-            elif (mesh := self._shown_mesh(node)) is not None:
+            if not gltf_nodes.is_named_collider(self._entry(node)) and (mesh := self._shown_mesh(node)) is not None:
                 shown[node.index] = mesh
         wanted = [*shown.values(), *(mesh for tree in trees.values() for mesh, _ in tree)]
         self.meshes, notices = load_meshes(self.packed, self.path, wanted, limits=LIMITS)
         self.notices += [Notice(self.path, "read", n.code, n.message.removeprefix("asset ")) for n in notices]
         above = {node.index: node.parent for node in kept}
-        made = {node.index: self._collider(node, trees[node.index]) for node in kept if node.index in trees}
+        made = {
+            node.index: self._collider(node, trees[node.index])
+            for node in kept
+            if node.index in trees and node.index not in grounds
+        }
         stated: set[int] = set()  # bodies, and fixed nodes, whose colliders alone count
-        for node_index, collider in made.items():
-            owner, index = self.owners[node_index], above[node_index]
-            while collider is not None and owner is None and index is not None:
+        for node_index, collider in [*made.items(), *((ground, None) for ground in grounds)]:
+            if collider is None and node_index not in grounds:
+                continue
+            owner = self.owners[node_index]
+            index: int | None = node_index if owner is None else owner
+            while index is not None and index not in stated:
                 stated.add(index)
-                index = above[index]
-            if collider is not None and owner is not None:
-                stated.add(owner)
+                index = above[index] if owner is None else None
         found: dict[int, list[_Shape]] = {}
         for node in kept:
             owner = self.owners[node.index]
@@ -365,8 +353,6 @@ class _SceneReader:
             return _Shape(node, join_meshes(parts), key, is_hull)
         if geometry is not None and "shape" in geometry:
             stated = gltf_nodes.implicit_shape(self.document, geometry["shape"], self.path)
-            if stated.get("type") == "plane" and _plane_size(stated) is None:
-                return None  # an unlimited plane is a ground
             solid = _implicit_solid(stated)
             if solid is not None:
                 return _Shape(node, solid, ("shape", geometry["shape"]), is_hull=stated.get("type") != "plane")
@@ -375,7 +361,8 @@ class _SceneReader:
         )
         return None
 
-    def _grounds(self, kept: Sequence[PlacedNode]) -> Iterator[Ground]:
+    def _grounds(self, kept: Sequence[PlacedNode]) -> Iterator[tuple[int, Ground]]:
+        """Unlimited level planes, by the numbers of their nodes."""
         for node in kept:
             geometry = gltf_nodes.collider_of(self._entry(node))
             if geometry is None or "shape" not in geometry or self.owners[node.index] is not None:
@@ -384,7 +371,7 @@ class _SceneReader:
             if stated.get("type") == "plane" and _plane_size(stated) is None:
                 normal = Z_UP @ node.world_from_node[:3, 1]
                 if normal[2] > _LEVEL * np.linalg.norm(normal):
-                    yield Ground(self.names[node.index], float((Z_UP @ node.world_from_node[:3, 3])[2]))
+                    yield node.index, Ground(self.names[node.index], float((Z_UP @ node.world_from_node[:3, 3])[2]))
 
     def _free_body(self, node: PlacedNode, shapes: Sequence[_Shape]) -> SceneBody | None:
         name = self.names[node.index]
