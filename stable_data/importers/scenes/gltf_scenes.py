@@ -29,7 +29,6 @@ from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody,
 from stable_data.json_text import number, numbers
 from stable_data.rotations import quat_of, rotation_matrix
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
-from stable_data.simulation.room import RESTRICTED_ZONE
 
 LIMITS = MeshLimits(max_bytes=2**30, max_json_bytes=16 * 2**20, max_faces=2_000_000, max_corners=6_000_000)
 """Sizes beyond which a scene is refused; its file has at most 4 MiB of JSON."""
@@ -235,6 +234,8 @@ class _SceneReader:
             self.names[node.index] = name if name and counts[name] == 1 else f"{name}#{node.index}"
 
     def _left_out(self) -> set[int]:
+        from stable_data.simulation.room import RESTRICTED_ZONE
+
         is_own = (self.document.get("asset") or {}).get("generator") == "stable-data"
         found: set[int] = set()
         for node in self.nodes:

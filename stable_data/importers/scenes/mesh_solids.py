@@ -4,6 +4,8 @@ Objects become the convex parts of their assets, hollow where they are hollow. S
 table top has no lower side. Such a sheet becomes a slab whose seen side stays where it is, so that things stand on it.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -18,6 +20,7 @@ from stable_data.scene import FloatArray, IntArray
 
 _MOST_FACES = 100_000  # triangles of a mesh that is cut; a larger one is reduced first
 _MOST_PIECES = 256  # connected pieces of a mesh that are cut one by one
+_MOST_CUTS = 48  # pieces and facets of a mesh that are cut; the largest pieces first
 _MOST_FACETS = 64  # flat parts of an open piece
 _FLAT = 1e-4  # metres, and share of the largest extent: what is thinner is a sheet
 _CONVEX = 1e-3  # a piece is convex if its hull has at most this share more volume, a facet if its hull has more area
@@ -50,11 +53,14 @@ def fixed_parts(mesh: Mesh, down: FloatArray, name: str) -> list[Mesh]:
     Raises:
         MeshError: It has no area (``mesh_empty``).
     """
-    welded = _welded(mesh, name)
+    welded, surroundings = _welded(mesh, name), _FixedMesh(down, name)
     pieces = _pieces(welded)
     if len(pieces) > _MOST_PIECES:
-        return _cut_or_hull(welded, name)
-    return [part for piece in pieces for part in _piece_parts(piece, down, name)]
+        return surroundings.cut(welded)
+    found: dict[int, list[Mesh]] = {}
+    for k in sorted(range(len(pieces)), key=lambda k: (-float(pieces[k].extents.max()), k)):  # the largest are cut first
+        found[k] = surroundings.parts(pieces[k])
+    return [part for k in range(len(pieces)) for part in found[k]]
 
 
 def _welded(mesh: Mesh, name: str) -> Mesh:
@@ -67,13 +73,6 @@ def _cut(mesh: Mesh, name: str) -> list[Mesh]:
     # The repair moves the box to the origin; its centre is that of the points it keeps.
     repaired, _, _ = repair_mesh(Mesh(mesh.vertices - middle, mesh.faces), name)
     return [Mesh(part.vertices + middle, part.faces) for part in collider_parts(repaired)]
-
-
-def _cut_or_hull(mesh: Mesh, name: str) -> list[Mesh]:
-    try:
-        return _cut(mesh, name)
-    except MeshError:
-        return _hull(mesh.vertices)
 
 
 def _hull(points: FloatArray) -> list[Mesh]:
@@ -101,20 +100,63 @@ def _groups(mesh: Mesh, labels: IntArray) -> list[Mesh]:
     return [Mesh(*drop_unused_vertices(mesh.vertices, mesh.faces[group])) for group in rows]
 
 
-def _piece_parts(piece: Mesh, down: FloatArray, name: str) -> list[Mesh]:
-    thickness, extent = _flatness(piece.vertices), float(piece.extents.max())
-    if thickness <= max(_FLAT, _FLAT * extent):
-        return _slab(piece, down, name)
-    hull = hull_of(piece.vertices)
-    if hull is None:
-        return []
-    if is_closed(piece):
-        volume, most = abs(float(signed_volumes(piece.triangles).sum())), float(signed_volumes(hull.triangles).sum())
-        return [hull] if volume >= (1 - _CONVEX) * most else _cut_or_hull(piece, name)
-    facets = _facets(piece)
-    if len(facets) > _MOST_FACETS:
-        return _cut_or_hull(piece, name)
-    return [part for facet in facets for part in _slab(facet, down, name)]
+@dataclass(slots=True)
+class _FixedMesh:
+    """Divides the pieces of a mesh that does not move into convex parts.
+
+    Attributes:
+        down: The unit vector, (3,), that points down in its frame.
+        name: Its name in messages.
+        num_cuts: Pieces that may still be cut; the others become hulls.
+    """
+
+    down: FloatArray
+    name: str
+    num_cuts: int = _MOST_CUTS
+
+    def parts(self, piece: Mesh) -> list[Mesh]:
+        """The convex parts of a connected piece."""
+        thickness, extent = _flatness(piece.vertices), float(piece.extents.max())
+        if thickness <= max(_FLAT, _FLAT * extent):
+            return self.slab(piece)
+        hull = hull_of(piece.vertices)
+        if hull is None:
+            return []
+        if is_closed(piece):
+            volume, most = abs(float(signed_volumes(piece.triangles).sum())), float(signed_volumes(hull.triangles).sum())
+            return [hull] if volume >= (1 - _CONVEX) * most else self.cut(piece)
+        facets = _facets(piece)
+        if len(facets) > _MOST_FACETS:
+            return self.cut(piece)
+        return [part for facet in facets for part in self.slab(facet)]
+
+    def cut(self, mesh: Mesh) -> list[Mesh]:
+        """The convex parts of any mesh; its hull if it cannot be cut."""
+        self.num_cuts -= 1
+        try:
+            return _cut(mesh, self.name) if self.num_cuts >= 0 else _hull(mesh.vertices)
+        except MeshError:
+            return _hull(mesh.vertices)
+
+    def slab(self, sheet: Mesh) -> list[Mesh]:
+        """A sheet with a thickness behind its seen side; below it, if it is rather level."""
+        normals, areas = unit_normals(sheet.triangles)
+        kept = areas > 1e-12 * areas.max()
+        normal = normals[int(areas.argmax())]
+        facing = kept & (normals @ normal > 0)  # not the other side of a sheet with two
+        sides = sheet.vertices @ np.linalg.svd(normal[None])[2][1:].T
+        thickness = float(np.clip(_THICKNESS * np.ptp(sides, axis=0).min(), _THINNEST, _THICKEST))
+        behind = -normal
+        if abs(normal @ self.down) > np.sqrt(0.5):
+            behind = normal * np.sign(normal @ self.down)
+        solid = hull_of(np.concatenate([sheet.vertices, sheet.vertices + thickness * behind]))
+        if solid is None:
+            return []
+        area = float(double_areas(sheet)[facing].sum()) / 2
+        if area * thickness >= (1 - _CONVEX) * abs(float(signed_volumes(solid.triangles).sum())):
+            return [solid]
+        flat = Mesh(*drop_unused_vertices(sheet.vertices, sheet.faces[facing]))
+        return self.cut(_prism(flat, thickness * behind))
 
 
 def _flatness(points: FloatArray) -> float:
@@ -135,27 +177,6 @@ def _facets(mesh: Mesh) -> list[Mesh]:
     one, other = faces[:-1][shared], faces[1:][shared]
     level = np.einsum("ij,ij->i", normals[one], normals[other]) > _SAME_PLANE
     return _groups(mesh, _linked(one[level], other[level], len(mesh.faces)))
-
-
-def _slab(sheet: Mesh, down: FloatArray, name: str) -> list[Mesh]:
-    """A sheet with a thickness behind its seen side; below it, if it is rather level."""
-    normals, areas = unit_normals(sheet.triangles)
-    kept = areas > 1e-12 * areas.max()
-    normal = normals[int(areas.argmax())]
-    facing = kept & (normals @ normal > 0)  # not the other side of a sheet with two
-    sides = sheet.vertices @ np.linalg.svd(normal[None])[2][1:].T
-    thickness = float(np.clip(_THICKNESS * np.ptp(sides, axis=0).min(), _THINNEST, _THICKEST))
-    behind = -normal
-    if abs(normal @ down) > np.sqrt(0.5):
-        behind = normal * np.sign(normal @ down)
-    solid = hull_of(np.concatenate([sheet.vertices, sheet.vertices + thickness * behind]))
-    if solid is None:
-        return []
-    area = float(double_areas(sheet)[facing].sum()) / 2
-    if area * thickness >= (1 - _CONVEX) * abs(float(signed_volumes(solid.triangles).sum())):
-        return [solid]
-    flat = Mesh(*drop_unused_vertices(sheet.vertices, sheet.faces[facing]))
-    return _cut_or_hull(_prism(flat, thickness * behind), name)
 
 
 def _prism(sheet: Mesh, shift: FloatArray) -> Mesh:
