@@ -9,6 +9,7 @@ import posixpath
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 from urllib.parse import unquote
 
@@ -30,7 +31,7 @@ from stable_data.json_text import number, numbers
 from stable_data.rotations import quat_of, rotation_matrix
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 
-LIMITS = MeshLimits(max_bytes=2**30, max_json_bytes=16 * 2**20, max_faces=2_000_000, max_corners=6_000_000)
+LIMITS = MeshLimits(max_bytes=2**30, max_json_bytes=16 * 2**20, max_faces=8_000_000, max_corners=8_000_000)
 """Sizes beyond which a scene is refused; its file has at most 4 MiB of JSON."""
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -172,6 +173,19 @@ class _Shape:
     is_hull: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surroundings:
+    """What matters to the parts of a body that does not move.
+
+    Attributes:
+        down: The unit vector, (3,), that points down in its frame.
+        centers: The centres of the free bodies, (N, 3), in its frame.
+    """
+
+    down: FloatArray
+    centers: FloatArray
+
+
 @dataclass(slots=True, eq=False)
 class _SceneReader:
     """Reads the bodies of a glTF scene."""
@@ -187,6 +201,7 @@ class _SceneReader:
     meshes: Mapping[int, Mesh] = field(default_factory=dict)
     cache: dict[object, list[Mesh]] = field(default_factory=dict)
     num_cut: int = 0
+    coarse: list[str] = field(default_factory=list)
 
     def read(self) -> tuple[list[SceneBody], list[Ground]]:
         if not all((np.abs(node.world_from_node) < _FARTHEST).all() for node in self.nodes):
@@ -217,6 +232,9 @@ class _SceneReader:
                 if body is not None:
                     num_parts += len(body.parts)
                     free.append(body)
+        if self.coarse:
+            found = f"{self.coarse[0]} and all after it ({len(self.coarse)} shapes)"
+            self._note("shape_coarse", f"{found} are beyond the number that is followed closely; their hulls count")
         return free, list(grounds.values())
 
     def _entry(self, node: PlacedNode) -> dict[str, Any]:
@@ -381,7 +399,7 @@ class _SceneReader:
             placed = [Mesh(_moved(_body_from_shape(s, position, quat), s.mesh.vertices), s.mesh.faces) for s in shapes]
             parts = self._cut(join_meshes(placed), name, solid_parts)
         else:
-            parts = [p for shape in shapes for p in self._parts(shape, position, quat, solid_parts, name)]
+            parts = [p for shape in shapes for p in self._parts(shape, position, quat, name)]
         if not parts:
             self._note("no_collider", f"{name} is a free body, but nothing of it has a surface; it is left as it is")
             return None
@@ -406,30 +424,22 @@ class _SceneReader:
     ) -> SceneBody | None:
         name = self.names[node.index]
         position, quat = self.pose(node)
-        down = -rotation_matrix(quat)[2]
-
-        def cut(mesh: Mesh, name: str) -> list[Mesh]:
-            return fixed_parts(mesh, down, name)
-
+        turn = rotation_matrix(quat)
+        centers = np.array([(low + high) / 2 for low, high in boxes]).reshape(-1, 3)
+        down, own_centers = -turn[2], (centers - np.array(position)) @ turn
         parts: list[Mesh] = []
         for shape in shapes:
             placed = _moved(shape.node.world_from_node, shape.mesh.vertices) @ Z_UP.T
             if not _is_near(_box_of(placed), boxes):
                 shape = _Shape(shape.node, shape.mesh, shape.key, is_hull=True)
             elif not shape.is_hull and (not is_exact or self.num_cut >= _MOST_CUT):
-                self._note("shape_coarse", f"{name} is beyond the number of shapes that are followed closely; its hull counts")
+                self.coarse.append(name)
                 shape = _Shape(shape.node, shape.mesh, shape.key, is_hull=True)
-            parts += self._parts(shape, position, quat, cut, name, down)
+            parts += self._parts(shape, position, quat, name, _Surroundings(down, own_centers))
         return SceneBody(name, position, quat, tuple(parts), is_free=False) if parts else None
 
     def _parts(
-        self,
-        shape: _Shape,
-        position: Vec3,
-        quat: QuatXyzw,
-        cut: Callable[[Mesh, str], list[Mesh]],
-        name: str,
-        down: FloatArray | None = None,
+        self, shape: _Shape, position: Vec3, quat: QuatXyzw, name: str, fixed: _Surroundings | None = None
     ) -> list[Mesh]:
         """The convex parts of a shape, metres, in the frame of a body."""
         place = _body_from_shape(shape, position, quat)
@@ -442,9 +452,15 @@ class _SceneReader:
             hull = convex_solids.hull_of(mesh.vertices[np.unique(mesh.faces)])
             parts = [] if hull is None else [hull]
         else:
-            key = (shape.key, np.round(turn, 9).tobytes(), None if down is None else np.round(down, 9).tobytes())
+            key: tuple[object, ...] = (shape.key, _rounded(turn))
+            cut = solid_parts
+            if fixed is not None:
+                inside = fixed.centers - shift
+                inside = inside[((inside > mesh.vertices.min(axis=0)) & (inside < mesh.vertices.max(axis=0))).all(axis=1)]
+                key = (*key, _rounded(fixed.down), _rounded(inside))
+                cut = partial(fixed_parts, down=fixed.down, inside=inside)
             if key not in self.cache:
-                self.num_cut += down is not None
+                self.num_cut += fixed is not None
                 self.cache[key] = self._cut(mesh, name, cut)
             parts = self.cache[key]
         return [Mesh(part.vertices + shift, part.faces) for part in parts]
@@ -492,6 +508,10 @@ def _body_from_shape(shape: _Shape, position: Vec3, quat: QuatXyzw) -> FloatArra
 def _moved(place: FloatArray, points: FloatArray) -> FloatArray:
     moved: FloatArray = points @ place[:3, :3].T + place[:3, 3]
     return moved
+
+
+def _rounded(values: FloatArray) -> bytes:
+    return np.asarray(np.round(values, 9) + 0.0).tobytes()  # zeros lose their sign
 
 
 def _box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,13 +11,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from stable_data.errors import MeshError
-from stable_data.geometry.convex_decomposition import collider_parts
+from stable_data.geometry.convex_decomposition import collider_parts, inside_convex
 from stable_data.geometry.mesh import Mesh, double_areas, drop_unused_vertices, is_closed, signed_volumes, unit_normals
 from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.geometry.reduction import join_triangles, reduce_mesh
 from stable_data.importers.scenes.convex_solids import hull_of
 from stable_data.scene import FloatArray, IntArray
 
+_NO_POINTS = np.zeros((0, 3))
 _MOST_FACES = 100_000  # triangles of a mesh that is cut; a larger one is reduced first
 _MOST_PIECES = 256  # connected pieces of a mesh that are cut one by one
 _MOST_CUTS = 48  # pieces and facets of a mesh that are cut; the largest pieces first
@@ -42,13 +43,14 @@ def solid_parts(mesh: Mesh, name: str) -> list[Mesh]:
     return _cut(_welded(mesh, name), name)
 
 
-def fixed_parts(mesh: Mesh, down: FloatArray, name: str) -> list[Mesh]:
+def fixed_parts(mesh: Mesh, name: str, down: FloatArray, inside: FloatArray = _NO_POINTS) -> list[Mesh]:
     """Convex parts of something that does not move.
 
     Args:
         mesh: Its triangles, metres, not welded.
-        down: The unit vector, (3,), that points down in its frame.
         name: Its name in messages.
+        down: The unit vector, (3,), that points down in its frame.
+        inside: Centres of things, (N, 3), in its frame. A closed surface that faces inwards around one of them is a room.
 
     Raises:
         MeshError: It has no area (``mesh_empty``).
@@ -58,8 +60,11 @@ def fixed_parts(mesh: Mesh, down: FloatArray, name: str) -> list[Mesh]:
     if len(pieces) > _MOST_PIECES:
         return surroundings.cut(welded)
     found: dict[int, list[Mesh]] = {}
+    if len(inside):
+        rooms = {k: piece for k, piece in enumerate(pieces) if _is_room(piece, inside)}
+        pieces = [p for k, p in enumerate(pieces) if k in rooms or not any(_is_around(p, room) for room in rooms.values())]
     for k in sorted(range(len(pieces)), key=lambda k: (-float(pieces[k].extents.max()), k)):  # the largest are cut first
-        found[k] = surroundings.parts(pieces[k])
+        found[k] = surroundings.parts(pieces[k], is_room=len(inside) > 0 and _is_room(pieces[k], inside))
     return [part for k in range(len(pieces)) for part in found[k]]
 
 
@@ -114,8 +119,10 @@ class _FixedMesh:
     name: str
     num_cuts: int = _MOST_CUTS
 
-    def parts(self, piece: Mesh) -> list[Mesh]:
-        """The convex parts of a connected piece."""
+    def parts(self, piece: Mesh, *, is_room: bool = False) -> list[Mesh]:
+        """The convex parts of a connected piece; those of a room are behind its walls."""
+        if is_room:
+            return [part for facet in _facets(piece) for part in self.slab(facet, is_seen=True)]
         thickness, extent = _flatness(piece.vertices), float(piece.extents.max())
         if thickness <= max(_FLAT, _FLAT * extent):
             return self.slab(piece)
@@ -138,8 +145,8 @@ class _FixedMesh:
         except MeshError:
             return _hull(mesh.vertices)
 
-    def slab(self, sheet: Mesh) -> list[Mesh]:
-        """A sheet with a thickness behind its seen side; below it, if it is rather level."""
+    def slab(self, sheet: Mesh, *, is_seen: bool = False) -> list[Mesh]:
+        """A sheet with a thickness behind its front; below it, if it is rather level, unless it is known to be seen from its front."""
         normals, areas = unit_normals(sheet.triangles)
         kept = areas > 1e-12 * areas.max()
         normal = normals[int(areas.argmax())]
@@ -147,7 +154,7 @@ class _FixedMesh:
         sides = sheet.vertices @ np.linalg.svd(normal[None])[2][1:].T
         thickness = float(np.clip(_THICKNESS * np.ptp(sides, axis=0).min(), _THINNEST, _THICKEST))
         behind = -normal
-        if abs(normal @ self.down) > np.sqrt(0.5):
+        if not is_seen and abs(normal @ self.down) > np.sqrt(0.5):
             behind = normal * np.sign(normal @ self.down)
         solid = hull_of(np.concatenate([sheet.vertices, sheet.vertices + thickness * behind]))
         if solid is None:
@@ -157,6 +164,20 @@ class _FixedMesh:
             return [solid]
         flat = Mesh(*drop_unused_vertices(sheet.vertices, sheet.faces[facing]))
         return self.cut(_prism(flat, thickness * behind))
+
+
+def _is_room(piece: Mesh, inside: FloatArray) -> bool:
+    """Whether a closed surface of few flat sides faces inwards and has one of some points, (N, 3), inside."""
+    if not is_closed(piece) or float(signed_volumes(piece.triangles).sum()) >= 0:
+        return False
+    hull = hull_of(piece.vertices)
+    return hull is not None and bool(inside_convex(hull, inside).any()) and len(_facets(piece)) <= _MOST_FACETS
+
+
+def _is_around(piece: Mesh, room: Mesh) -> bool:
+    """Whether a piece is the outer side of the walls of a room."""
+    hull = hull_of(piece.vertices)
+    return is_closed(piece) and hull is not None and bool(inside_convex(hull, room.vertices).all())
 
 
 def _flatness(points: FloatArray) -> float:
