@@ -335,3 +335,6 @@ def test_a_gltf_file_is_written_beside_the_original(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert only(tmp_path, "b.gltf", tmp_path / "out").status is RepairStatus.FINE
     assert (tmp_path / "out" / "a.bin").exists()
+    refused = CliRunner().invoke(app, ["repair", str(tmp_path / "a.gltf"), "--out", str(tmp_path / "b.glb")])
+    assert refused.exit_code == 2
+    assert "expected a file .gltf" in refused.output

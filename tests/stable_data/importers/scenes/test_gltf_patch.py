@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import SceneError
@@ -119,6 +121,31 @@ def test_a_body_below_a_body_that_moves_stays_or_moves_by_itself(tmp_path: Path)
     patched(tmp_path, "a.glb", {"tray-rigid": GOAL})
     patched(tmp_path, "a.glb", {"cup-rigid": GOAL})
     patched(tmp_path, "a.glb", {"tray-rigid": GOAL, "cup-rigid": ((1.0, 2.0, 3.0), GOAL[1])})
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_poses_below_any_tree_are_those_that_were_asked_for(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("tree")
+    nodes: list[dict[str, Any]] = [{"children": []}]
+    for k in range(1, 7):
+        node: dict[str, Any] = {"name": f"{k}-rigid" if k % 2 else f"{k}", "mesh": 0, "children": []}
+        size, turn, place = rng.uniform(0.3, 3), Rotation.random(random_state=rng), rng.uniform(-2, 2, 3)
+        if rng.random() < 0.3:
+            matrix = np.eye(4)
+            matrix[:3, :3], matrix[:3, 3] = size * turn.as_matrix(), place
+            node["matrix"] = matrix.T.ravel().tolist()
+        else:
+            node |= {"rotation": turn.as_quat().tolist(), "translation": place.tolist(), "scale": [float(size)] * 3}
+            node = {key: value for key, value in node.items() if key in ("name", "mesh", "children") or rng.random() < 0.7}
+        nodes[int(rng.integers(k))]["children"].append(k)
+        nodes.append(node)
+    nodes = [{key: value for key, value in node.items() if value != []} for node in nodes]
+    write_gltf(folder / "a.glb", *gltf_parts([cuboid(0.1, 0.1, 0.1)], nodes))
+    goals = {
+        f"{k}-rigid": (tuple(rng.uniform(-2, 2, 3).tolist()), quat_of(Rotation.random(random_state=rng))) for k in (1, 3, 5)
+    }
+    patched(folder, "a.glb", {name: goal for name, goal in goals.items() if rng.random() < 0.7})
 
 
 def test_a_pose_below_an_uneven_scale_is_refused_if_it_cannot_be_stated(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, StableDataError
 from stable_data.export import glb
-from stable_data.geometry.mesh import signed_volumes
+from stable_data.geometry.mesh import Mesh, signed_volumes
 from stable_data.importers.boundary import Boundary
+from stable_data.importers.scenes.file_physics import watch_shapes
 from stable_data.importers.scenes.formats import is_scene_candidate
 from stable_data.importers.scenes.gltf_nodes import is_free, is_left_out, name_suffix
 from stable_data.importers.scenes.gltf_scenes import GltfScene, read_gltf_scene
@@ -162,6 +163,26 @@ def test_hollow_things_stay_hollow_whether_they_move_or_not(tmp_path: Path) -> N
             assert (heights.max(axis=1) > 0).all(), "a point of the hollow lies in no part"
 
 
+def test_a_room_is_its_floor_and_walls_and_what_is_far_away_is_its_hull(tmp_path: Path) -> None:
+    room = cuboid(4, 3, 4)
+    meshes = (Mesh(room.vertices, room.faces[:, ::-1]), basin(0.2, 0.02))
+    nodes: list[dict[str, Any]] = [
+        {"name": "room", "mesh": 2, "translation": [1, 1.5, 0]},
+        {"name": "near", "mesh": 3, "translation": [0.4, 0.1, 0]},
+        {"name": "far", "mesh": 3, "translation": [2.5, 0.1, 0]},
+        FREE,
+    ]
+    scene = read(tmp_path, nodes, *meshes)
+    bodies = bodies_of(scene)
+    assert [len(bodies[name].parts) for name in ("room", "far")] == [6, 1]
+    assert len(bodies["near"].parts) > 4
+    (surface,) = find_supports(scene.file)
+    assert (surface.owner, surface.names) == ("room", ("cube-rigid",))
+    assert surface.size_xy == pytest.approx((4, 4), abs=1e-3)
+    assert surface.origin[2] == pytest.approx(0, abs=1e-6)
+    assert all(motion.is_at_rest for motion in watch_shapes(scene.file, {}).values())
+
+
 def test_colliders_that_are_stated_count_alone(tmp_path: Path) -> None:
     def collider(**geometry: object) -> dict[str, Any]:
         return {"extensions": {"KHR_physics_rigid_bodies": {"collider": {"geometry": geometry}}}}
@@ -210,21 +231,23 @@ def test_colliders_that_are_stated_count_alone(tmp_path: Path) -> None:
 def test_what_is_animated_or_held_counts_as_fixed_and_what_is_bent_is_no_obstacle(tmp_path: Path) -> None:
     physics = {"KHR_physics_rigid_bodies": {"joint": {"connectedNode": 3, "joint": 0}}}
     nodes: list[dict[str, Any]] = [
-        {"children": [1, 3, 4, 5, 6, 7]},
+        {"children": [1, 3, 4, 5, 6, 7, 8]},
         {"name": "arm-rigid", "mesh": 0, "children": [2], "translation": [0.3, 0.05, 0]},
         {"name": "pin", "extensions": physics},
         {"name": "lid-rigid", "mesh": 0, "translation": [-0.3, 0.05, 0]},
         {"name": "fan-rigid", "mesh": 0, "translation": [0, 0.05, 0.2]},
         FREE,
         {"name": "person", "mesh": 0, "skin": 0},
+        {"name": "leaves", "mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}},
         FLOOR,
     ]
     channel = {"sampler": 0, "target": {"node": 4, "path": "rotation"}}
     scene = read(tmp_path, nodes, animations=[{"channels": [channel], "samplers": []}], skins=[{"joints": [2]}])
     assert [body.name for body in scene.file.bodies if body.is_free] == ["cube-rigid"]
     assert {b.name for b in scene.file.bodies if not b.is_free} == {"arm-rigid", "lid-rigid", "fan-rigid", "floor"}
-    codes = {notice.code: notice.message for notice in scene.file.notices}
-    assert "person is bent by a skeleton" in codes["shape_unknown"]
+    said = " ".join(notice.message for notice in scene.file.notices if notice.code == "shape_unknown")
+    assert "person is bent by a skeleton" in said
+    assert "leaves is a mesh of many instances" in said
     assert sum(notice.code == "body_held" for notice in scene.file.notices) == 3
 
 
