@@ -304,8 +304,9 @@ class _GlbReader:
         for index in dict.fromkeys(indices):
             parts = [Mesh(corners, faces) for _, corners, faces in self._primitives(self._entry("meshes", index)) if len(faces)]
             if parts:
-                mesh = join_meshes(parts)
-                if not np.isfinite(mesh.vertices[mesh.faces]).all():
+                joined = join_meshes(parts)
+                mesh = Mesh(*drop_unused_vertices(joined.vertices, joined.faces))
+                if not np.isfinite(mesh.vertices).all():
                     self.fail("glb_nan_vertices", f"mesh {index} has vertices that are not finite", "finite coordinates")
                 found[index] = mesh
         return found

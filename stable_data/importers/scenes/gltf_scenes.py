@@ -223,7 +223,8 @@ class _SceneReader:
         shapes = self._shapes(kept, grounds)
         bodies = [self._free_body(node, shapes.get(node.index, [])) for node in kept if node.index in self.free]
         free = [body for body in bodies if body is not None]
-        boxes = [_box_of(np.concatenate([body.placed(part) for part in body.parts])) for body in free]
+        corners = [_box_of(np.concatenate([body.placed(part) for part in body.parts])) for body in free]
+        boxes = np.array(corners, np.float64).reshape(-1, 2, 3)
         num_parts = 0
         for index, own in shapes.items():
             if index not in self.free:
@@ -249,7 +250,10 @@ class _SceneReader:
         given = [name if isinstance(name := self._entry(node).get("name"), str) else "" for node in self.nodes]
         counts = Counter(given)
         for node, name in zip(self.nodes, given, strict=True):
-            self.names[node.index] = name if name and counts[name] == 1 else f"{name}#{node.index}"
+            own = name if name and counts[name] == 1 else f"{name}#{node.index}"
+            while own != name and own in counts:
+                own += "#"
+            self.names[node.index] = own
 
     def _left_out(self) -> set[int]:
         from stable_data.simulation.room import RESTRICTED_ZONE
@@ -419,14 +423,19 @@ class _SceneReader:
                 self._note("inertia_replaced", message)
         return SceneBody(name, position, quat, tuple(parts), True, stated.mass, com, inertia)
 
-    def _fixed_body(
-        self, node: PlacedNode, shapes: Sequence[_Shape], boxes: Sequence[tuple[FloatArray, FloatArray]], *, is_exact: bool
-    ) -> SceneBody | None:
+    def _fixed_body(self, node: PlacedNode, shapes: Sequence[_Shape], boxes: FloatArray, *, is_exact: bool) -> SceneBody | None:
+        """A body of the surroundings.
+
+        Args:
+            node: Its node.
+            shapes: Its shapes.
+            boxes: Least and largest coordinates of the free bodies, (N, 2, 3), metres, z up.
+            is_exact: Whether its parts may follow its meshes; else they are hulls.
+        """
         name = self.names[node.index]
         position, quat = self.pose(node)
         turn = rotation_matrix(quat)
-        centers = np.array([(low + high) / 2 for low, high in boxes]).reshape(-1, 3)
-        down, own_centers = -turn[2], (centers - np.array(position)) @ turn
+        down, own_centers = -turn[2], (boxes.mean(axis=1) - np.array(position)) @ turn
         parts: list[Mesh] = []
         for shape in shapes:
             placed = _moved(shape.node.world_from_node, shape.mesh.vertices) @ Z_UP.T
@@ -518,13 +527,11 @@ def _box_of(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _is_near(box: tuple[FloatArray, FloatArray], others: Sequence[tuple[FloatArray, FloatArray]]) -> bool:
-    """Whether a box is beside, around or anywhere below one of others."""
+def _is_near(box: tuple[FloatArray, FloatArray], others: FloatArray) -> bool:
+    """Whether a box is beside, around or anywhere below one of others, (N, 2, 3)."""
     low, high = box
-    return any(
-        (low[:2] < most[:2] + _NEAR).all() and (high[:2] > least[:2] - _NEAR).all() and low[2] < most[2] + _NEAR
-        for least, most in others
-    )
+    is_below = (low < others[:, 1] + _NEAR).all(axis=1)
+    return bool((is_below & (high[:2] > others[:, 0, :2] - _NEAR).all(axis=1)).any())
 
 
 def _plane_size(shape: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -329,6 +329,16 @@ def test_a_gltf_scene_is_imported_and_exported_and_single_assets_are_left_out(tm
         list(repair_folder(source, None, tmp_path / "none", RepairOptions()))
 
 
+def test_files_of_one_name_in_two_formats_are_two_scenes(tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    for name in ("a.glb", "a.gltf"):
+        write_gltf(source / name, *kitchen())
+    import_scenes(source, None, str(tmp_path / "run"), RepairOptions(upright="keep"))
+    rows = RunFolder(str(tmp_path / "run")).table("scenes").to_pylist()
+    assert {row["scene_id"]: row["layout_path"] for row in rows} == {"a": "a.glb", "a__gltf": "a.gltf"}
+
+
 def test_a_gltf_file_is_written_beside_the_original(tmp_path: Path) -> None:
     write_gltf(tmp_path / "a.gltf", *kitchen())
     done = CliRunner().invoke(app, ["repair", str(tmp_path / "a.gltf"), "--out", str(tmp_path / "b.gltf"), "--key", "all"])
