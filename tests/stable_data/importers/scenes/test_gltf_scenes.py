@@ -256,11 +256,11 @@ def test_the_default_scene_is_read_and_equal_names_are_told_apart(tmp_path: Path
         {"children": [1, 2, 3]},
         FREE,
         FREE | {"translation": [0.3, 0.05, 0]},
-        FLOOR,
+        FLOOR | {"name": "cube-rigid#1"},
         FREE | {"translation": [7, 7, 7]},
     ]
     scene = read(tmp_path, nodes, scene=1, scenes=[{"nodes": [4]}, {"nodes": [0]}])
-    assert [body.name for body in scene.file.bodies] == ["cube-rigid#1", "cube-rigid#2", "floor"]
+    assert [body.name for body in scene.file.bodies] == ["cube-rigid#1#", "cube-rigid#2", "cube-rigid#1"]
 
 
 def test_inertia_is_that_of_the_file_where_a_body_can_have_it(tmp_path: Path) -> None:
