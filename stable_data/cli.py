@@ -197,7 +197,7 @@ def draft_edits(
 @with_clear_errors
 def lint(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="A folder in the MesaTask-10K format, or of scene files (MuJoCo, USD).")
+        Path, typer.Argument(metavar="DIR", help="A folder in the MesaTask-10K format, or of scene files (MuJoCo, USD, glTF).")
     ],
     table: Annotated[Path | None, typer.Option(metavar="FILE", help="Output file with one row per scene (Parquet).")] = None,
     quiet: Annotated[bool, typer.Option(help="Show no progress bar.")] = False,

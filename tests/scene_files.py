@@ -1,8 +1,16 @@
 """Scene files in the style of benchmark suites, written where a test needs them."""
 
+import json
+import struct
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stable_data.geometry.mesh import Mesh
+from stable_data.importers.scenes.convex_solids import box, cylinder, hull_of
 
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
 <!-- A kitchen corner; café -->
@@ -117,3 +125,121 @@ def write_stage(path: Path, *, is_y_up: bool = False, unit: float = 1.0) -> Path
     UsdPhysics.CollisionAPI.Apply(shape.GetPrim())
     stage.GetRootLayer().Save()
     return path
+
+
+def solid(*points: tuple[float, float, float]) -> Mesh:
+    """The convex hull of points."""
+    found = hull_of(np.array(points))
+    assert found is not None
+    return found
+
+
+def cuboid(x: float, y: float, z: float) -> Mesh:
+    """A box of these extents, its centre at the origin."""
+    return box(np.array([x, y, z]) / 2)
+
+
+def basin(outer: float, wall: float) -> Mesh:
+    """A cube without a lid, y up, as a closed mesh whose hollow reaches down to the wall; its centre at the origin."""
+    o, i = outer / 2, outer / 2 - wall
+    ring = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    rings = [(o, -o), (o, o), (i, o), (i, wall - o)]  # half width and height of four squares, along the surface
+    vertices = np.array([(x * half, y, z * half) for half, y in rings for x, z in ring])
+    faces = [(0, 1, 2), (0, 2, 3), (12, 14, 13), (12, 15, 14)]
+    for k in range(3):
+        for a in range(4):
+            b = (a + 1) % 4
+            faces += [(4 * k + a, 4 * k + 4 + b, 4 * k + b), (4 * k + a, 4 * k + 4 + a, 4 * k + 4 + b)]
+    return Mesh(vertices, np.array(faces))
+
+
+def sheet(*corners: tuple[float, float, float]) -> Mesh:
+    """A flat polygon around its first corner."""
+    return Mesh(np.array(corners), np.array([(0, k, k + 1) for k in range(1, len(corners) - 1)]))
+
+
+def gltf_parts(meshes: Sequence[Mesh], nodes: Sequence[dict[str, Any]], **entries: Any) -> tuple[dict[str, Any], bytes]:
+    """A glTF document and its buffer; mesh k of it is ``meshes[k]``, y up, and the first node is the root of its scene."""
+    content, views, accessors = b"", list[dict[str, Any]](), list[dict[str, Any]]()
+    for mesh in meshes:
+        for array, kind, shape in ((mesh.vertices.astype("<f4"), 5126, "VEC3"), (mesh.faces.astype("<u4"), 5125, "SCALAR")):
+            accessor = {"bufferView": len(views), "componentType": kind, "type": shape}
+            accessors.append(accessor | {"count": array.size if kind == 5125 else len(array)})
+            views.append({"buffer": 0, "byteOffset": len(content), "byteLength": array.nbytes})
+            content += array.tobytes()
+        accessors[-2] |= {"min": mesh.vertices.min(axis=0).tolist(), "max": mesh.vertices.max(axis=0).tolist()}
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": list(nodes),
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 2 * k}, "indices": 2 * k + 1}]} for k in range(len(meshes))],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(content)}],
+    }
+    return document | entries, content
+
+
+def write_gltf(path: Path, document: dict[str, Any], content: bytes, *, indent: int | None = 2) -> Path:
+    """Writes a document and its buffer as ``.glb``, or as ``.gltf`` with a file ``NAME.bin`` beside it."""
+    if path.suffix == ".gltf":
+        document = document | {"buffers": [{"byteLength": len(content), "uri": f"{path.stem}.bin"}]}
+        path.with_suffix(".bin").write_bytes(content)
+        path.write_text(json.dumps(document, indent=indent))
+        return path
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4s4I", b"glTF", 2, 28 + len(text) + len(content), len(text), 0x4E4F534A)
+    path.write_bytes(head + text + struct.pack("<2I", len(content), 0x004E4942) + content)
+    return path
+
+
+def kitchen() -> tuple[dict[str, Any], bytes]:
+    """A glTF scene with boxes in each other, one in the air, a bottle that has fallen over, and one that is fine.
+
+    The scene is in centimetres below a node that turns and moves it; the table top, 100 x 60 at a height of 72, is a sheet, as is the
+    floor. Centres of the bodies are multiples of centimetres.
+    """
+    size = 8.0
+    meshes = [
+        cuboid(1, 1, 1),
+        sheet((-50, 0, -30), (-50, 0, 30), (50, 0, 30), (50, 0, -30)),
+        sheet((-300, 0, -300), (-300, 0, 300), (300, 0, 300), (300, 0, -300)),
+        cylinder_y(3.0, 20.0),
+    ]
+    turned = np.eye(4)
+    turned[:3, :3] = size * Rotation.from_euler("y", 30, degrees=True).as_matrix()
+    turned[:3, 3] = (10, 90, 12)
+    lying = Rotation.from_euler("z", 90, degrees=True).as_quat().tolist()
+    physics = {"motion": {"mass": 0.3, "centerOfMass": [0, -2, 0]}}
+    nodes: list[dict[str, Any]] = [
+        {"name": "root", "children": list(range(1, 10)), "scale": [0.01] * 3, "translation": [2, 0, 1], **_turned("y", 40)},
+        {"name": "floor", "mesh": 2},
+        {"name": "table", "mesh": 1, "translation": [0, 72, 0]},
+        {"name": "box_a-rigid", "mesh": 0, "translation": [-20, 76.0, 1e0], "scale": [size] * 3},
+        {"name": "box_b-rigid.001", "mesh": 0, "translation": [-15, 76, 3], "scale": [size, size, 6.0]},
+        {"name": "floating_RIGID", "mesh": 0, "matrix": turned.T.ravel().tolist()},
+        {"name": "fine-rigid", "children": [10], "translation": [35, 72, -15]},
+        {
+            "name": "bottle",
+            "mesh": 3,
+            "rotation": lying,
+            "translation": [5, 75, -15],
+            "extensions": {"KHR_physics_rigid_bodies": physics},
+        },
+        {"name": "sun-noimp", "mesh": 0, "translation": [35, 76, -15], "scale": [20, 20, 20]},
+        {"name": "shelf", "mesh": 0, "translation": [0, 110, -28], "scale": [100, 2, 4]},
+        {"name": "part of it", "mesh": 0, "translation": [0, 4, 0], "scale": [size] * 3},
+    ]
+    return gltf_parts(meshes, nodes, extensionsUsed=["KHR_physics_rigid_bodies"])
+
+
+def cylinder_y(radius: float, height: float) -> Mesh:
+    """A cylinder along y, its centre at the origin."""
+    along_z = cylinder(radius, height / 2)
+    return Mesh(np.roll(along_z.vertices, 2, axis=1), along_z.faces)
+
+
+def _turned(axis: str, degrees: float) -> dict[str, Any]:
+    return {"rotation": Rotation.from_euler(axis, degrees, degrees=True).as_quat().tolist()}

@@ -7,14 +7,14 @@ import typer
 
 from stable_data.cli import DONE, SOME_FAILED, with_clear_errors
 from stable_data.errors import ConfigError, cannot_write
-from stable_data.importers.scenes.formats import SUFFIXES, is_usd
+from stable_data.importers.scenes.formats import SUFFIXES, is_gltf, is_usd
 
 if TYPE_CHECKING:
     from pipelines.scene_files.repair import RepairOptions
     from stable_data.importers.scenes.standing import Upright
 
 Source = Annotated[
-    Path, typer.Argument(metavar="FILE|DIR", help="A scene file (MuJoCo XML or USD), or a folder of scene files.")
+    Path, typer.Argument(metavar="FILE|DIR", help="A scene file (MuJoCo XML, USD or glTF), or a folder of scene files.")
 ]
 Root = Annotated[
     Path | None,
@@ -116,6 +116,8 @@ def _repair_to_file(folder: Path, paths: list[str] | None, out: Path, options: "
         raise ConfigError(
             f"{out}: expected a folder, or a file beside the scene file, whose names of files hold there", "output_invalid"
         )
+    if source.suffix.lower() != out.suffix.lower() and (is_gltf(paths[0]) or is_gltf(out.name)):
+        raise ConfigError(f"{out}: expected a file {source.suffix} like the scene file; change its name", "output_invalid")
     repairs = repair_states(Boundary(folder), paths[0], options)
     changed = repairs[-1].changed
     if len(changed) > 1 or (changed and Path(next(iter(changed))).parent != Path(paths[0]).parent):

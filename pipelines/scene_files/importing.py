@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from tqdm import tqdm
@@ -82,7 +82,7 @@ def import_scenes(
                 failures.append(Notice(path, "read", error.code, str(error)))
                 continue
             num_files += 1
-            read += result.scenes
+            read += _with_own_ids(result.scenes, path, {one.scene.scene_id for one in read})
             warnings += result.notices
             used |= set(result.files) - {path}
             assets.add(result.scenes)
@@ -91,6 +91,17 @@ def import_scenes(
     if not read and not failures:
         raise no_scene_error(root, len(found))
     return _write_run(root, RunFolder(out), options, assets, read, warnings, failures, num_files)
+
+
+def _with_own_ids(scenes: Sequence[ImportedScene], path: str, taken: set[str]) -> list[ImportedScene]:
+    """Scenes of a file; where another file of the same name in another format has taken an identifier, the suffix is added."""
+    suffix = PurePosixPath(path).suffix.lower().lstrip(".")
+    return [
+        replace(one, scene=replace(one.scene, scene_id=f"{one.scene.scene_id}__{suffix}"))
+        if one.scene.scene_id in taken
+        else one
+        for one in scenes
+    ]
 
 
 def _read(root: Path, path: str, options: RepairOptions) -> _ReadFile:

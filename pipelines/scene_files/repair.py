@@ -22,7 +22,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.mjcf_files import Element, collect_files
 from stable_data.importers.scenes.file_physics import BodyMotion
-from stable_data.importers.scenes.formats import is_usd
+from stable_data.importers.scenes.formats import is_mjcf
 from stable_data.importers.scenes.layouts import (
     ImportedScene,
     moved_bodies,
@@ -175,7 +175,7 @@ def repair_states(boundary: Boundary, path: str, options: RepairOptions = _DEFAU
     Raises:
         StableDataError: The file cannot be read, or its poses cannot be changed.
     """
-    if options.key != ALL_KEYS or is_usd(path):
+    if options.key != ALL_KEYS or not is_mjcf(path):
         return (repair_file(boundary, path, options),)
     files = collect_files(boundary, path)
     changed: dict[str, bytes] = {}

@@ -24,8 +24,8 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 
 ABOUT = """Binary glTF, one file for each scene: `<scene>.glb`, metres. The format requires that y is up and -z is away from the
 viewer; the node `scene` turns all nodes below it, whose coordinates are those of stable-data. Nodes have the names of the
-instances, and their `extras` give category, asset and description. The node `table` is the table with its legs, or
-`support` the piece of furniture on which the scene stands; the surface is at z = 0."""
+instances, and their `extras` give category, asset and description, and `fixed` for what does not move. The node `table` is the
+table with its legs, or `support` the piece of furniture on which the scene stands; the surface is at z = 0."""
 
 _Y_UP = (-float(np.sqrt(0.5)), 0.0, 0.0, float(np.sqrt(0.5)))  # turns z up into y up
 
@@ -55,7 +55,9 @@ def scene_glb(geometry: SceneGeometry) -> bytes:
         if not geometry.is_seen(k):
             continue
         turn = Rotation.from_euler("z", o.yaw)
-        extras = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
+        extras: dict[str, Any] = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
+        if o.instance in geometry.scene.fixed:
+            extras["fixed"] = True
         if mesh is None or o.scale is None:  # its box replaces it
             number = document.mesh("box", box, _all_of(box, object_colour(o)))
             document.add(o.instance, number, o.position, quat_of(turn), o.size, extras)

@@ -1,11 +1,11 @@
-"""Reads meshes from untrusted binary glTF files."""
+"""Reads meshes and nodes from untrusted binary glTF files."""
 
 import errno
 import json
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias, TypeVar
@@ -14,7 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.mesh import WELD, Mesh, center_vertices, double_areas, drop_unused_vertices, weld_vertices
+from stable_data.geometry.mesh import (
+    WELD,
+    Mesh,
+    center_vertices,
+    double_areas,
+    drop_unused_vertices,
+    join_meshes,
+    weld_vertices,
+)
 from stable_data.geometry.surface import Surface
 from stable_data.scene import FloatArray, IntArray
 
@@ -98,6 +106,64 @@ def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimi
     return _read(data, _GlbReader(asset_id, limits), lambda reader: (_welded(*reader.soup(), reader), tuple(reader.notices)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedNode:
+    """A node of the scene of a glTF document, in the axes of the file: y up.
+
+    Attributes:
+        index: Its number in the document.
+        parent: Number of the node above it; None for a root.
+        parent_from_node: Its own transform, (4, 4).
+        world_from_node: Its transform with those of all nodes above it, (4, 4).
+        mesh: Number of its mesh; None without one.
+    """
+
+    index: int
+    parent: int | None
+    parent_from_node: FloatArray
+    world_from_node: FloatArray
+    mesh: int | None
+
+
+def placed_nodes(document: dict[str, Any], asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[PlacedNode, ...]:
+    """Returns the nodes of the default scene of a glTF document, each after the node above it, in file order.
+
+    Args:
+        document: The JSON of the file, not trusted.
+        asset_id: The file's name in messages.
+        limits: ``max_nodes``.
+
+    Raises:
+        MeshError: ``glb_invalid``: the nodes are no tree or break the format; ``glb_too_large``.
+    """
+    return _guarded(_GlbReader(asset_id, limits, document=document), lambda reader: tuple(reader.placed_nodes()))
+
+
+def load_meshes(
+    data: bytes | Path, asset_id: str, indices: Sequence[int], *, limits: MeshLimits = MeshLimits()
+) -> tuple[dict[int, Mesh], tuple[Notice, ...]]:
+    """Reads meshes of a file by their numbers; other arguments are those of :func:`load_glb`.
+
+    Args:
+        data: The file, or its content.
+        asset_id: The asset's name in messages.
+        indices: Numbers of meshes; one that is shown several times is listed as often, for the limits.
+        limits: Sizes beyond which the file is refused.
+
+    Returns:
+        Number -> all triangles of the mesh in its own frame, y up as in the file, not welded; a mesh without triangles is left
+        out. And notices about them.
+
+    Raises:
+        MeshError: The codes are those of :func:`load_glb`.
+    """
+
+    def extract(reader: _GlbReader) -> tuple[dict[int, Mesh], tuple[Notice, ...]]:
+        return reader.meshes(indices), tuple(reader.notices)
+
+    return _read(data, _GlbReader(asset_id, limits), extract)
+
+
 def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, ...]:
     """Reads the convex parts of a file, as :func:`stable_data.geometry.gltf_writer.write_glb` stores them.
 
@@ -144,10 +210,19 @@ def texture_addresses(look: bytes | None) -> tuple[str, ...]:
 
 
 def _read(data: bytes | Path, reader: "_GlbReader", extract: Callable[["_GlbReader"], _Result]) -> _Result:
-    """Opens a file and extracts a result. Every failure is a MeshError, and no content of a file causes a numpy warning."""
+    """Opens a file and extracts a result; see :func:`_guarded`."""
+
+    def opened(reader: "_GlbReader") -> _Result:
+        reader.open(reader.content(data) if isinstance(data, Path) else data)
+        return extract(reader)
+
+    return _guarded(reader, opened)
+
+
+def _guarded(reader: "_GlbReader", extract: Callable[["_GlbReader"], _Result]) -> _Result:
+    """Extracts a result. Every failure is a MeshError, and no content of a file causes a numpy warning."""
     try:
         with np.errstate(all="ignore"):
-            reader.open(reader.content(data) if isinstance(data, Path) else data)
             return extract(reader)
     except MeshError:
         raise
@@ -220,6 +295,21 @@ class _GlbReader:
             has_alpha, opacity = opacity is not None, 1.0 if opacity is None else opacity
             surfaces.append(Surface(corners[triangles], factor, colours, image, uv, opacity, has_alpha))
         return surfaces
+
+    def meshes(self, indices: Sequence[int]) -> dict[int, Mesh]:
+        """See :func:`load_meshes`."""
+        self._refuse_unsupported()
+        self._num_faces(indices)
+        found = {}
+        for index in dict.fromkeys(indices):
+            parts = [Mesh(corners, faces) for _, corners, faces in self._primitives(self._entry("meshes", index)) if len(faces)]
+            if parts:
+                joined = join_meshes(parts)
+                mesh = Mesh(*drop_unused_vertices(joined.vertices, joined.faces))
+                if not np.isfinite(mesh.vertices).all():
+                    self.fail("glb_nan_vertices", f"mesh {index} has vertices that are not finite", "finite coordinates")
+                found[index] = mesh
+        return found
 
     def addresses(self) -> tuple[str, ...]:
         """See :func:`texture_addresses`."""
@@ -368,24 +458,31 @@ class _GlbReader:
 
     def _placed_meshes(self) -> Iterator[tuple[int, FloatArray]]:
         """Yields (mesh index, world_from_node (4, 4)) of every mesh in the scene, in file order."""
+        for node in self.placed_nodes():
+            if node.mesh is not None:
+                yield node.mesh, node.world_from_node
+
+    def placed_nodes(self) -> Iterator[PlacedNode]:
+        """The nodes of the scene; see :func:`placed_nodes`."""
         roots = self._roots(self.document.get("nodes", []))
         self.check_limit("max_nodes", len(roots))
         # A stack instead of recursion, which could overflow; reversed, so that nodes come in file order.
-        stack = [(root, np.eye(4)) for root in reversed(roots)]
+        stack: list[tuple[int, int | None, FloatArray]] = [(root, None, np.eye(4)) for root in reversed(roots)]
         seen: set[int] = set()
         while stack:
-            index, world_from_parent = stack.pop()
+            index, parent, world_from_parent = stack.pop()
             node = self._entry("nodes", index)
             if index in seen:
                 self.fail("glb_invalid", f"node {index} has two parents", "a tree of nodes; export it again")
             seen.add(index)
-            world_from_node = world_from_parent @ _parent_from_node(node)
+            parent_from_node = _parent_from_node(node)
+            world_from_node = world_from_parent @ parent_from_node
             if "mesh" in node:
                 self._entry("meshes", node["mesh"])
-                yield node["mesh"], world_from_node
+            yield PlacedNode(index, parent, parent_from_node, world_from_node, node.get("mesh"))
             children = node.get("children", [])
             self.check_limit("max_nodes", len(seen) + len(stack) + len(children))
-            stack.extend((child, world_from_node) for child in reversed(children))
+            stack.extend((child, index, world_from_node) for child in reversed(children))
 
     def _roots(self, nodes: list[dict[str, Any]]) -> list[int]:
         if self.document.get("scenes"):

@@ -3,6 +3,8 @@
 import base64
 import json
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NoReturn
 from urllib.parse import unquote_to_bytes
@@ -32,11 +34,8 @@ def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: i
         MeshError: ``cyclic_reference``, ``mesh_empty``, ``mesh_not_finite``, ``mesh_too_large``, ``model_unreadable``, a code of
             :func:`stable_data.geometry.gltf_reader.load_glb`, or that of a buffer which cannot be read.
     """
+    document, whole = pack_gltf(content, path, companions, max_bytes=max_bytes)
     with parsing(path, "glTF 2.0"):
-        document, binary = _opened(content)
-        packed = _Packing(path, companions, document, binary, max_bytes)
-        packed.check_nodes()
-        whole = packed.glb()
         asset = document.get("asset", {})
         extras = asset.get("extras", {})
         extras = extras if isinstance(extras, dict) else {}
@@ -44,11 +43,61 @@ def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: i
         rights = str(asset.get("copyright") or "")
         author = str(extras.get("author") or "")
     limits = MeshLimits(max_bytes=len(whole), max_faces=max_faces, max_corners=3 * max_faces)
-    try:
+    with codes_of_files():
         found = load_surfaces(whole, path, limits=limits)
+    return MeshFile(tuple(_as_in_the_file(surface) for surface in found), None, "y", licence, rights, author)
+
+
+def gltf_document(content: bytes, path: str) -> dict[str, Any]:
+    """Returns the JSON of a glTF or GLB; of a GLB only the beginning with this JSON is needed.
+
+    Args:
+        content: The file; not trusted.
+        path: Its name in messages.
+
+    Raises:
+        MeshError: ``model_unreadable``.
+    """
+    with parsing(path, "glTF 2.0"):
+        return _opened(content)[0]
+
+
+def json_span(content: bytes) -> tuple[int, int]:
+    """Returns where the JSON of a glTF or GLB, which :func:`gltf_document` has read, begins and ends, in bytes."""
+    return (20, 20 + json_length(content)) if content.startswith(_MAGIC) else (0, len(content))
+
+
+def json_length(head: bytes) -> int:
+    """Returns the length in bytes of the JSON of a GLB, which begins at byte 20, from these 20 bytes; 0 if it is no GLB."""
+    return int(struct.unpack_from("<I", head, 12)[0]) if head.startswith(_MAGIC) and len(head) >= 20 else 0
+
+
+def pack_gltf(content: bytes, path: str, companions: Companions, *, max_bytes: int) -> tuple[dict[str, Any], bytes]:
+    """Returns the JSON of a glTF or GLB, and the file with all its buffers and images as one GLB.
+
+    Args:
+        content: The file; not trusted.
+        path: Its name in messages.
+        companions: Where buffers and images come from.
+        max_bytes: Bytes of all buffers and images beyond which it is refused.
+
+    Raises:
+        MeshError: ``cyclic_reference``, ``mesh_too_large``, ``model_unreadable``, or the code of a buffer which cannot be read.
+    """
+    with parsing(path, "glTF 2.0"):
+        document, binary = _opened(content)
+        packed = _Packing(path, companions, document, binary, max_bytes)
+        packed.check_nodes()
+        return document, packed.glb()
+
+
+@contextmanager
+def codes_of_files() -> Iterator[None]:
+    """Gives the errors of :mod:`stable_data.geometry.gltf_reader` the codes that those of other formats have."""
+    try:
+        yield
     except MeshError as error:
         raise MeshError(str(error).removeprefix("asset "), _CODES.get(error.code, error.code)) from error
-    return MeshFile(tuple(_as_in_the_file(surface) for surface in found), None, "y", licence, rights, author)
 
 
 def _as_in_the_file(surface: Surface) -> Surface:

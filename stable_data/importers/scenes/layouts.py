@@ -20,7 +20,9 @@ from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, SceneObject,
 _REACH = 0.3  # metres beside a surface within which things that do not move are obstacles
 _ABOVE = 0.5  # metres above the highest object within which they are
 _TOUCH = 1e-3  # metres above the surface that a thing must reach to be an obstacle
-_NO_NOUNS = frozenset({"body", "geom", "link", "main", "obj", "object", "root", "world"})  # of names, such as ``mug_main``
+_NO_NOUNS = frozenset(  # of names, such as ``mug_main`` or ``mug-rigid``
+    {"body", "col", "colonly", "convcol", "convcolonly", "geom", "link", "main", "obj", "object", "rigid", "root", "world"}
+)
 _DIGITS = 9  # decimals of a metre in the hash of a shape
 
 

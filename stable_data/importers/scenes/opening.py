@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.scenes.formats import is_usd
+from stable_data.importers.scenes.formats import is_gltf, is_usd
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
 
 if TYPE_CHECKING:  # MuJoCo takes long to import
     from stable_data.importers.scenes.file_physics import BodyMotion
+    from stable_data.importers.scenes.gltf_scenes import GltfScene
     from stable_data.importers.scenes.mjcf_scenes import MjcfScene
 
 
@@ -71,6 +72,30 @@ class _OpenedMjcf:
         return patched.changed, watch_file(self.scene, patched.model, patched.qpos)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _OpenedGltf:
+    scene: "GltfScene"
+
+    @property
+    def file(self) -> SceneFile:
+        return self.scene.file
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        return self.scene.paths
+
+    def watch(self) -> Mapping[str, "BodyMotion"]:
+        from stable_data.importers.scenes.file_physics import watch_shapes
+
+        return watch_shapes(self.file, {})
+
+    def moved(self, poses: Mapping[str, BodyPose]) -> tuple[Mapping[str, bytes], Mapping[str, "BodyMotion"]]:
+        from stable_data.importers.scenes.file_physics import watch_shapes
+        from stable_data.importers.scenes.gltf_patch import patch_nodes
+
+        return {self.file.path: patch_nodes(self.scene, poses)}, watch_shapes(self.file, poses)
+
+
 def read_scene_file(boundary: Boundary, path: str, key: str = "", *, is_everywhere: bool = True) -> OpenedScene:
     """Reads a scene file.
 
@@ -87,6 +112,10 @@ def read_scene_file(boundary: Boundary, path: str, key: str = "", *, is_everywhe
         from stable_data.importers.scenes.usd_scenes import read_usd_scene
 
         return read_usd_scene(boundary, path)
+    if is_gltf(path):
+        from stable_data.importers.scenes.gltf_scenes import read_gltf_scene
+
+        return _OpenedGltf(read_gltf_scene(boundary, path))
     from stable_data.importers.scenes.mjcf_scenes import read_mjcf_scene
 
     return _OpenedMjcf(read_mjcf_scene(boundary, path, key), is_everywhere)

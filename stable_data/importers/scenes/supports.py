@@ -4,6 +4,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -41,11 +42,17 @@ class SceneSurface:
     names: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Top:
     owner: str
     height: float
     outline: shapely.Geometry | None  # None: unlimited
+
+    @cached_property
+    def rectangle(self) -> tuple[FloatArray, float, FloatArray]:
+        """The rectangle of its outline: its corner (2,), yaw and extents (2,); inside of an outline that is no rectangle."""
+        assert self.outline is not None
+        return _rectangle(self.outline)
 
 
 def find_supports(file: SceneFile, table: str = "") -> list[SceneSurface]:
@@ -74,7 +81,8 @@ def find_supports(file: SceneFile, table: str = "") -> list[SceneSurface]:
             )
         groups[max(own, key=lambda k: (_area(tops[k]) > _SMALLEST, tops[k].height))] = free
     for body in free if not table else ():
-        below = [(top.height, k) for k, top in enumerate(tops) if _is_below(top, body)]
+        points = np.concatenate([body.placed(part) for part in body.parts])
+        below = [(top.height, k) for k, top in enumerate(tops) if _is_below(top, body.center, points)]
         if below:
             groups[max(below)[1]].append(body)
     if not groups:
@@ -107,7 +115,7 @@ def _tops(file: SceneFile) -> Iterator[_Top]:
             joined = shapely.union_all([o.buffer(1e-4, join_style="mitre") for o in same])
             for outline in shapely.get_parts(joined):
                 top = _Top(owner, height, outline)
-                if min(_rectangle(top)[2]) >= _SMALLEST:
+                if min(top.rectangle[2]) >= _SMALLEST:
                     yield top
     for ground in file.grounds:
         yield _Top(ground.owner, ground.height, None)
@@ -117,12 +125,11 @@ def _area(top: _Top) -> float:
     return math.inf if top.outline is None else float(top.outline.area)
 
 
-def _is_below(top: _Top, body: SceneBody) -> bool:
-    """Whether a surface is below the upper part of a body, which may have sunk into it."""
-    centre, points = body.center, np.concatenate([body.placed(part) for part in body.parts])
+def _is_below(top: _Top, centre: FloatArray, points: FloatArray) -> bool:
+    """Whether a surface is below the upper part of a body with a centre (3,) and corners (V, 3), which may have sunk into it."""
     if top.height > max(float(centre[2]) + 0.01, float(points[:, 2].max()) - 0.02):
         return False
-    if top.outline is not None and (np.sort(_rectangle(top)[2]) < np.sort(np.ptp(points, axis=0))[:2]).any():
+    if top.outline is not None and (np.sort(top.rectangle[2]) < np.sort(np.ptp(points, axis=0))[:2]).any():
         return False  # a lid over its box: the box stands on a table itself
     return top.outline is None or bool(shapely.distance(top.outline, shapely.Point(centre[:2])) <= _BESIDE)
 
@@ -134,15 +141,14 @@ def _surface(top: _Top, bodies: Sequence[SceneBody]) -> SceneSurface:
         low, high = points.min(axis=0) - _GROUND_MARGIN, points.max(axis=0) + _GROUND_MARGIN
         origin, yaw, size = low, 0.0, high - low
     else:
-        origin, yaw, size = _rectangle(top)
+        origin, yaw, size = top.rectangle
     x, y = origin.tolist()
     return SceneSurface(top.owner, (x, y, top.height), yaw, (float(size[0]), float(size[1])), names)
 
 
-def _rectangle(top: _Top) -> tuple[FloatArray, float, FloatArray]:
+def _rectangle(outline: shapely.Geometry) -> tuple[FloatArray, float, FloatArray]:
     """The rectangle of a surface: its corner (2,), yaw and extents (2,); inside of an outline that is no rectangle."""
-    assert top.outline is not None
-    around = top.outline.minimum_rotated_rectangle
+    around = outline.minimum_rotated_rectangle
     if around.geom_type != "Polygon":
         return np.zeros(2), 0.0, np.zeros(2)
     corners = np.array(around.exterior.coords)
@@ -150,7 +156,7 @@ def _rectangle(top: _Top) -> tuple[FloatArray, float, FloatArray]:
     yaw = math.remainder(math.atan2(edge[1], edge[0]), math.pi / 2)
     if abs(yaw) < 1e-6:
         yaw = 0.0
-    turned = shapely.transform(top.outline, lambda points: rotate_xy(points, -yaw))
+    turned = shapely.transform(outline, lambda points: rotate_xy(points, -yaw))
     low_x, low_y, high_x, high_y = turned.bounds
     low, size = np.array([low_x, low_y]), np.array([high_x - low_x, high_y - low_y])
     if turned.area < 0.985 * float(size.prod()):

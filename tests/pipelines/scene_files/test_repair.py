@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 from pipelines.__main__ import app
@@ -23,11 +24,12 @@ from stable_data.export.exporter import export_run
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.copies import CopyWriter
 from stable_data.importers.scenes.lint import lint_scene_files, scene_candidates
+from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.originals import export_originals
 from stable_data.simulation.run_reader import SceneSelection
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import object_row, scene_from_row, scene_row
-from tests.scene_files import COMMON, write_corner, write_model, write_stage
+from tests.scene_files import COMMON, cuboid, gltf_parts, kitchen, write_corner, write_gltf, write_model, write_stage
 
 DEFAULT = RepairOptions()
 
@@ -258,9 +260,91 @@ def test_a_folder_without_a_scene_is_an_error(tmp_path: Path, num_files: int) ->
         assert (done.exit_code, done.stdout) == (2, "")
         found = "none of its files (1) has a free body" if num_files else "no scene file"
         assert found in done.stderr
-        assert "expected a scene file (.mjcf" in done.stderr
+        assert "expected a scene file (.glb, .gltf, .mjcf" in done.stderr
     assert not (tmp_path / "out").exists()
     (source / "broken.usda").write_text("#usda 1.0\n(((")
     done = runner.invoke(stable_data_app, ["lint", str(source)])
     assert done.exit_code == 1, "a file that cannot be read is listed"
     assert "broken.usda" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["in.gltf", "in.glb"])
+def test_a_gltf_scene_comes_back_likewise(tmp_path: Path, name: str) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    write_gltf(source / name, *kitchen())
+    verdict = only(source, name, tmp_path / "out")
+    assert verdict.status is RepairStatus.REPAIRED
+    assert (verdict.clean_before, verdict.clean_after, verdict.rest_before, verdict.rest_after) == (False, True, False, True)
+    bodies = {body.name: body for body in verdict.bodies}
+    assert [n for n, body in bodies.items() if not body.move] == ["fine-rigid"]
+    assert "fallen over" in bodies["bottle"].uprighted
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(path.name for path in source.iterdir())
+    before, after = (trimesh.load(folder / name) for folder in (source, tmp_path / "out"))
+    assert before.geometry.keys() == after.geometry.keys()
+    for node in before.graph.nodes_geometry:
+        is_same = np.allclose(before.graph[node][0], after.graph[node][0], atol=1e-9)
+        assert is_same == (bodies.get(node) is None or not bodies[node].move)
+    again = only(tmp_path / "out", name, tmp_path / "again")
+    assert again.status is RepairStatus.FINE
+    assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
+    # MuJoCo itself, with the boxes and the table of the file: nothing moves.
+    opened = read_scene_file(Boundary(tmp_path / "out"), name)
+    assert all(motion.move < 2e-3 for motion in opened.watch().values())
+
+
+def test_a_gltf_scene_is_imported_and_exported_and_single_assets_are_left_out(tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    write_gltf(source / "kitchen.gltf", *kitchen())
+    write_gltf(source / "asset.glb", *gltf_parts([cuboid(0.1, 0.1, 0.1)], [{"mesh": 0}]))
+    counts = import_scenes(source, None, str(tmp_path / "run"), RepairOptions(upright="keep"))
+    assert (counts.num_files, counts.num_scenes, counts.failures) == (1, 1, ())
+    run = RunFolder(str(tmp_path / "run"))
+    (row,) = run.table("scenes").to_pylist()
+    assert (row["clean"], row["num_objects"], row["layout_path"]) == (False, 5, "kitchen.gltf")
+    assets = {asset["description"]: asset for asset in run.table("assets").to_pylist()}
+    assert (assets["bottle"]["mass"], assets["bottle"]["mass_source"]) == (pytest.approx(0.3), "given")
+    assert assets["box_a-rigid"]["category"] == "box"
+    assert assets["shelf"]["is_static"] is True
+    assert [(r["scene_id"], r["clean"]) for r in lint_scene_files(source, scene_candidates(source)).rows] == [
+        ("kitchen", False)
+    ]
+    scene = scene_from_row(row)
+    objects = [
+        o.moved((o.position[0] - 0.01, *o.position[1:]), o.yaw) if o.description == "fine-rigid" else o for o in scene.objects
+    ]
+    moved = tmp_path / "moved"
+    shutil.copytree(tmp_path / "run", moved)
+    shutil.rmtree(moved / "scenes")
+    RunFolder(str(moved)).write_shard("scenes", "changed", [row | {"objects": [object_row(o) for o in objects]}])
+    result = export_originals(RunFolder(str(moved)), source, tmp_path / "out", SceneSelection())
+    assert (result.num_written, result.num_moved, result.failures) == (1, 1, ())
+    before, after = ((folder / "kitchen.gltf").read_text().splitlines() for folder in (source, tmp_path / "out"))
+    changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
+    assert [float(text.strip(" ,")) for pair in changed for text in pair] == pytest.approx([35, 34], abs=1e-6)
+    assert (tmp_path / "out" / "kitchen.bin").read_bytes() == (source / "kitchen.bin").read_bytes()
+    (source / "kitchen.gltf").unlink()
+    with pytest.raises(ConfigError, match="no scene file, expected a scene file"):
+        list(repair_folder(source, None, tmp_path / "none", RepairOptions()))
+
+
+def test_files_of_one_name_in_two_formats_are_two_scenes(tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    for name in ("a.glb", "a.gltf"):
+        write_gltf(source / name, *kitchen())
+    import_scenes(source, None, str(tmp_path / "run"), RepairOptions(upright="keep"))
+    rows = RunFolder(str(tmp_path / "run")).table("scenes").to_pylist()
+    assert {row["scene_id"]: row["layout_path"] for row in rows} == {"a": "a.glb", "a__gltf": "a.gltf"}
+
+
+def test_a_gltf_file_is_written_beside_the_original(tmp_path: Path) -> None:
+    write_gltf(tmp_path / "a.gltf", *kitchen())
+    done = CliRunner().invoke(app, ["repair", str(tmp_path / "a.gltf"), "--out", str(tmp_path / "b.gltf"), "--key", "all"])
+    assert done.exit_code == 0, done.output
+    assert only(tmp_path, "b.gltf", tmp_path / "out").status is RepairStatus.FINE
+    assert (tmp_path / "out" / "a.bin").exists()
+    refused = CliRunner().invoke(app, ["repair", str(tmp_path / "a.gltf"), "--out", str(tmp_path / "b.glb")])
+    assert refused.exit_code == 2
+    assert "expected a file .gltf" in refused.output

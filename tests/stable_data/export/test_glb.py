@@ -1,6 +1,7 @@
 """Scenes as binary glTF, as trimesh reads them."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,9 @@ def test_a_node_says_what_it_is(store: AssetStore, tmp_path: Path) -> None:
     extras = loaded.graph.transforms.edge_data["scene", ODD_INSTANCE]["metadata"]
     assert extras["category"] == "mug"
     assert extras["description"] == "such a thing"
+    assert "fixed" not in extras
+    fixed = load(replace(at_rest(), fixed=frozenset({ODD_INSTANCE})), store, tmp_path)
+    assert fixed.graph.transforms.edge_data["scene", ODD_INSTANCE]["metadata"]["fixed"] is True
 
 
 def test_an_empty_scene_is_a_table(store: AssetStore, tmp_path: Path) -> None:
