@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from stable_data.storage.run_folder import RunFolder
 from tests.stable_data.export.runs import at_rest, falling, write_run
@@ -81,6 +82,14 @@ def test_own_exporter(run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixt
     rows = (tmp_path / "poses" / "falling.csv").read_text("utf-8").splitlines()
     assert rows[0] == "instance,x,y,z,yaw"
     assert len(rows) == 1 + len(falling().objects)
+
+
+def test_draw_scenes(run: RunFolder, tmp_path: Path) -> None:
+    run_example("draw_scenes", run.uri, tmp_path / "pictures", "falling")
+    (file,) = (tmp_path / "pictures").iterdir()
+    with Image.open(file) as picture:
+        assert (file.name, picture.size) == ("falling.png", (480, 300))
+        assert len(picture.convert("RGB").getcolors(1 << 20) or ()) > 50  # a scene, not a blank sheet
 
 
 @pytest.mark.slow

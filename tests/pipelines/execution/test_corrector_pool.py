@@ -161,6 +161,7 @@ def test_gpus_that_nothing_would_use_are_refused(settings: dict[str, Any], said:
 
 
 @pytest.mark.ray
+@pytest.mark.slow
 def test_scenes_are_generated_with_parts_of_a_gpu(local_ray: None, tmp_path: Path) -> None:
     """The device is the CPU by its other name, so that the actors with parts of Ray's GPU run without one."""
     settings = GenerateSettings(device="cpu:0", correctors=2, corrector_gpus=0.5, refine=True, num_pictures=0)
