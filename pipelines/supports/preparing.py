@@ -86,10 +86,12 @@ class SupportCounts:
     Attributes:
         supports: The supports that have surfaces.
         failures: Assets that could not be used.
+        num_left_out: Assets of the library that were not looked at.
     """
 
     supports: tuple[PreparedSupport, ...]
     failures: tuple[Notice, ...]
+    num_left_out: int = 0
 
 
 def prepare_supports(
@@ -128,7 +130,7 @@ def prepare_supports(
     if not found:
         raise ConfigError(f"{library}: no asset has a surface, expected at least one; {failures[0].message}", "no_surface")
     _write_run(RunFolder(out), library, place, shelf, options, found, failures)
-    return SupportCounts(tuple(found), tuple(failures))
+    return SupportCounts(tuple(found), tuple(failures), len(known) - len(chosen))
 
 
 def _fixed_furniture(place: str) -> list[str]:

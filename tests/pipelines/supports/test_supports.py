@@ -297,6 +297,9 @@ def test_the_command_says_what_it_found_and_what_is_wrong(library: str, supports
     assert done.exit_code == 0, done.output
     assert f"{COFFEE} top: 131 x 65 cm" in done.output
     assert [s.frame.surface for s in scenes_of(str(tmp_path / "a")) if s.frame] == ["top"]
+    every = runner.invoke(app, ["supports", library, "--out", str(tmp_path / "all")])
+    left = len(AssetLibraries((), scenes=library).asset_ids) - len(_fixed_furniture(library))
+    assert (f"{left} other assets are not fixed furniture" in every.output) is bool(left)
     for arguments, words in (
         ([library, "--asset", "sofa"], "has no asset sofa"),
         ([library, "--surface", "lid"], "has no surface lid, expected one of top, shelf_1"),
