@@ -119,7 +119,8 @@ class SupportFrame:
         surface: Name of the surface, unique on the support.
         origin: The origin of the table's frame in the frame of the support, metres; its z is the height of the surface.
         yaw: Rotation of the table's frame about +z in the frame of the support, radians.
-        asset_id: The mesh of the support, whose frame, z up and in metres, is that of the support; None without a mesh.
+        asset_id: The mesh of the support, in metres; its frame, z up with the centre of its box as the origin, is that of the
+            support. None without a mesh.
     """
 
     support: str

@@ -22,13 +22,12 @@ from stable_data.storage.run_folder import RunFolder, absolute_uri
 from stable_data.storage.table_rows import scene_from_row
 
 _REDRAWS = 50  # of a task whose objects the libraries lack
-_FEWEST_SERVED = (
-    8  # tasks of the first 50 of a table type that must be served; of a thousand more tasks one then has no served draw
-)
+# Tasks of the first 50 of a table type that must be served; of a thousand more tasks one then has no served draw.
+_FEWEST_SERVED = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SupportPlace:
     """A surface of a support, on which a task is laid out.
 
     Attributes:
@@ -62,7 +61,7 @@ class SampledTask:
     seed: int
     tables: tuple[str, ...] = ()
     is_served: bool = False
-    place: Place | None = None
+    place: SupportPlace | None = None
 
     @property
     def scene_id(self) -> str:
@@ -175,7 +174,9 @@ def tasks_on_supports(source: TaskSource, supports: str) -> TaskSource:
     scenes = [scene for batch in RunFolder(supports).batches("scenes") for scene in map(scene_from_row, batch.to_pylist())]
     if not scenes:
         raise ConfigError(f"{supports}: its table scenes is empty, expected at least one surface", "no_surface")
-    places = [Place(scene.table, tuple(replace(o, source=None) for o in scene.surroundings), scene.frame) for scene in scenes]
+    places = [
+        SupportPlace(scene.table, tuple(replace(o, source=None) for o in scene.surroundings), scene.frame) for scene in scenes
+    ]
     tasks: list[Task] = []
     for number, task in enumerate(source.tasks):
         place = places[number % len(places)]

@@ -60,10 +60,7 @@ def supports(
     for notice in counts.failures:
         typer.echo(f"not used: {notice.message}", err=True)
     if counts.num_left_out and not asset:
-        typer.echo(
-            f"{counts.num_left_out} other assets are not fixed furniture and were not looked at; name them with --asset ID",
-            err=True,
-        )
+        typer.echo(f"{counts.num_left_out} other assets were not looked at; name them with --asset ID", err=True)
     num = sum(len(support.scenes) for support in counts.supports)
     typer.echo(f"{out}: {len(counts.supports)} supports, {num} surfaces, {len(counts.failures)} failures")
     if counts.failures:

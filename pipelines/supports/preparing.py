@@ -1,5 +1,6 @@
 """Prepares supports: finds their surfaces and writes each as an empty scene, on which ``generate --supports`` lays out tasks."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -197,7 +198,7 @@ def _write_run(
 ) -> None:
     settings: dict[str, Any] = asdict(options) | {"supports": [s.asset_id for s in found]}
     inputs: Mapping[str, Any] = dict(shelf.fingerprints) | {
-        "meshes": content_id([[s.asset_id, s.mesh.vertices.tobytes().hex(), s.mesh.faces.tobytes().hex()] for s in found])
+        "meshes": content_id([(s.asset_id, _hash_of(s.mesh)) for s in found])
     }
     shard = content_id("supports", settings, inputs)
     obstacles = SceneAssets()
@@ -229,6 +230,10 @@ def _write_run(
         write_manifest(folder, manifest | {"status": "complete", "counts": counts})
 
 
+def _hash_of(mesh: Mesh) -> str:
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()
+
+
 def _scene_row(imported: ImportedScene, store: AssetStore, source: str) -> Row:
     scene, shapes, _ = store.resolved(imported.scene)
     audit = audit_scene(scene, shapes)
@@ -242,7 +247,7 @@ def _obstacle_rows(asset_id: str, assets: SceneAssets, store: AssetStore) -> tup
     assert path is not None
     asset = assets.assets[asset_id]
     annotation = AssetAnnotation(
-        asset_id, category=asset.category, description=asset.body.name, source="supports", on_table=False
+        asset_id, category=asset.category, description=asset.body.name, source=OBSTACLES, on_table=False
     )
     item = AssetUse(asset_id, file_digest(path), (1.0, 1.0, 1.0), (), ((UPRIGHT, 1),))
     made = preprocess_asset(item, annotation, store, AssetSettings(decomposes=False), ItemProgress("mesh"))

@@ -212,8 +212,9 @@ def scene_graph(
             facing=facing_of(o.yaw),
             is_fixed=o.instance in scene.fixed,
         )
-    for child in carriers.keys() - scene.fixed if scene.fixed else carriers:
-        _link_to_parent(graph, layout, carriers, child, len(contacts.get(child, ())))
+    for child in carriers:
+        if child not in scene.fixed:
+            _link_to_parent(graph, layout, carriers, child, len(contacts.get(child, ())))
     for one, other in _near_pairs(scene):
         kind = _spatial_relation(scene, layout, one, other)
         is_stacked = other in ancestors(carriers, one) or one in ancestors(carriers, other)

@@ -63,7 +63,7 @@ class RunScenes:
     def __init__(self, run: RunFolder, choice: SceneSelection = SceneSelection(), store: AssetStore | None = None) -> None:
         _check_tables(run, settled=choice.settled)
         self._scenes = TableFiles(run.uri, "scenes", None, where=choice.condition)
-        self._limit = choice.limit
+        self._uri, self._condition, self._limit = run.uri, choice.condition, choice.limit
         if choice.scene_ids:
             _check_known(run, choice)
         self.store = store or run_store(run.uri)
@@ -85,7 +85,8 @@ class RunScenes:
 
     def pieces(self) -> "ScenePieces":
         """The scenes that stand on supports, together for each piece."""
-        return ScenePieces(self._scenes, self._limit)
+        surfaces = TableFiles(self._uri, "scenes", ["surface"], where=self._condition)
+        return ScenePieces(self._scenes, surfaces, self._limit)
 
     def geometry(self, scene: Scene) -> SceneGeometry:
         """Returns one of the scenes with its geometry.
@@ -100,15 +101,16 @@ class ScenePieces:
     """The scenes of a run by the piece of furniture on which they stand, read on demand, the highest surface first.
 
     Args:
-        scenes: Selected rows of the table ``scenes``.
+        scenes: Selected rows of the table ``scenes``, with all columns.
+        surfaces: The column ``surface`` of the same rows.
         limit: The number of first pieces that are used; None: all.
     """
 
-    def __init__(self, scenes: TableFiles, limit: int | None) -> None:
+    def __init__(self, scenes: TableFiles, surfaces: TableFiles, limit: int | None) -> None:
         self._scenes = scenes
         places: dict[str, list[tuple[float, int, int]]] = {}
-        for group in range(len(scenes.groups)):
-            for row, surface in enumerate(scenes.read([group])["surface"].to_pylist()):
+        for group in range(len(surfaces.groups)):
+            for row, surface in enumerate(surfaces.read([group])["surface"].to_pylist()):
                 if surface is not None and surface["support"] is not None:
                     places.setdefault(surface["support"], []).append((-surface["origin"][2], group, row))
         self._places = [sorted(places[name]) for name in sorted(places)][:limit]
