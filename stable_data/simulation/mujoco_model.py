@@ -90,9 +90,9 @@ def engine_spec(geometry: SceneGeometry, picture: tuple[int, int] = _PICTURE) ->
             joint.name = name
         for number, geom in enumerate(body.geoms):
             geom.name, geom.group = f"{name}/part_{number}", COLLIDER_GROUP
-        look = None if geometry.meshes[k] is None else geometry.look(k)
         if not geometry.is_seen(k):
             continue
+        look = None if geometry.meshes[k] is None else geometry.look(k)
         if look is None or not _add_look(spec, body, visual, look, name, (o.asset_id, look.scale), meshes):
             _add_visuals(spec, body, visual, geometry, k, meshes)
     _add_environment(spec, geometry, picture)
