@@ -308,7 +308,7 @@ class _RunAnnotations(Mapping[str, AssetAnnotation]):
 
     def __init__(self, run: RunFolder) -> None:
         columns = ["asset_id", "category", "description", "caption", "licence", "source", "extents", "mass", "is_container"]
-        columns += ["author", "source_url"]
+        columns += ["author", "source_url", "typical_scale", "resting_tilts"]
         table = run.table("assets", columns)
         self._columns = {name: table[name].to_pylist() for name in columns}
         self._place = {asset_id: k for k, asset_id in enumerate(self._columns["asset_id"])}
@@ -325,8 +325,10 @@ class _RunAnnotations(Mapping[str, AssetAnnotation]):
 
 
 def _annotation(row: dict[str, object]) -> AssetAnnotation:
-    extents, mass = row["extents"], row["mass"]
+    extents, mass, scale, tilts = row["extents"], row["mass"], row["typical_scale"], row["resting_tilts"]
     x, y, z = extents if isinstance(extents, list) else (None, None, None)
+    i, j, k = scale if isinstance(scale, list) else (None, None, None)
+    a, b, c, d = tilts[0]["tilt_quat_xyzw"] if isinstance(tilts, list) and tilts else (None, None, None, None)
     return AssetAnnotation(
         str(row["asset_id"]),
         category=str(row["category"] or ""),
@@ -336,5 +338,7 @@ def _annotation(row: dict[str, object]) -> AssetAnnotation:
         mass=mass if isinstance(mass, float) else None,
         is_container=row["is_container"] if isinstance(row["is_container"], bool) else None,
         extents_z_up=None if x is None or y is None or z is None else (x, y, z),
+        typical_scale=None if i is None or j is None or k is None else (i, j, k),
+        resting_tilt=None if a is None or b is None or c is None or d is None else (a, b, c, d),
         raw={name: row[name] for name in ("licence", "author", "source_url") if row[name]},
     )

@@ -1,10 +1,12 @@
 """The export formats. A new format is a module or an object with the members of ExportFormat, and an entry of FORMATS."""
 
+from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
 from stable_data.errors import ConfigError
 from stable_data.export import glb, mesatask, mjcf
+from stable_data.export.usd import UsdFormat
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import SceneGeometry
 
@@ -34,8 +36,17 @@ class ExportFormat(Protocol):
         ...
 
 
-FORMATS: dict[str, ExportFormat] = {"glb": glb, "mesatask": mesatask, "mjcf": mjcf}
-"""Name -> format. A program adds its own format here before it calls ``export_run``, see ``examples/own_exporter.py``."""
+FORMATS: dict[str, ExportFormat] = {
+    "glb": glb,
+    "mesatask": mesatask,
+    "mjcf": mjcf,
+    "usd": UsdFormat(),
+    "usd:isaaclab": UsdFormat("isaaclab"),
+}
+"""Name -> format; ``NAME:FLAVOUR`` is a variant for one consumer. A program adds its own format here before it calls
+``export_run``, see ``examples/own_exporter.py``. A format that imports an optional package when it exports a scene names the
+package in ``NEEDS``.
+"""
 
 
 def format_named(name: str) -> ExportFormat:
@@ -43,7 +54,10 @@ def format_named(name: str) -> ExportFormat:
 
     Raises:
         ConfigError: There is none (``format_unknown``).
+        ModuleNotFoundError: It needs a package that is not installed.
     """
     if name not in FORMATS:
         raise ConfigError(f"format is {name!r}, expected one of {', '.join(FORMATS)}", "format_unknown")
+    for module in getattr(FORMATS[name], "NEEDS", ()):
+        import_module(module)
     return FORMATS[name]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from stable_data.geometry.gltf_reader import COLLIDERS, PART_FACES, TEXTURE
 from stable_data.geometry.mesh import Mesh, join_meshes
 from stable_data.geometry.mesh_colors import to_linear
-from stable_data.geometry.surface import Surface
+from stable_data.geometry.surface import Surface, index_surface
 from stable_data.scene import FloatArray, IntArray
 
 # Constants of the glTF 2.0 specification.
@@ -132,19 +132,11 @@ class SurfaceParts:
             to_file: Turns coordinates (V, 3) into those of the file.
             normals: Normals of the corners in the frame of the file, (F, 3, 3); without them faces are seen flat.
         """
-        # Equal corners of a surface remain equal numbers; zeros lose their sign, which would make them differ.
-        columns: dict[str, GltfArray] = {"POSITION": to_file(surface.triangles.reshape(-1, 3)).astype(np.float32) + 0.0}
-        if normals is not None:
-            columns["NORMAL"] = np.round(normals.reshape(-1, 3), 5).astype(np.float32) + 0.0  # rounded, so that more are equal
-        if surface.corner_uv is not None:
-            columns["TEXCOORD_0"] = np.nan_to_num(surface.corner_uv.reshape(-1, 2)).astype(np.float32) + 0.0
-        if surface.corner_colours is not None:
-            colours = np.clip(np.nan_to_num(surface.corner_colours.reshape(-1, 3)), 0.0, 1.0)
-            columns["COLOR_0"] = colours.astype(np.float32) + 0.0
-        first, corner = _distinct_rows(list(columns.values()))
+        indexed = index_surface(surface, to_file, normals)
+        names = {"POSITION": indexed.points, "NORMAL": indexed.normals, "TEXCOORD_0": indexed.uv, "COLOR_0": indexed.colours}
+        columns = {name: column for name, column in names.items() if column is not None}
         attributes = {name: len(self.arrays) + k for k, name in enumerate(columns)}
-        self.arrays += [column[first] for column in columns.values()]
-        self.arrays.append(corner.reshape(-1, 3))
+        self.arrays += [*columns.values(), indexed.faces]
         primitive: dict[str, Any] = {"attributes": attributes, "indices": len(self.arrays) - 1}
         material = self._material(surface)
         return primitive if material is None else primitive | {"material": material}
@@ -182,16 +174,6 @@ class SurfaceParts:
         textures = [{"source": k} for k in range(len(images))]
         entries = {"materials": self._materials, "textures": textures, "images": list(images)}
         return {name: found for name, found in entries.items() if found}
-
-
-def _distinct_rows(columns: Sequence[GltfArray]) -> tuple[IntArray, IntArray]:
-    """The first of each group of equal rows (V,) of arrays with N rows each, in their order, and the group of each row, (N,)."""
-    rows = np.ascontiguousarray(np.concatenate([c.view(np.uint8).reshape(len(c), -1) for c in columns], axis=1))
-    _, first, group = np.unique(rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return first[order], rank[group]
 
 
 def pack(document: dict[str, Any], arrays: Sequence[GltfArray], images: Sequence[bytes] = ()) -> bytes:

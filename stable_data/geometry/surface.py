@@ -1,8 +1,12 @@
 """The surface of a mesh as it is seen: triangles with a material."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from stable_data.scene import FloatArray
+import numpy as np
+import numpy.typing as npt
+
+from stable_data.scene import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,3 +31,62 @@ class Surface:
     corner_uv: FloatArray | None = None
     opacity: float = 1.0
     has_alpha: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IndexedSurface:
+    """The triangles of a surface with each distinct corner once, as files store them.
+
+    Attributes:
+        points: (V, 3) float32.
+        faces: (F, 3) int64.
+        normals: (V, 3) float32; None if they were not given.
+        uv: Texture coordinates, (V, 2) float32, from the upper left; None without an image.
+        colours: (V, 3) float32, from 0 to 1, linear; None if there are none.
+    """
+
+    points: npt.NDArray[np.float32]
+    faces: IntArray
+    normals: npt.NDArray[np.float32] | None
+    uv: npt.NDArray[np.float32] | None
+    colours: npt.NDArray[np.float32] | None
+
+
+def index_surface(
+    surface: Surface, to_file: Callable[[FloatArray], FloatArray] = lambda points: points, normals: FloatArray | None = None
+) -> IndexedSurface:
+    """Joins equal corners of a surface.
+
+    Args:
+        surface: At least one triangle.
+        to_file: Turns coordinates (V, 3) into those of the file.
+        normals: Normals of the corners in the frame of the file, (F, 3, 3).
+    """
+    # Equal corners of a surface remain equal numbers; zeros lose their sign, which would make them differ.
+    columns = [to_file(surface.triangles.reshape(-1, 3)).astype(np.float32) + 0.0]
+    if normals is not None:
+        columns.append(np.round(normals.reshape(-1, 3), 5).astype(np.float32) + 0.0)  # rounded, so that more are equal
+    if surface.corner_uv is not None:
+        columns.append(np.nan_to_num(surface.corner_uv.reshape(-1, 2)).astype(np.float32) + 0.0)
+    if surface.corner_colours is not None:
+        colours = np.clip(np.nan_to_num(surface.corner_colours.reshape(-1, 3)), 0.0, 1.0)
+        columns.append(colours.astype(np.float32) + 0.0)
+    first, corner = _distinct_rows(columns)
+    found = iter([column[first] for column in columns])
+    return IndexedSurface(
+        points=next(found),
+        faces=corner.reshape(-1, 3),
+        normals=None if normals is None else next(found),
+        uv=None if surface.corner_uv is None else next(found),
+        colours=None if surface.corner_colours is None else next(found),
+    )
+
+
+def _distinct_rows(columns: Sequence[npt.NDArray[np.float32]]) -> tuple[IntArray, IntArray]:
+    """The first of each group of equal rows (V,) of arrays with N rows each, in their order, and the group of each row, (N,)."""
+    rows = np.ascontiguousarray(np.concatenate([c.view(np.uint8).reshape(len(c), -1) for c in columns], axis=1))
+    _, first, group = np.unique(rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[group]

@@ -23,8 +23,9 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.mesh import Mesh, area_vectors
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shading import CREASE
+from stable_data.geometry.surface import Surface
 from stable_data.rotations import wxyz, yaw_quat
-from stable_data.scene import FloatArray, Scene, SceneObject, Tabletop, Vec3
+from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
 from stable_data.simulation.look_meshes import ObjectLook, add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import Picture, draw_model
@@ -42,7 +43,8 @@ _DIRECTIONS: Mapping[str, Vec3] = {
     "left": (-1.0, 0.0, 0.3),
 }
 _HALF_VIEW = 18 / 50  # tangent of half the field of view: 36 mm sensor, 50 mm lens
-_FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
+FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
+"""Vertical field of view of the cameras, degrees."""
 _DISTANCE, _MARGIN = 1.5, 1.02
 _UNDER = 0.5  # rise of the view below a ceiling, as a share of the rise to the ceiling's front edge from the table's back edge
 _MAX_FACES = 6000  # a mesh with more faces is simplified for a picture
@@ -105,6 +107,26 @@ def render_scene(
     add_lights(spec, low, high)
     add_camera(spec, low, high, view, size, scene.table)
     return _with_soft_shadows(*draw_model(spec.compile(), "view", size))
+
+
+def render_surfaces(surfaces: Sequence[Surface], size: tuple[int, int]) -> Picture:
+    """Renders a picture of surfaces alone.
+
+    Args:
+        surfaces: At least one triangle, metres, z up.
+        size: Width and height, pixels.
+
+    Raises:
+        ConfigError: The machine cannot render (``no_gl``).
+        MeshError: An image cannot be decoded.
+    """
+    spec, look = mujoco.MjSpec(), ObjectLook(tuple(surfaces), (1.0, 1.0, 1.0), UPRIGHT, (0.0, 0.0, 0.0))
+    set_lighting(spec, size)
+    _add_look(spec, look, "look")
+    low, high = look.bounds
+    add_lights(spec, low, high)
+    add_camera(spec, low, high, "perspective", size)
+    return draw_model(spec.compile(), "view", size)[0]
 
 
 def category_colour(category: str) -> str:
@@ -308,6 +330,14 @@ def add_camera(
         table: The table; below a ceiling the camera looks from less high.
         name: Its name.
     """
+    position, quat = camera_pose(low, high, view, size, table)
+    spec.worldbody.add_camera(name=name, pos=list(position), quat=wxyz(quat), fovy=FIELD_OF_VIEW)
+
+
+def camera_pose(
+    low: FloatArray, high: FloatArray, view: View, size: tuple[int, int], table: Tabletop | None = None
+) -> tuple[Vec3, QuatXyzw]:
+    """Computes the position of the camera of :func:`add_camera`, and its rotation: it looks along its -z, +y is up, xyzw."""
     direction = np.array(_DIRECTIONS[view])
     if table is not None and table.clearance is not None and view != "top":
         steepest = _UNDER * table.clearance / max(table.size_xy[1], 1e-3)
@@ -324,8 +354,9 @@ def add_camera(
     ratio = size[0] / size[1]  # the field of view is vertical
     needed = corners @ direction + np.maximum(abs(corners @ right) / ratio, abs(corners @ up)) / _HALF_VIEW
     usual = _DISTANCE * 2 * half.max() / max(1.0, ratio)
-    position = (low + high) / 2 + max(usual, _MARGIN * needed.max()) * direction
-    spec.worldbody.add_camera(name=name, pos=position.tolist(), quat=quat.tolist(), fovy=_FIELD_OF_VIEW)
+    a, b, c = ((low + high) / 2 + max(usual, _MARGIN * needed.max()) * direction).tolist()
+    w, x, y, z = quat.tolist()
+    return (a, b, c), (x, y, z, w)
 
 
 def _with_soft_shadows(lit: Picture, shaded: FloatArray) -> Picture:

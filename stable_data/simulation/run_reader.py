@@ -1,13 +1,17 @@
 """Reads selected scenes of a run, in order, with the geometry that they need."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
 
 import pyarrow as pa
 
-from stable_data.assets.run_assets import run_store
+from stable_data.assets.annotation import AssetAnnotation
+from stable_data.assets.run_assets import run_annotations, run_store
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
+from stable_data.metrics.card import MetricCard
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
 from stable_data.storage.row_groups import TableFiles, row_slices
@@ -16,6 +20,8 @@ from stable_data.storage.table_rows import scene_from_row
 
 NEEDED = ("scenes", "assets", "meshes")
 """Tables that a run must have so that its scenes can be built."""
+
+_CARD = tuple(f.name for f in fields(MetricCard))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +73,7 @@ class RunScenes:
         if choice.scene_ids:
             _check_known(run, choice)
         self.store = store or run_store(run.uri)
+        self._run, self._cards = run, dict[str, dict[str, Any]]()
         self._settled = SettledPoses(run) if choice.settled else None
 
     def __len__(self) -> int:
@@ -79,7 +86,9 @@ class RunScenes:
             if not left:
                 return
             for part in row_slices(self._scenes.read([group])):
-                for row in part.slice(0, left).to_pylist():
+                rows = part.slice(0, left).to_pylist()
+                self._cards = {row["scene_id"]: {name: row[name] for name in _CARD} for row in rows}
+                for row in rows:
                     left -= 1
                     yield scene_from_row(row)
 
@@ -89,12 +98,18 @@ class RunScenes:
         return ScenePieces(self._scenes, surfaces, self._limit)
 
     def geometry(self, scene: Scene) -> SceneGeometry:
-        """Returns one of the scenes with its geometry.
+        """Returns one of the scenes with its geometry; its verdicts are there for the scenes that were read last.
 
         Raises:
             SceneError: The scene was never settled, but settled poses are selected.
         """
-        return SceneGeometry.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
+        geometry = SceneGeometry.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
+        return replace(geometry, annotations=self.annotations, verdicts=self._cards.get(scene.scene_id, {}))
+
+    @cached_property
+    def annotations(self) -> Mapping[str, AssetAnnotation]:
+        """What is known of the assets of the run, by id."""
+        return run_annotations(self._run)
 
 
 class ScenePieces:

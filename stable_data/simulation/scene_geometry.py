@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
 from stable_data.geometry.mesh import Mesh
@@ -37,12 +38,16 @@ class SceneGeometry:
         shapes: The geometry of its objects, in its order.
         meshes: Their meshes, mesh units; None if a box replaces the mesh.
         store: The store of the meshes.
+        annotations: What is known of its assets, by id; an asset may be missing.
+        verdicts: Columns of the metric card in the row of the scene; empty if they are not known.
     """
 
     scene: Scene
     shapes: tuple[Shape, ...]
     meshes: tuple[Mesh | None, ...]
     store: AssetStore
+    annotations: Mapping[str, AssetAnnotation] = field(default_factory=dict)
+    verdicts: Mapping[str, float | bool | None] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: Scene, store: AssetStore, rest: Mapping[str, RestPose] | None = None) -> "SceneGeometry":

@@ -32,7 +32,12 @@ DRIFT_LIMIT = 0.050
 COLLIDER = "collider"
 """Default class of the geoms that collide, in a MuJoCo model."""
 
-_TABLE_THICKNESS = 0.1
+TABLE_DEPTH = 0.1
+"""Thickness of the box that is the table's collider, below z = 0, metres."""
+
+GRAVITY = 9.81
+"""Acceleration of gravity, along -z, m/s²."""
+
 _JITTER_SECONDS = 1.0
 _REST_SECONDS = 0.1
 _TURN_ARM = 0.05  # metres; turning counts as the speed of a point at this distance
@@ -263,7 +268,7 @@ def _spec_of(
     # Midpoint 0.5 and power 2 are MuJoCo's defaults; condim 4 adds torsional friction.
     collider.geom.solimp, collider.geom.condim = [*options.solimp, 0.5, 2.0], 4
     x, y = table.size_xy
-    half = _TABLE_THICKNESS / 2
+    half = TABLE_DEPTH / 2
     spec.worldbody.add_geom(
         collider, name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=[x / 2, y / 2, half], pos=[x / 2, y / 2, -half]
     )
@@ -295,7 +300,7 @@ def enable_sleeping(model: mujoco.MjModel, options: PhysicsOptions) -> None:
 
 
 def _configure(spec: mujoco.MjSpec, options: PhysicsOptions) -> None:
-    spec.option.timestep = options.timestep
+    spec.option.timestep, spec.option.gravity = options.timestep, [0.0, 0.0, -GRAVITY]
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = options.impratio
     # By default MuJoCo resets a scene that diverges to its first pose, which would look like a scene that never moved.
