@@ -11,7 +11,7 @@ COUNT ?= 100
 TEST_WORKERS ?= 2
 EIGEN := $(VENV)/lib/python3.11/site-packages/cmeel.prefix/include/eigen3
 
-.PHONY: help env demo test test-all lint format schemas preprocess correct edit generate train evaluate bench docs wheel clean
+.PHONY: help env demo test test-all lint format schemas preprocess correct edit generate train evaluate bench consumers docs wheel clean
 
 help: ## Show this page
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -80,6 +80,11 @@ evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The pa
 bench: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
 	$(BIN)/python -m benchmarks --data $(DATA) --out runs/bench
 
+consumers: ## NAME=<usd, simready, robotics> (default: all): environments of other people's programs, in .consumers, for tests of exports
+	@for name in $(or $(NAME),$(basename $(notdir $(wildcard benchmarks/consumers/requirements/*.txt)))); do \
+	  $(PYTHON) -m venv .consumers/$$name && .consumers/$$name/bin/python -m pip install -q --disable-pip-version-check -r benchmarks/consumers/requirements/$$name.txt || exit 1; \
+	done
+
 $(VENV)/.docs: $(READY)
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	touch $@
@@ -92,4 +97,4 @@ wheel: $(READY) ## Build the wheel of the light library in build/dist
 	$(BIN)/python -m build --outdir build/dist
 
 clean: ## Remove the environment and what was generated
-	rm -rf $(VENV) build docs/api *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis data/embedded runs
+	rm -rf $(VENV) .consumers build docs/api *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis data/embedded runs

@@ -1,0 +1,87 @@
+"""Consumers of exports, and the environments in which they run."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from stable_data.errors import ConfigError
+
+_HERE = Path(__file__).parent
+FOLDER = _HERE.parents[1] / ".consumers"
+"""Where ``make consumers`` puts the environments, one folder each."""
+
+OURS = "ours"
+"""Name of the project's own environment, for consumers that can live in it."""
+
+
+@dataclass(frozen=True)
+class Consumer:
+    """A program that opens exports.
+
+    Attributes:
+        name: Its name.
+        format_name: The format that it reads.
+        environment: The environment in which it runs, a file of ``requirements``, or ``ours``.
+        engine: Whether it simulates.
+    """
+
+    name: str
+    format_name: str
+    environment: str
+    engine: bool = True
+
+    @cached_property
+    def python(self) -> Path:
+        """The Python of its environment."""
+        return Path(sys.executable) if self.environment == OURS else FOLDER / self.environment / "bin" / "python"
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its environment has been made."""
+        return self.python.exists()
+
+    @property
+    def missing(self) -> str:
+        """How to get its environment."""
+        return f"{self.name} has no environment yet: make consumers NAME={self.environment}"
+
+    def open(self, files: Sequence[Path], seconds: float = 0.0, timeout: float = 3600.0) -> list[dict[str, Any]]:
+        """Opens files in the consumer.
+
+        Args:
+            files: Main files of exported scenes.
+            seconds: How long each is simulated; 0 only opens it.
+            timeout: Seconds.
+
+        Returns:
+            What it saw of each file, see ``programs/README.md``; ``error`` says why it could not be opened.
+
+        Raises:
+            ConfigError: The program failed, or its environment is missing (``consumer``).
+        """
+        if not self.is_there:
+            raise ConfigError(self.missing, "consumer")
+        program = _HERE / "programs" / f"{self.name}.py"
+        request = json.dumps({"files": [str(path) for path in files], "seconds": seconds})
+        done = subprocess.run(
+            [str(self.python), str(program)], input=request, capture_output=True, text=True, timeout=timeout, check=False
+        )
+        seen: list[dict[str, Any]] = [json.loads(line[5:]) for line in done.stdout.splitlines() if line.startswith("SEEN ")]
+        if done.returncode or len(seen) != len(files):
+            raise ConfigError(f"{self.name}: {len(seen)} of {len(files)} files, then: {done.stderr[-2000:]}", "consumer")
+        return seen
+
+
+CONSUMERS: Mapping[str, Consumer] = {
+    consumer.name: consumer
+    for consumer in (
+        Consumer("mujoco_usd", "usd", "usd"),
+        Consumer("newton_usd", "usd", "usd"),
+    )
+}
+"""The consumers by name."""
