@@ -283,9 +283,10 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="Output format: mjcf, glb, mesatask, or original: the scene files that were imported, with the new poses.",
+            help="Output format: mjcf, usd, glb, mesatask, or original: the scene files that were imported, with the new poses.",
         ),
     ],
+    flavour: Annotated[str | None, typer.Option(help="Variant of the format for one consumer; usd has isaaclab.")] = None,
     where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
     scene: Annotated[list[str] | None, typer.Option("--scene", help="Export only this scene; may be repeated.")] = None,
     limit: Annotated[
@@ -306,6 +307,8 @@ def export(
     from stable_data.simulation.run_reader import SceneSelection
     from stable_data.storage.run_folder import RunFolder
 
+    if flavour is not None:
+        format_name = f"{format_name}:{flavour}"
     if format_name == "original":
         if join:
             raise ConfigError("--join makes new scenes, which original does not know; leave it out", "usage")

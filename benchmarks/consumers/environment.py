@@ -69,7 +69,7 @@ class Consumer:
         program = _HERE / "programs" / f"{self.name}.py"
         request = json.dumps({"files": [str(path) for path in files], "seconds": seconds})
         done = subprocess.run(
-            [str(self.python), str(program)], input=request, capture_output=True, text=True, timeout=timeout, check=False
+            [str(self.python), "-P", str(program)], input=request, capture_output=True, text=True, timeout=timeout, check=False
         )
         seen: list[dict[str, Any]] = [json.loads(line[5:]) for line in done.stdout.splitlines() if line.startswith("SEEN ")]
         if done.returncode or len(seen) != len(files):
@@ -82,6 +82,8 @@ CONSUMERS: Mapping[str, Consumer] = {
     for consumer in (
         Consumer("mujoco_usd", "usd", "usd"),
         Consumer("newton_usd", "usd", "usd"),
+        Consumer("simready", "usd", "simready", engine=False),
+        Consumer("nvidia_usd", "usd", "simready", engine=False),
     )
 }
 """The consumers by name."""

@@ -256,6 +256,11 @@ def solid_parts(parts: Sequence[Mesh]) -> list[Mesh]:
     return [part for part in parts if hull_volume(part) > 0]
 
 
+def _distinct(parts: Sequence[Mesh]) -> list[Mesh]:
+    """The parts without those that are there twice, which collide no more than one."""
+    return list({part.vertices.tobytes(): part for part in reversed(parts)}.values())[::-1]
+
+
 def prop_parts(prop: Prop, store: AssetStore) -> list[Mesh]:
     """Returns the convex colliders of a prop, metres, in its frame; the faces point outward.
 
@@ -270,7 +275,7 @@ def prop_parts(prop: Prop, store: AssetStore) -> list[Mesh]:
     placed = [Mesh(part.vertices @ turn + prop.base, part.faces) for part in asset_parts(prop.asset_id, mesh, store)]
     if not (solid := solid_parts(placed)):
         raise MeshError(f"asset {prop.asset_id}: none of {len(placed)} convex parts is solid", "no_collider")
-    return solid
+    return _distinct(solid)
 
 
 def prop_surfaces(prop: Prop, store: AssetStore) -> list[Surface]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Vt
+from pxr import Gf, Kind, Sdf, Vt
 from scipy.spatial.transform import Rotation
 
 from stable_data.export.props import PlacedProp, placed_props, sized_prop
@@ -62,7 +62,7 @@ def write_stage(geometry: SceneGeometry, out: Path, path: Path, flavour: Flavour
     scene = geometry.scene
     layer = new_layer("World", f"Scene {scene.scene_id} of stable-data", is_text=True)
     world = add_prim(layer, "World", "Xform")
-    world.kind = "assembly"
+    world.kind = Kind.Tokens.assembly
     world.customData = {"stable_data": _facts(geometry)}
     if is_whole:
         physics = add_prim(world, "PhysicsScene", "PhysicsScene")
@@ -75,6 +75,7 @@ def write_stage(geometry: SceneGeometry, out: Path, path: Path, flavour: Flavour
     relate(table, "material:binding:physics", add_physics_material(table, "PhysicsMaterial", None))
     _refer(add_prim(world, "Furniture", "Xform"), f"../{_FURNITURE}/{_put_furniture(geometry, out / _FURNITURE, is_whole)}")
     objects = add_prim(world, "Objects", "Xform")
+    objects.kind = Kind.Tokens.group
     for placed in _with_prim_names(placed_props(geometry)):
         _add_object(objects, *placed, geometry, out / _PROPS, is_sized=not is_whole)
     if is_whole:
