@@ -63,9 +63,8 @@ def differences(bodies: Mapping[str, Body], seen: Mapping[str, Any]) -> list[str
     """
     if seen["error"] is not None:
         return [f"not opened: {seen['error']}"]
-    found, lines = seen["bodies"], []
-    for name in sorted(bodies.keys() - found.keys()):
-        lines.append(f"{name} is missing")
+    found = seen["bodies"]
+    lines = [f"{name} is missing" for name in sorted(bodies.keys() - found.keys())]
     for name, body in bodies.items():
         if name in found:
             lines += [f"{name}: {line}" for line in _of_body(body, found[name])]

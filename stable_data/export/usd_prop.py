@@ -3,7 +3,7 @@
 A package::
 
     <prop>/usd/<prop>.usd                          geometry, colliders, mass, materials; the default prim is the body
-    <prop>/usd/textures/<content>.png or .jpg      images
+    <prop>/usd/textures/<content>.png              images
     <prop>/usd/.thumbs/256x256/<prop>.usd.png      a picture, where the machine can render
 """
 
@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 from pxr import Gf, Sdf, Vt
 
@@ -34,8 +33,10 @@ from stable_data.export.usd_layer import (
     relate,
     write_layer,
 )
+from stable_data.geometry.images import texture_pixels
 from stable_data.geometry.surface import Surface
 from stable_data.scene import Vec3
+from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.render import render_surfaces
 from stable_data.simulation.settling import PhysicsOptions
 
@@ -146,12 +147,15 @@ def add_surfaces(parent: Sdf.PrimSpec, owner: Sdf.PrimSpec, surfaces: Sequence[S
 
 
 def put_image(content: bytes, folder: Path) -> str:
-    """Writes an image file under a hash of its content, if it does not exist, and returns its name."""
-    suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
-    name = f"{hashlib.sha256(content).hexdigest()[:24]}{suffix}"
+    """Writes an image as PNG under a hash of its content, if it does not exist, and returns its name.
+
+    MuJoCo reads no JPEG.
+    """
+    name = f"{hashlib.sha256(content).hexdigest()[:24]}.png"
     if not (folder / name).exists():
         folder.mkdir(parents=True, exist_ok=True)
-        write_file_atomically(folder / name, content)
+        is_png = content.startswith(b"\x89PNG")
+        write_file_atomically(folder / name, content if is_png else _png(texture_pixels(content)))
     return name
 
 
@@ -160,8 +164,12 @@ def _picture(surfaces: Sequence[Surface]) -> bytes | None:
         picture = render_surfaces(surfaces, _THUMBNAIL)
     except ConfigError:  # this machine cannot render
         return None
+    return _png(picture)
+
+
+def _png(pixels: Picture) -> bytes:
     stream = io.BytesIO()
-    Image.fromarray(np.asarray(picture)).save(stream, "png")
+    Image.fromarray(pixels).save(stream, "png")
     return stream.getvalue()
 
 

@@ -37,10 +37,10 @@ def content(out: Path) -> dict[str, bytes]:
 
 def last_files(name: str, out: Path) -> list[Path]:
     """The file of each scene that is put in place last."""
-    return [p for p in out.rglob("*") if p.name in ("scene.xml", "layout.json") or (name == "glb" and p.suffix == ".glb")]
+    return [path for scene in SCENES if (path := FORMATS[name].scene_path(scene, out)).exists()]
 
 
-@pytest.mark.parametrize("name", ["glb", "mjcf"])
+@pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"mesatask"}))
 def test_every_scene_is_written_whatever_its_name(name: str, run: RunFolder, tmp_path: Path) -> None:
     result = command(run.uri, tmp_path / "out", "--format", name)
     assert result.exit_code == DONE, result.stderr
