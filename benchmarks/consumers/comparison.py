@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.export.props import placed_props, prop_parts
+from stable_data.export.usd_stage import prim_names
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT
@@ -39,10 +40,12 @@ class Body:
     is_fixed: bool
 
 
-def expected(geometry: SceneGeometry) -> dict[str, Body]:
-    """Returns the bodies of a scene by their name."""
+def expected(geometry: SceneGeometry, format_name: str) -> dict[str, Body]:
+    """Returns the bodies of a scene by their name in a format."""
+    placed = placed_props(geometry)
+    names = prim_names(placed) if format_name.startswith("usd") else [p.name for p in placed]
     return {
-        p.name: Body(
+        name: Body(
             p.mass.mass,
             p.mass.center_of_mass,
             p.mass.inertia,
@@ -51,7 +54,7 @@ def expected(geometry: SceneGeometry) -> dict[str, Body]:
             p.quat_xyzw,
             p.is_fixed,
         )
-        for p in placed_props(geometry)
+        for name, p in zip(names, placed, strict=True)
     }
 
 

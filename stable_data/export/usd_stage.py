@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +76,9 @@ def write_stage(geometry: SceneGeometry, out: Path, path: Path, flavour: Flavour
     _refer(add_prim(world, "Furniture", "Xform"), f"../{_FURNITURE}/{_put_furniture(geometry, out / _FURNITURE, is_whole)}")
     objects = add_prim(world, "Objects", "Xform")
     objects.kind = Kind.Tokens.group
-    for placed in _with_prim_names(placed_props(geometry)):
-        _add_object(objects, *placed, geometry, out / _PROPS, is_sized=not is_whole)
+    placed = placed_props(geometry)
+    for prop, name in zip(placed, prim_names(placed), strict=True):
+        _add_object(objects, prop, name, geometry, out / _PROPS, is_sized=not is_whole)
     if is_whole:
         _add_view(world, geometry)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -104,11 +105,15 @@ def _facts(geometry: SceneGeometry) -> dict[str, Any]:
     return facts
 
 
-def _with_prim_names(placed: list[PlacedProp]) -> list[tuple[PlacedProp, str]]:
-    """The objects with names that OpenUSD accepts: letters, digits and ``_``; unique."""
-    names = [_prim_name(p.name) for p in placed]
-    count = Counter(names)
-    return [(p, name if count[name] == 1 else f"{name}_{k}") for k, (p, name) in enumerate(zip(placed, names, strict=True))]
+def prim_names(placed: Sequence[PlacedProp]) -> list[str]:
+    """Returns the names of the objects as OpenUSD accepts them: letters, digits and ``_``, no digit first; unique in the scene."""
+    found: dict[str, None] = {}
+    for p in placed:
+        name = _prim_name(p.name)
+        while name in found:
+            name += "_"
+        found[name] = None
+    return list(found)
 
 
 def _prim_name(name: str) -> str:

@@ -45,7 +45,9 @@ def test_an_engine_sees_the_bodies_of_the_scene(name: str, geometries: list[Scen
     files = exported(geometries, "neutral", tmp_path)
     seen = consumer.open(files, seconds=2.0)
     for geometry, found in zip(geometries, seen, strict=True):
-        bodies = {k: b for k, b in expected(geometry).items() if not b.is_fixed}  # fixed ones are shapes of the world there
+        bodies = {
+            k: b for k, b in expected(geometry, "usd").items() if not b.is_fixed
+        }  # fixed ones are shapes of the world there
         assert differences(bodies, found) == [], geometry.scene.scene_id
     at_rest = {g.scene.scene_id: stays(found) for g, found in zip(geometries, seen, strict=True)}
     assert at_rest.pop("falling") is False

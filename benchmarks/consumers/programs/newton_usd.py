@@ -14,6 +14,8 @@ def look(path: str, seconds: float) -> dict[str, object]:
     """Opens a file."""
     builder = newton.ModelBuilder()
     builder.add_usd(path)
+    if not builder.body_count:
+        return {"error": None, "bodies": {}}
     model = builder.finalize(device="cpu")
     names = [label.rpartition("/")[2] for label in model.body_label]
     shape_body, flags = model.shape_body.numpy(), model.shape_flags.numpy()

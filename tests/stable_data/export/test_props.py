@@ -15,7 +15,7 @@ from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.embedded_world.families.catalogue import asset
 from stable_data.export.props import PlacedProp, placed_props, prop_mass, prop_parts, prop_surfaces, sized_prop
-from stable_data.scene import Scene
+from stable_data.scene import FloatArray, Scene, Vec3
 from stable_data.simulation.mujoco_model import engine_spec
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import compile_spec
@@ -24,8 +24,8 @@ from tests.stable_data.export.runs import LYING, TABLE, at_rest, falling, posed,
 pytestmark = pytest.mark.sim
 
 
-def in_world(placed: PlacedProp, points: object) -> np.ndarray:
-    return np.asarray(Rotation.from_quat(placed.quat_xyzw).apply(points) + placed.position)
+def in_world(placed: PlacedProp, points: FloatArray | Vec3) -> FloatArray:
+    return np.asarray(Rotation.from_quat(placed.quat_xyzw).apply(np.asarray(points)) + placed.position)
 
 
 def assert_as_in_mujoco(geometry: SceneGeometry) -> None:
