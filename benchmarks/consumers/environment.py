@@ -28,12 +28,14 @@ class Consumer:
         format_name: The format that it reads.
         environment: The environment in which it runs, a file of ``requirements``, or ``ours``.
         engine: Whether it simulates.
+        judges: Whether it is a validator, which names problems and no bodies.
     """
 
     name: str
     format_name: str
     environment: str
     engine: bool = True
+    judges: bool = False
 
     @cached_property
     def python(self) -> Path:
@@ -82,8 +84,8 @@ CONSUMERS: Mapping[str, Consumer] = {
     for consumer in (
         Consumer("mujoco_usd", "usd", "usd"),
         Consumer("newton_usd", "usd", "usd"),
-        Consumer("simready", "usd", "simready", engine=False),
-        Consumer("nvidia_usd", "usd", "simready", engine=False),
+        Consumer("simready", "usd", "simready", engine=False, judges=True),
+        Consumer("nvidia_usd", "usd", "simready", engine=False, judges=True),
     )
 }
 """The consumers by name."""
