@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Vt
+from pxr import Gf, Sdf, Vt
 
 from stable_data.atomic_files import temporary_path
 from stable_data.geometry.mesh import Mesh, unit_normals
@@ -13,7 +13,6 @@ from stable_data.geometry.shading import corner_normals
 from stable_data.geometry.surface import Surface, index_surface
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 
-_TYPES = Sdf.ValueTypeNames
 _ROUGHNESS = 0.6
 _FLAT = 1e-12  # a face with a smaller area, share of the squared extent, is not written
 
@@ -54,44 +53,12 @@ def add_prim(
     return prim
 
 
-def component(prim: Sdf.PrimSpec) -> None:
-    """Marks a prim as one whole thing for programs that show a stage."""
-    prim.kind = Kind.Tokens.component
-
-
 def put(prim: Sdf.PrimSpec, type_name: str, values: Mapping[str, Any], *, is_uniform: bool = False) -> None:
     """Sets attributes of one type, given as in a text file, such as ``float`` or ``token[]``."""
-    kind = getattr(_TYPES, _NAMES[type_name])
+    kind = Sdf.ValueTypeNames.Find(type_name)
     variability = Sdf.VariabilityUniform if is_uniform else Sdf.VariabilityVarying
     for name, value in values.items():
         Sdf.AttributeSpec(prim, name, kind, variability).default = value
-
-
-_NAMES = {
-    "asset": "Asset",
-    "bool": "Bool",
-    "color3f": "Color3f",
-    "color3f[]": "Color3fArray",
-    "double": "Double",
-    "double3": "Double3",
-    "float": "Float",
-    "float2": "Float2",
-    "float3": "Float3",
-    "float3[]": "Float3Array",
-    "float4": "Float4",
-    "int": "Int",
-    "int[]": "IntArray",
-    "normal3f[]": "Normal3fArray",
-    "point3f": "Point3f",
-    "point3f[]": "Point3fArray",
-    "quatd": "Quatd",
-    "quatf": "Quatf",
-    "string": "String",
-    "texCoord2f[]": "TexCoord2fArray",
-    "token": "Token",
-    "token[]": "TokenArray",
-    "vector3f": "Vector3f",
-}
 
 
 def place(prim: Sdf.PrimSpec, position: Vec3, quat_xyzw: QuatXyzw) -> None:
@@ -212,7 +179,7 @@ def _add_reader(material: Sdf.PrimSpec, name: str, kind: str, primvar: str, type
 
 
 def _connect(prim: Sdf.PrimSpec, type_name: str, name: str, source: Sdf.Path) -> None:
-    attribute = Sdf.AttributeSpec(prim, name, getattr(_TYPES, _NAMES[type_name]))
+    attribute = Sdf.AttributeSpec(prim, name, Sdf.ValueTypeNames.Find(type_name))
     attribute.connectionPathList.explicitItems = [source]
 
 

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from PIL import Image
-from pxr import Gf, Sdf, Vt
+from pxr import Gf, Kind, Sdf, Vt
 
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
@@ -26,7 +26,6 @@ from stable_data.export.usd_layer import (
     add_collider,
     add_prim,
     add_surface,
-    component,
     label,
     new_layer,
     put,
@@ -79,7 +78,7 @@ def write_package(prop: Prop, store: AssetStore, folder: Path) -> None:
     mass, friction = prop_mass(prop, store)
     layer = new_layer(prop.name, f"{prop.category}, a prop of stable-data", is_text=False)
     body = add_prim(layer, prop.name, "Xform", (*BODY_SCHEMAS, "SemanticsLabelsAPI:class", "SemanticsLabelsAPI:wikidata_qcode"))
-    component(body)
+    body.kind = Kind.Tokens.component
     label(body, "class", [prop.category])
     label(body, "wikidata_qcode", [QCODE])
     put_mass(body, mass)

@@ -47,7 +47,7 @@ def draw_model(model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> tup
 
     Returns:
         The picture without shadows, and the mean of pictures whose light comes from several directions close to each other: the
-        shadows of what is high have soft edges.
+        shadows of what is high have soft edges. Both are the same if no light casts shadows.
 
     Raises:
         ConfigError: The machine cannot render (``no_gl``).
@@ -64,16 +64,19 @@ def draw_model(model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> tup
         raise _no_gl(error) from error
     try:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
-        shaded = np.mean([_read(scene, context, size) for _ in _sun_directions(scene)], axis=0)
+        shaded = [_read(scene, context, size) for _ in _sun_directions(scene)]
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-        return _read(scene, context, size), shaded
+        plain = _read(scene, context, size)
+        return plain, np.mean(shaded or [plain], axis=0)
     finally:
         context.free()
 
 
 def _sun_directions(scene: mujoco.MjvScene) -> Iterator[None]:
-    """Turns the lights that cast shadows to one direction after the other."""
+    """Turns the lights that cast shadows to one direction after the other; none without such lights."""
     lights = [light for light in scene.lights[: scene.nlight] if light.castshadow]
+    if not lights:
+        return
     middles = [np.array(light.dir) for light in lights]
     for angle in 2 * np.pi * np.arange(_SUNS) / _SUNS:
         for light, middle in zip(lights, middles, strict=True):

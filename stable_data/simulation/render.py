@@ -110,7 +110,7 @@ def render_scene(
 
 
 def render_surfaces(surfaces: Sequence[Surface], size: tuple[int, int]) -> Picture:
-    """Renders a picture of surfaces alone.
+    """Renders a picture of surfaces alone, without shadows.
 
     Args:
         surfaces: At least one triangle, metres, z up.
@@ -125,6 +125,8 @@ def render_surfaces(surfaces: Sequence[Surface], size: tuple[int, int]) -> Pictu
     _add_look(spec, look, "look")
     low, high = look.bounds
     add_lights(spec, low, high)
+    for light in spec.worldbody.lights:
+        light.castshadow = False
     add_camera(spec, low, high, "perspective", size)
     return draw_model(spec.compile(), "view", size)[0]
 
