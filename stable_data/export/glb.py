@@ -86,7 +86,7 @@ class _Document:
         self._nodes: list[dict[str, Any]] = [
             {"name": name, "mesh": self.look(name, surfaces)} for name, surfaces in table.items()
         ]
-        self._materials: list[dict[str, Any]] = self._parts.document(())["materials"]
+        self._materials: list[dict[str, Any]] = self._parts.materials
         self._arrays = self._parts.arrays
         self._numbers: dict[tuple[str, ...], int] = {}
 

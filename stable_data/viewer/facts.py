@@ -6,7 +6,9 @@ All text comes from data and is escaped. A value that is not known is shown as u
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from html import escape
+from importlib.resources import files
 from typing import Any
 
 from stable_data.assets.run_assets import RowsOfAssets
@@ -34,11 +36,27 @@ _HEADLINE = (
 )
 """Columns of the metric card that are shown first."""
 
+_COLOURS = (
+    "--ink: #1d2430; --soft: #667085; --line: #e3e7ee; --page: #fbfbfa; --accent: #35618e; --bad: #b3473c; --good: #3b7d5a; "
+    "--unknown: #8a6d1f;"
+)
+
 _FAULTS = {
     "floats": "floats",
     "leaves_table": "leaves the table",
     "enters_restricted_zone": "in the restricted zone",
 }
+
+
+@cache
+def style(scope: str | None = None) -> str:
+    """Returns the style sheet of the HTML that this module makes.
+
+    Args:
+        scope: Selector of the element that contains the HTML, on a page of another program; None: it is for the whole page.
+    """
+    rules = files("stable_data.viewer").joinpath("facts.css").read_text("utf-8")
+    return f":root {{ {_COLOURS} }}\n{rules}" if scope is None else f"{scope} {{ {_COLOURS} padding: 6px 12px;\n{rules} }}"
 
 
 class AssetNotes:

@@ -12,8 +12,6 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-import numpy as np
-
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, SceneError, StableDataError, cannot_write
 from stable_data.export.glb import scene_glb
@@ -21,15 +19,14 @@ from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
-from stable_data.viewer.facts import AssetNotes, SceneFacts, breakable
+from stable_data.viewer.camera import looked_at
+from stable_data.viewer.facts import AssetNotes, SceneFacts, breakable, style
 
 SCRIPT_NAME = "model-viewer-umd.min.js"
 """File name of the script that draws the scenes, for pages that share it."""
 
 MAX_PAGE_BYTES = 150 * 10**6
 """Largest page that is written; browsers need several times as much memory to open it."""
-
-_VIEW = 0.31  # tangent of half the field of view along the shorter side of the picture, with a margin
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +52,8 @@ class PageScene:
         Raises:
             ConfigError: A table of the run can no longer be read.
         """
-        return cls(title or geometry.scene.scene_id, scene_glb(geometry), facts, _view(geometry))
+        (x, y, z), distance = looked_at(geometry)
+        return cls(title or geometry.scene.scene_id, scene_glb(geometry), facts, (x, z, -y, distance))
 
 
 @cache
@@ -83,7 +81,7 @@ def html_page(title: str, scenes: Sequence[PageScene], note: str = "", script_pa
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{_allowed(script_path)}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{_part('page.css')}</style></head>\n"
+        f"<title>{escape(title)}</title><style>{style()}{_part('page.css')}</style></head>\n"
         f'<body class="{"several" if len(scenes) > 1 else "one"}">'
         f'<nav><h1>{escape(title)}</h1><p class="note">{escape(note)}</p><ol>{listed}</ol></nav>'
         '<main><model-viewer camera-controls touch-action="pan-y" interaction-prompt="none" shadow-intensity="0.6" '
@@ -184,11 +182,3 @@ def _model(number: int, scene: PageScene) -> str:
     """The scene's file, as a block that the browser neither reads nor runs."""
     content = base64.b64encode(scene.glb).decode()
     return f'<script type="application/octet-stream" data-model="{number}">{content}</script>\n'
-
-
-def _view(geometry: SceneGeometry) -> tuple[float, float, float, float]:
-    """Where the camera looks at, and its distance, metres, glTF axes: objects and table top fill the picture."""
-    low, high = (corner.copy() for corner in geometry.seen_bounds)
-    low[2] = max(low[2], -0.05)  # legs and the furniture below may leave the picture
-    x, y, z = ((low + high) / 2).tolist()
-    return x, z, -y, float(np.linalg.norm(high - low)) / 2 / _VIEW
