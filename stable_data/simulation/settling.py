@@ -32,9 +32,7 @@ DRIFT_LIMIT = 0.050
 COLLIDER = "collider"
 """Default class of the geoms that collide, in a MuJoCo model."""
 
-TABLE_THICKNESS = 0.1
-"""Height of the box that is the collider of the table, metres; its top is z = 0."""
-
+_TABLE_THICKNESS = 0.1
 _JITTER_SECONDS = 1.0
 _REST_SECONDS = 0.1
 _TURN_ARM = 0.05  # metres; turning counts as the speed of a point at this distance
@@ -265,7 +263,7 @@ def _spec_of(
     # Midpoint 0.5 and power 2 are MuJoCo's defaults; condim 4 adds torsional friction.
     collider.geom.solimp, collider.geom.condim = [*options.solimp, 0.5, 2.0], 4
     x, y = table.size_xy
-    half = TABLE_THICKNESS / 2
+    half = _TABLE_THICKNESS / 2
     spec.worldbody.add_geom(
         collider, name=TABLE, type=mujoco.mjtGeom.mjGEOM_BOX, size=[x / 2, y / 2, half], pos=[x / 2, y / 2, -half]
     )

@@ -26,7 +26,6 @@ from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import Stage
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
-from stable_data.simulation.settling import TABLE_THICKNESS
 from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row
@@ -48,11 +47,11 @@ _PARTS = (
     (0.65, 0.40, 0.80),
     (0.95, 0.55, 0.15),
 )
-_PART_OPACITY = 0.6
 _TICK = 1 / 30  # seconds between two updates of the poses in the browser
 _LONGEST_TICK = 0.1  # simulated in one update, seconds: on a slow machine the physics go slower, and the page still answers
 _STEPS = 10  # of the button Step
 _FIELD_OF_VIEW = math.radians(36)
+_NEAR = 0.05  # nearest distance that is drawn, metres
 _SKY = ((246, 248, 250), (222, 227, 234))  # colours at the upper and the lower edge of the picture
 _LABEL = 40  # characters of a label
 
@@ -280,7 +279,7 @@ class LiveViewer:
 
     def _draw(self, geometry: SceneGeometry) -> None:
         scene = self.server.scene
-        self._looks = [scene.add_glb("/scene/table", table_glb(geometry), cast_shadow=False)]
+        scene.add_glb("/scene/table", table_glb(geometry), cast_shadow=False)
         for k, o in enumerate(geometry.scene.objects):
             # Names of nodes are numbers: the instances are any text, and a slash would be another level.
             name = f"/scene/object_{k}"
@@ -296,36 +295,21 @@ class LiveViewer:
         self._apply_visibility(geometry)
 
     def _draw_parts(self, geometry: SceneGeometry) -> None:
-        """Draws the colliders: the convex parts of each object, each in a colour of its own, and the box of the table."""
+        """Draws the colliders: the convex parts of each object, each in a colour of its own."""
         for k, body in enumerate(geometry.bodies):
-            surfaces = [
-                Surface(part.triangles, _PARTS[n % len(_PARTS)], opacity=_PART_OPACITY) for n, part in enumerate(body.parts)
-            ]
+            surfaces = [Surface(part.triangles, _PARTS[n % len(_PARTS)]) for n, part in enumerate(body.parts)]
             self._parts.append(self.server.scene.add_glb(f"/scene/object_{k}/parts", surfaces_glb("parts", surfaces)))
-        x, y = geometry.scene.table.size_xy
-        self._parts.append(
-            self.server.scene.add_box(
-                "/scene/table_collider",
-                color=(150, 160, 175),
-                dimensions=(x, y, TABLE_THICKNESS),
-                position=(x / 2, y / 2, -TABLE_THICKNESS / 2),
-                opacity=0.35,
-            )
-        )
 
     def _apply_visibility(self, geometry: SceneGeometry | None) -> None:
         """Shows and hides what the check boxes say."""
         if geometry is None:
             return
-        if self._with_parts.value and not self._parts:
+        has_parts, has_labels = bool(self._with_parts.value), bool(self._with_labels.value)
+        if has_parts and not self._parts:
             self._draw_parts(geometry)
-        for shown, nodes in (
-            (self._with_looks, self._looks),
-            (self._with_parts, self._parts),
-            (self._with_labels, self._labels),
-        ):
+        for is_shown, nodes in ((not has_parts, self._looks), (has_parts, self._parts), (has_labels, self._labels)):
             for node in nodes:
-                node.visible = bool(shown.value)
+                node.visible = is_shown
         for o, node in zip(geometry.scene.objects, self.nodes, strict=True):
             node.visible = o.stage is None or bool(self._stages[o.stage].value)
 
@@ -334,7 +318,7 @@ class LiveViewer:
         (x, y, z), distance = looked_at(geometry)
         eye = (x - 0.25 * distance, y - 0.78 * distance, z + 0.55 * distance)
         first = self.server.initial_camera
-        first.position, first.look_at, first.fov = eye, (x, y, z), _FIELD_OF_VIEW
+        first.position, first.look_at, first.fov, first.near = eye, (x, y, z), _FIELD_OF_VIEW, _NEAR
         for client in self.server.get_clients().values():
             with client.atomic():
                 client.camera.position, client.camera.look_at, client.camera.fov = eye, (x, y, z), _FIELD_OF_VIEW
@@ -356,9 +340,7 @@ class LiveViewer:
             name = gui.add_text("Go to", "", hint="A scene id, or a number from 1; Enter goes there.")
         searching.on_submit(lambda _: self.go_to(name.value))
         with gui.add_form(None) as filtering:
-            condition = gui.add_text(
-                "Filter", self._choice.where or "", hint="Such as: clean and num_stacked >= 2; Enter applies it."
-            )
+            condition = gui.add_text("Filter", "", hint="Such as: clean and num_stacked >= 2; Enter applies it.")
         filtering.on_submit(lambda _: self.filter(condition.value))
         self._message = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
@@ -377,11 +359,10 @@ class LiveViewer:
         options = (AFTER, BEFORE) if self._earlier.is_known else (AFTER,)
         self._poses = gui.add_dropdown("Poses", options, initial_value=AFTER, visible=self._earlier.is_known)
         self._poses.on_update(lambda event: self.set_poses(event.target.value))
-        self._with_looks = gui.add_checkbox("Looks", True)
-        self._with_parts = gui.add_checkbox("Colliders", False, hint="The convex parts that collide in the physics engine.")
+        self._with_parts = gui.add_checkbox("Colliders", False, hint="The convex parts of the objects, which collide.")
         self._with_labels = gui.add_checkbox("Labels", False)
         self._stages = {stage: gui.add_checkbox(words, True) for stage, words in _STAGES.items()}
-        for box in (self._with_looks, self._with_parts, self._with_labels, *self._stages.values()):
+        for box in (self._with_parts, self._with_labels, *self._stages.values()):
             box.on_update(lambda _: self.refresh())
 
     def refresh(self) -> None:
