@@ -9,7 +9,7 @@ import math
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, redirect_stdout
 from html import escape
 from types import TracebackType
@@ -82,6 +82,7 @@ class LiveViewer:
         self._lock = threading.RLock()
         self._number, self._row, self._is_before = -1, Row(), False
         self._text, self._acting = "", False
+        self._has_parts, self._has_labels, self._hidden = False, False, frozenset[Stage]()
         self._geometry: SceneGeometry | None = None
         self._physics: ScenePhysics | None = None
         self._playing, self._ended = threading.Event(), threading.Event()
@@ -121,6 +122,11 @@ class LiveViewer:
     def message(self) -> str:
         """What the page tells the user: one line; empty if nothing is wrong."""
         return self._text
+
+    @property
+    def num_parts(self) -> int:
+        """For how many objects the colliders are drawn; none before they are asked for."""
+        return len(self._parts)
 
     @property
     def geometry(self) -> SceneGeometry | None:
@@ -301,17 +307,17 @@ class LiveViewer:
             self._parts.append(self.server.scene.add_glb(f"/scene/object_{k}/parts", surfaces_glb("parts", surfaces)))
 
     def _apply_visibility(self, geometry: SceneGeometry | None) -> None:
-        """Shows and hides what the check boxes say."""
+        """Shows and hides what is chosen."""
         if geometry is None:
             return
-        has_parts, has_labels = bool(self._with_parts.value), bool(self._with_labels.value)
-        if has_parts and not self._parts:
+        if self._has_parts and not self._parts:
             self._draw_parts(geometry)
-        for is_shown, nodes in ((not has_parts, self._looks), (has_parts, self._parts), (has_labels, self._labels)):
+        drawn = (not self._has_parts, self._looks), (self._has_parts, self._parts), (self._has_labels, self._labels)
+        for is_shown, nodes in drawn:
             for node in nodes:
                 node.visible = is_shown
         for o, node in zip(geometry.scene.objects, self.nodes, strict=True):
-            node.visible = o.stage is None or bool(self._stages[o.stage].value)
+            node.visible = o.stage not in self._hidden
 
     def _aim(self, geometry: SceneGeometry) -> None:
         """Lets all cameras look at the scene from the front."""
@@ -359,14 +365,30 @@ class LiveViewer:
         options = (AFTER, BEFORE) if self._earlier.is_known else (AFTER,)
         self._poses = gui.add_dropdown("Poses", options, initial_value=AFTER, visible=self._earlier.is_known)
         self._poses.on_update(lambda event: self.set_poses(event.target.value))
-        self._with_parts = gui.add_checkbox("Colliders", False, hint="The convex parts of the objects, which collide.")
-        self._with_labels = gui.add_checkbox("Labels", False)
-        self._stages = {stage: gui.add_checkbox(words, True) for stage, words in _STAGES.items()}
-        for box in (self._with_parts, self._with_labels, *self._stages.values()):
-            box.on_update(lambda _: self.refresh())
+        parts = gui.add_checkbox("Colliders", False, hint="The convex parts of the objects, which collide.")
+        parts.on_update(lambda event: self.show_parts(event.target.value))
+        labels = gui.add_checkbox("Labels", False)
+        labels.on_update(lambda event: self.show_labels(event.target.value))
+        boxes = {stage: gui.add_checkbox(words, True) for stage, words in _STAGES.items()}
+        for box in boxes.values():
+            box.on_update(lambda _: self.show_stages([stage for stage, own in boxes.items() if own.value]))
 
-    def refresh(self) -> None:
-        """Shows and hides what the check boxes say."""
+    def show_parts(self, is_shown: bool) -> None:
+        """Shows the objects as their colliders, the convex parts; or as they look."""
+        self._has_parts = is_shown
+        self._refresh()
+
+    def show_stages(self, stages: Collection[Stage]) -> None:
+        """Shows the objects of these stages, and those without a stage."""
+        self._hidden = frozenset(Stage) - frozenset(stages)
+        self._refresh()
+
+    def show_labels(self, is_shown: bool) -> None:
+        """Shows or hides the names of the objects."""
+        self._has_labels = is_shown
+        self._refresh()
+
+    def _refresh(self) -> None:
         with self._telling():
             self._apply_visibility(self._geometry)
 
