@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from stable_data.cli import app
 from stable_data.errors import ConfigError
 from stable_data.rotations import wxyz, yaw_quat
+from stable_data.scene import Stage
 from stable_data.simulation.run_reader import SceneSelection
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row
@@ -101,12 +102,12 @@ def test_stages_colliders_and_labels_are_shown_and_hidden(viewer: LiveViewer) ->
     viewer.go_to("<hostile>")
     scene = next(s for s in SCENES if s.scene_id == "<hostile>")
     viewer.show_parts(True)
-    viewer.show_stages([stage for stage in live.Stage if stage is not live.Stage.SECONDARY])
+    viewer.show_stages([stage for stage in Stage if stage is not Stage.SECONDARY])
     for node, o in zip(viewer.nodes, scene.objects, strict=True):
-        assert node.visible is (o.stage is not live.Stage.SECONDARY)
+        assert node.visible is (o.stage is not Stage.SECONDARY)
     assert viewer.num_parts == len(scene.objects)
     viewer.show_parts(False)
-    viewer.show_stages(list(live.Stage))
+    viewer.show_stages(list(Stage))
     assert all(node.visible for node in viewer.nodes)
     assert viewer.message == ""
 
