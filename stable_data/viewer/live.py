@@ -138,7 +138,8 @@ class LiveViewer:
         self._ended.set()
         self._playing.set()
         self._thread.join(timeout=5)
-        self.server.stop()
+        with redirect_stdout(io.StringIO()):  # it prints that it ended
+            self.server.stop()
 
     # --- which scene --------------------------------------------------------------------------------------------------------
 

@@ -85,7 +85,7 @@ def html_page(title: str, scenes: Sequence[PageScene], note: str = "", script_pa
         f'<body class="{"several" if len(scenes) > 1 else "one"}">'
         f'<nav><h1>{escape(title)}</h1><p class="note">{escape(note)}</p><ol>{listed}</ol></nav>'
         '<main><model-viewer camera-controls touch-action="pan-y" interaction-prompt="none" shadow-intensity="0.6" '
-        'shadow-softness="0.9" exposure="1.05" field-of-view="34deg" interpolation-decay="80" alt="The scene"></model-viewer>'
+        'shadow-softness="0.9" exposure="0.88" field-of-view="34deg" interpolation-decay="80" alt="The scene"></model-viewer>'
         '<p class="message" hidden></p><div class="tools"><button type="button" data-do="front">Front</button>'
         '<button type="button" data-do="top">Top</button><button type="button" data-do="turn" aria-pressed="false">Turn</button>'
         '<button type="button" data-do="labels" aria-pressed="false">Labels</button></div>'
