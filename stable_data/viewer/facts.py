@@ -161,9 +161,12 @@ class SceneFacts:
 
     def objects_html(self) -> str:
         """Returns the list of objects as HTML; ``data-at`` of a row is the top of the object's box, metres, glTF axes."""
-        objects = self.scene.objects
-        rows = "".join(self._object_html(k, o) for k, o in enumerate(objects[:_LISTED]))
-        return f'<h3>Objects <span>{len(objects)}</span></h3><ul class="objects">{rows}</ul>{_more(len(objects))}'
+        rows, fixed = list[str](), list[str]()
+        for k, o in enumerate(self.scene.objects[:_LISTED]):
+            (fixed if o.instance in self.scene.fixed else rows).append(self._object_html(k, o))
+        count = len(self.scene.objects)
+        parts = f"<details><summary>{len(fixed)} fixed in the surroundings</summary>{_list(fixed)}</details>" if fixed else ""
+        return f"<h3>Objects <span>{count}</span></h3>{_list(rows)}{parts}{_more(count)}"
 
     def _object_html(self, index: int, o: SceneObject) -> str:
         x, y, _ = o.position
@@ -248,6 +251,10 @@ def _value(value: object, name: str) -> str:
     unit = SCHEMAS["scenes"].field(name).metadata[b"unit"].decode()
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
     return escape(f"{text} {unit}".strip())
+
+
+def _list(rows: Sequence[str]) -> str:
+    return f'<ul class="objects">{"".join(rows)}</ul>'
 
 
 def _more(count: int) -> str:

@@ -30,7 +30,7 @@ from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row
 from stable_data.storage.table_rows import scene_from_row
-from stable_data.viewer.camera import looked_at
+from stable_data.viewer.camera import view_point
 from stable_data.viewer.earlier_poses import EarlierPoses
 from stable_data.viewer.facts import AssetNotes, SceneFacts, breakable, style
 from stable_data.viewer.physics import ScenePhysics
@@ -292,12 +292,12 @@ class LiveViewer:
             name = f"/scene/object_{k}"
             turn = np.array(wxyz(yaw_quat(o.yaw)))
             self.nodes.append(scene.add_frame(name, show_axes=False, position=o.position, wxyz=turn))
-            if geometry.is_seen(k):
-                self._looks.append(scene.add_glb(f"{name}/look", object_glb(geometry, k)))
+            if not geometry.is_seen(k):
+                continue  # the support shows it
+            self._looks.append(scene.add_glb(f"{name}/look", object_glb(geometry, k)))
             text = o.instance if len(o.instance) <= _LABEL else o.instance[: _LABEL - 1] + "…"
-            label = scene.add_label(
-                f"{name}/label", text, position=(0.0, 0.0, o.size[2] / 2 + 0.015), anchor="bottom-center", font_screen_scale=0.8
-            )
+            above = (0.0, 0.0, o.size[2] / 2 + 0.015)
+            label = scene.add_label(f"{name}/label", text, position=above, anchor="bottom-center", font_screen_scale=0.8)
             self._labels.append(label)
         self._apply_visibility(geometry)
 
@@ -322,13 +322,12 @@ class LiveViewer:
 
     def _aim(self, geometry: SceneGeometry) -> None:
         """Lets all cameras look at the scene from the front."""
-        (x, y, z), distance = looked_at(geometry)
-        eye = (x - 0.25 * distance, y - 0.78 * distance, z + 0.55 * distance)
+        view = view_point(geometry)
         first = self.server.initial_camera
-        first.position, first.look_at, first.fov, first.near = eye, (x, y, z), _FIELD_OF_VIEW, _NEAR
+        first.position, first.look_at, first.fov, first.near = view.eye, view.target, _FIELD_OF_VIEW, _NEAR
         for client in self.server.get_clients().values():
             with client.atomic():
-                client.camera.position, client.camera.look_at, client.camera.fov = eye, (x, y, z), _FIELD_OF_VIEW
+                client.camera.position, client.camera.look_at, client.camera.fov = view.eye, view.target, _FIELD_OF_VIEW
 
     # --- the panel ------------------------------------------------------------------------------------------------------------
 

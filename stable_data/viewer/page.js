@@ -20,12 +20,12 @@
     return new Blob([bytes], { type: "model/gltf-binary" });
   };
 
-  const orbit = (theta, phi, far = 1) => {
-    const [x, y, z, distance] = articles[shown].dataset.view.split(" ").map(Number);
+  const orbit = (theta = null, phi = null, far = 1) => {
+    const [x, y, z, distance, azimuth, polar] = articles[shown].dataset.view.split(" ").map(Number);
     // A narrow picture shows less from left to right, so the camera stands farther away.
     const narrow = Math.max(1, Math.min(2.5, 1.15 * viewer.clientHeight / Math.max(1, viewer.clientWidth)));
     viewer.cameraTarget = `${x}m ${y}m ${z}m`;
-    viewer.cameraOrbit = `${theta}deg ${phi}deg ${far * narrow * distance}m`;
+    viewer.cameraOrbit = `${theta ?? azimuth}deg ${phi ?? polar}deg ${far * narrow * distance}m`;
   };
 
   const rows = () => [...articles[shown].querySelectorAll("ul.objects li")];
@@ -35,7 +35,7 @@
     for (const label of labels()) label.remove();
     for (const [k, row] of rows().entries()) {
       const label = document.createElement("span");
-      label.className = "label";
+      label.className = row.closest("details") ? "label quiet" : "label";
       label.slot = `hotspot-${k}`;
       label.dataset.position = row.dataset.at.split(" ").map((value) => `${value}m`).join(" ");
       label.textContent = row.querySelector("b").textContent;
@@ -48,7 +48,7 @@
     const number = row.classList.contains("picked") ? -1 : all.indexOf(row);
     all.forEach((other, k) => other.classList.toggle("picked", k === number));
     labels().forEach((label, k) => label.classList.toggle("picked", k === number));
-    if (number < 0) return orbit(-18, 58);
+    if (number < 0) return orbit();
     viewer.cameraTarget = row.dataset.centre.split(" ").map((value) => `${value}m`).join(" ");
   };
 
@@ -63,7 +63,7 @@
     tell("Loading …");
     if (address) URL.revokeObjectURL(address);
     address = URL.createObjectURL(decode(number));
-    orbit(-18, 58);
+    orbit();
     viewer.src = address;
     addLabels();
   };

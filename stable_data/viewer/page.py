@@ -19,7 +19,7 @@ from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
-from stable_data.viewer.camera import looked_at
+from stable_data.viewer.camera import ViewPoint, view_point
 from stable_data.viewer.facts import AssetNotes, SceneFacts, breakable, style
 
 SCRIPT_NAME = "model-viewer-umd.min.js"
@@ -37,13 +37,13 @@ class PageScene:
         title: Its name in the list of the page.
         glb: The scene as binary glTF.
         facts: What is shown beside it.
-        view: Where the camera looks at, and its distance from there, (4,), metres, glTF axes.
+        view: Where the camera stands at first.
     """
 
     title: str
     glb: bytes
     facts: SceneFacts
-    view: tuple[float, float, float, float]
+    view: ViewPoint
 
     @classmethod
     def of(cls, geometry: SceneGeometry, facts: SceneFacts, title: str = "") -> "PageScene":
@@ -52,8 +52,7 @@ class PageScene:
         Raises:
             ConfigError: A table of the run can no longer be read.
         """
-        (x, y, z), distance = looked_at(geometry)
-        return cls(title or geometry.scene.scene_id, scene_glb(geometry), facts, (x, z, -y, distance))
+        return cls(title or geometry.scene.scene_id, scene_glb(geometry), facts, view_point(geometry))
 
 
 @cache
@@ -171,7 +170,8 @@ def _entry(number: int, scene: PageScene) -> str:
 
 
 def _article(number: int, scene: PageScene) -> str:
-    at = " ".join(f"{value:.4f}" for value in scene.view)
+    view, (x, y, z) = scene.view, scene.view.target
+    at = " ".join(f"{value:.4f}" for value in (x, z, -y, view.distance, view.azimuth, view.polar))  # glTF has y up
     return (
         f'<article data-scene="{number}" data-view="{at}"{" hidden" if number else ""}>'
         f"<h2>{breakable(scene.title)}</h2>{scene.facts.html()}</article>\n"

@@ -20,6 +20,7 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.viewer import page as page_module
+from stable_data.viewer.camera import view_point
 from stable_data.viewer.facts import AssetNotes, SceneFacts
 from stable_data.viewer.page import PageScene, html_page, run_page, script
 from tests.stable_data.export.runs import EMPTY, at_rest, posed, write_run
@@ -189,6 +190,22 @@ def test_rows_are_found_by_number_and_id(viewed_run: RunFolder) -> None:
         some.number_of(next(name for name in names if name not in found))
     with pytest.raises(ConfigError, match="scene number is 2, expected 0 to 1"):
         some.row(2)
+
+
+def test_what_is_fixed_is_listed_apart_and_a_shelf_is_seen_from_the_side(viewed_run: RunFolder) -> None:
+    fixed = frozenset({"0_can_0", "4_can_1"})
+    table = replace(at_rest().table, clearance=0.3)
+    scene = replace(at_rest(), scene_id="shelf", fixed=fixed, table=table)
+    geometry = SceneGeometry.of(scene, run_store(viewed_run.uri))
+    html = SceneFacts.of(geometry, AssetNotes(viewed_run)).objects_html()
+    movable, surroundings = html.split("<summary>2 fixed in the surroundings</summary>")
+    assert "0_<wbr>can_<wbr>0" not in movable
+    assert all(name.replace("_", "_<wbr>") in surroundings for name in fixed)
+    eyes = [view_point(SceneGeometry.of(s, geometry.store)) for s in (at_rest(), scene)]
+    assert eyes[0].target == eyes[1].target
+    assert eyes[1].eye[2] < eyes[0].eye[2]
+    for view in eyes:
+        assert np.linalg.norm(np.subtract(view.eye, view.target)) == pytest.approx(view.distance)
 
 
 def test_objects_beyond_the_list_are_counted(viewed_run: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
