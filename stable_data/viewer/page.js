@@ -57,6 +57,7 @@
     shown = number;
     articles.forEach((article, k) => (article.hidden = k !== number));
     links.forEach((link, k) => link.classList.toggle("shown", k === number));
+    links[number].scrollIntoView({ block: "nearest" });
     for (const row of rows()) row.classList.remove("picked");
     document.querySelector("aside").scrollTop = 0;
     delete document.body.dataset.loaded;
