@@ -39,6 +39,7 @@ def main() -> None:
             "preprocess": ([data, "--scenes", "1000"], ["--scenes", "160"]),
             "loader": ([run, data], []),
             "export": ([run], ["--scenes", "6"]),
+            "viewing": ([run], ["--scenes", "6", "--rows", "200"]),
             "env": ([run], ["--scenes", "2", "--steps", "10"]),
             "corrector_losses": ([run, data], ["--batch", "8"]),
             "correction": ([data, *layouts], ["--per-bucket", "1"]),

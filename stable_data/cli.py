@@ -349,6 +349,52 @@ def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: 
         raise typer.Exit(SOME_FAILED)
 
 
+@app.command()
+@with_clear_errors
+def view(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run with the tables scenes, assets and meshes: folder or URI.")],
+    page: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write a page with the scenes, which opens without a network.")
+    ] = None,
+    live: Annotated[bool, typer.Option(help="Start the live viewer, which pages through all scenes.")] = False,
+    where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
+    scene: Annotated[list[str] | None, typer.Option("--scene", help="Show only this scene; may be repeated.")] = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Show at most this many of the selected scenes; a page by default 12.")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the live viewer; 0: any free one.")] = 8080,
+    host: Annotated[
+        str, typer.Option(help="Address of the live viewer; 0.0.0.0 also lets other machines look at the run.")
+    ] = "127.0.0.1",
+) -> None:
+    """Look at scenes in a browser: a page (--page) or a live viewer (--live), with their objects, relations and verdicts.
+
+    Status 0: done. 1: some scenes cannot be shown; they are listed. 2: could not start.
+    """
+    from stable_data.simulation.run_reader import SceneSelection
+    from stable_data.storage.run_folder import RunFolder
+
+    if (page is None) != live:
+        raise ConfigError("view makes a page or starts a viewer; pass either --page FILE.html or --live", "usage")
+    if page is None:
+        from stable_data.viewer.live import serve
+
+        serve(RunFolder(run), SceneSelection(where, tuple(scene or ()), limit), host, port, typer.echo)
+        return
+    from stable_data.viewer.page import write_run_page
+
+    most = limit or (None if scene else _PAGE_SCENES)
+    failures = write_run_page(RunFolder(run), SceneSelection(where, tuple(scene or ()), most), page)
+    for line in failures:
+        typer.echo(f"not shown: {line}", err=True)
+    typer.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB; open it in a browser")
+    if failures:
+        raise typer.Exit(SOME_FAILED)
+
+
+_PAGE_SCENES = 12
+"""Scenes of a page unless their number is given."""
+
 _PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 
 

@@ -51,6 +51,11 @@ def test_ray_is_imported_by_pipelines_alone() -> None:
         assert not [p for p in modules(package) if any(n.split(".")[0] == "ray" for n in imports(p))]
 
 
+def test_viser_is_imported_by_the_live_viewer_alone() -> None:
+    users = {p.name for o in OURS for p in modules(o) if any(n.split(".")[0] == "viser" for n in imports(p))}
+    assert users == {"live.py"}
+
+
 def test_the_library_imports_nothing_heavy_by_itself() -> None:
     code = "import sys, stable_data, stable_data.scene, stable_data.errors; print(*sys.modules)"
     import subprocess

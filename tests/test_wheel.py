@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -23,6 +24,9 @@ except ModuleNotFoundError as error:
     print(error)
 """
 
+DATA = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["package-data"]["stable_data"]
+"""Files of the library that are no modules."""
+
 pytestmark = pytest.mark.slow  # both tests install packages
 
 
@@ -36,11 +40,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_the_library_alone(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
+    data = {path.relative_to(ROOT).as_posix() for pattern in DATA for path in (ROOT / "stable_data").glob(pattern)}
     sources = {path.relative_to(ROOT).as_posix() for path in (ROOT / "stable_data").rglob("*.py")}
-    assert {name for name in names if ".dist-info/" not in name} == sources | {
-        "stable_data/__init__.pyi",
-        "stable_data/py.typed",
-    }
+    assert {name for name in names if ".dist-info/" not in name} == sources | data
 
 
 def test_an_empty_environment_reads_a_run(wheel: Path, tmp_path: Path) -> None:

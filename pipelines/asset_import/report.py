@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipelines.reports.html import head, notices, page, table, tiles
-from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
+from pipelines.reports.scene_pictures import SceneGrids, ShownScene
 from pipelines.sources.scenes import mesh_cache
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
@@ -42,7 +42,7 @@ def write_import_report(folder: RunFolder, manifest: dict[str, Any], num_picture
         head(manifest),
         _tiles(manifest, rows),
         "<h2>Pictures</h2>" if chosen else "",
-        *picture_grid((group[0]["asset_id"], partial(_picture, group, store)) for group in _groups(chosen)),
+        *SceneGrids(folder, store).grid((group[0]["asset_id"], partial(_shown, group, store)) for group in _groups(chosen)),
         *_sources(rows),
         *_listed(rows),
         *notices(folder),
@@ -74,10 +74,10 @@ def _groups(rows: Sequence[dict[str, Any]]) -> Iterator[Sequence[dict[str, Any]]
             start = end
 
 
-def _picture(rows: Sequence[dict[str, Any]], store: AssetStore) -> Shown:
+def _shown(rows: Sequence[dict[str, Any]], store: AssetStore) -> list[ShownScene]:
     names = ", ".join(f"{escape(row['asset_id'])} ({100 * max(_size(row)):.1f})" for row in rows)
     caption = f"From the left, longest side in cm: {names}. The last box has 10 cm a side."
-    return [(draw_scene(_line_up(rows, store), store, (1024, 420)), caption)]
+    return [ShownScene(_line_up(rows, store), caption, size=(1024, 420))]
 
 
 def _line_up(rows: Sequence[dict[str, Any]], store: AssetStore) -> Scene:

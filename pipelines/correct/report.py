@@ -10,7 +10,7 @@ import polars as pl
 import pyarrow.compute as pc
 
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
-from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
+from pipelines.reports.scene_pictures import SceneGrids, ShownScene
 from stable_data.assets.store import AssetStore
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
@@ -45,7 +45,7 @@ def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: Ass
         head(manifest),
         tiles(figures),
         *_before_and_after(corrections),
-        *_pictures(folder, corrections, store, num_pictures),
+        *_pictures(folder, corrections, SceneGrids(folder, store), num_pictures),
         *notices(folder),
     ]
     folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: correct", body))
@@ -88,22 +88,24 @@ def _before_and_after(corrections: pl.DataFrame) -> Iterable[str]:
         yield "</div>"
 
 
-def _pictures(folder: RunFolder, corrections: pl.DataFrame, store: AssetStore, count: int) -> Iterable[str]:
+def _pictures(folder: RunFolder, corrections: pl.DataFrame, grids: SceneGrids, count: int) -> Iterable[str]:
     done = corrections.filter(pl.col("card_after").is_not_null())
     if not done.height or count <= 0:
         return
     worst_first = done.with_columns(pl.col("card_before").struct.field("num_collisions").alias("n"))
     chosen = worst_first.sort(["n", "scene_id"], descending=[True, False])["scene_id"].to_list()[:count]
-    starts = {row["scene_id"]: row["start"] for row in done.filter(pl.col("scene_id").is_in(chosen)).iter_rows(named=True)}
+    starts = {row["scene_id"]: row for row in done.filter(pl.col("scene_id").is_in(chosen)).iter_rows(named=True)}
     rows = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield "<h2>Pictures</h2><p class=note>Left: before. Right: corrected.</p>"
-    yield from picture_grid((name, partial(_scene_pictures, rows[name], starts[name], store)) for name in chosen)
+    yield from grids.grid((name, partial(_shown, rows[name], starts[name])) for name in chosen)
 
 
-def _scene_pictures(row: dict[str, Any], start: list[dict[str, Any]], store: AssetStore) -> Shown:
+def _shown(row: dict[str, Any], correction: dict[str, Any]) -> list[ShownScene]:
     after = scene_from_row(row)
-    both = ((_before(after, start), "before"), (after, "corrected"))
-    return [(draw_scene(scene, store), f"<b>{escape(after.scene_id)}</b> {title}") for scene, title in both]
+    # Objects that the correction removed are not in the scene, so the card before it is not that of the scene that is shown.
+    card = None if correction["dropped"] else correction["card_before"]
+    both = ((_before(after, correction["start"]), "before", card), (after, "corrected", row))
+    return [ShownScene(scene, f"<b>{escape(after.scene_id)}</b> {title}", title, facts) for scene, title, facts in both]
 
 
 def _before(after: Scene, start: list[dict[str, Any]]) -> Scene:

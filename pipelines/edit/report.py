@@ -10,7 +10,7 @@ import polars as pl
 import pyarrow.compute as pc
 
 from pipelines.reports.html import bars, head, histogram, notices, page, tiles
-from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
+from pipelines.reports.scene_pictures import SceneGrids, ShownScene
 from stable_data.assets.store import AssetStore
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
@@ -51,28 +51,28 @@ def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetS
             [0, 1e-9, 1, 3, 10, 30, 100, 10_000],
         ),
         "</div>",
-        *_pictures(folder, edits, store, num_pictures),
+        *_pictures(folder, edits, SceneGrids(folder, store), num_pictures),
         *notices(folder),
     ]
     folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: edit", body))
 
 
-def _pictures(folder: RunFolder, edits: list[Row], store: AssetStore, count: int) -> Iterable[str]:
+def _pictures(folder: RunFolder, edits: list[Row], grids: SceneGrids, count: int) -> Iterable[str]:
     chosen = [row["edit_id"] for row in _in_turn(edits)[: max(count, 0)]]
     if not chosen:
         return
     befores = {row["edit_id"]: row for row in folder.table("edits", where=pc.field("edit_id").isin(chosen)).to_pylist()}
     afters = {row["scene_id"]: row for row in folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield "<h2>Pictures</h2><p class=note>Left: before. Right: after.</p>"
-    yield from picture_grid((name, partial(_edit_pictures, befores[name], afters[name], store)) for name in chosen)
+    yield from grids.grid((name, partial(_shown, befores[name], afters[name])) for name in chosen)
 
 
-def _edit_pictures(was: Row, row: Row, store: AssetStore) -> Shown:
+def _shown(was: Row, row: Row) -> list[ShownScene]:
     now, name = scene_from_row(row), escape(was["edit_id"])
     goes = f"<br>removed: {escape(', '.join(was['removed']))}" if was["removed"] else ""
     return [
-        (draw_scene(_before(was, now), store), f"<b>{name}</b> before<br>{escape(was['instruction'])}"),
-        (draw_scene(now, store), f"<b>{name}</b> after{goes}<br>new or changed: {escape(_names(was))}"),
+        ShownScene(_before(was, now), f"<b>{name}</b> before<br>{escape(was['instruction'])}", "before"),
+        ShownScene(now, f"<b>{name}</b> after{goes}<br>new or changed: {escape(_names(was))}", "after", row),
     ]
 
 

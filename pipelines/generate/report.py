@@ -17,7 +17,7 @@ from PIL import Image
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
-from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
+from pipelines.reports.scene_pictures import SceneGrids, ShownScene, draw_scene
 from pipelines.sources.scenes import mesh_cache
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
@@ -67,6 +67,7 @@ def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings:
     scenes, rejected = (_frame(folder, name, columns) for name in ("scenes", "rejected"))
     spent, turns = _spent(folder), _frame(folder, "turns", ["stage", "tries", "prompt_tokens", "reply_tokens", "cost", "code"])
     store = AssetStore(RunAssets(folder, mesh_cache()))
+    grids = SceneGrids(folder, store)
     body = [
         head(manifest),
         f'<p class="note">Reasoner: {escape(manifest["engine"])}. Corrector: {escape(settings.weights)}. '
@@ -75,8 +76,8 @@ def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings:
         *_quality(scenes, rejected),
         *_stages(folder, turns),
         *_time(spent),
-        *_pictures(folder, scenes, "scenes", "Pictures", store, settings.num_pictures),
-        *_pictures(folder, rejected, "rejected", "Rejected scenes", store, settings.num_pictures // 4),
+        *_pictures(folder, scenes, "scenes", "Pictures", grids, settings.num_pictures),
+        *_pictures(folder, rejected, "rejected", "Rejected scenes", grids, settings.num_pictures // 4),
         *notices(folder),
     ]
     folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: generate", body))
@@ -195,18 +196,18 @@ def _chosen(scenes: pl.DataFrame, count: int) -> list[str]:
     return [names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(count, len(names))).astype(int))] if names else []
 
 
-def _pictures(folder: RunFolder, scenes: pl.DataFrame, name: str, title: str, store: AssetStore, count: int) -> Iterable[str]:
+def _pictures(folder: RunFolder, scenes: pl.DataFrame, name: str, title: str, grids: SceneGrids, count: int) -> Iterable[str]:
     if not (chosen := _chosen(scenes, count)):
         return
     rows = {row["scene_id"]: row for row in folder.table(name, where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield f"<h2>{title}</h2>"
-    yield from picture_grid((scene_id, partial(_scene_pictures, rows[scene_id], store)) for scene_id in chosen)
+    yield from grids.grid((scene_id, partial(_shown, rows[scene_id])) for scene_id in chosen)
 
 
-def _scene_pictures(row: dict[str, Any], store: AssetStore) -> Shown:
+def _shown(row: dict[str, Any]) -> list[ShownScene]:
     said = escape(row["task"]["task"]) if row["task"] else ""
     why = f'<br><span class="bad">{escape(row["reason"])}</span>' if row.get("reason") else ""
-    return [(draw_scene(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b><br>{said}{why}")]
+    return [ShownScene(scene_from_row(row), f"<b>{escape(row['scene_id'])}</b><br>{said}{why}", row=row)]
 
 
 def _write_sheet(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count: int) -> None:

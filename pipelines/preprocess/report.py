@@ -1,4 +1,4 @@
-"""The report page of a preprocess run: one self-contained HTML file with counts, histograms and pictures."""
+"""The report page of a preprocess run: counts, histograms, and scenes to look at."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -10,7 +10,7 @@ import polars as pl
 import pyarrow.compute as pc
 
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
-from pipelines.reports.scene_pictures import Shown, draw_scene, picture_grid
+from pipelines.reports.scene_pictures import SceneGrids, ShownScene
 from stable_data.assets.store import AssetStore
 from stable_data.metrics.summary import summarise
 from stable_data.storage.run_folder import RunFolder
@@ -35,7 +35,7 @@ def write_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore,
         head(manifest),
         _tiles(manifest["counts"], manifest),
         *_audit(scenes),
-        *_pictures(folder, scenes, store, num_pictures),
+        *_pictures(folder, scenes, SceneGrids(folder, store), num_pictures),
         *_staging(folder, scenes),
         *_assets(folder),
         *notices(folder),
@@ -108,7 +108,7 @@ def _assets(folder: RunFolder) -> Iterable[str]:
     yield "<h2>Assets</h2>" + table(("", ""), rows)
 
 
-def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count: int) -> Iterable[str]:
+def _pictures(folder: RunFolder, scenes: pl.DataFrame, grids: SceneGrids, count: int) -> Iterable[str]:
     if not scenes.height or count <= 0:
         return
     worst_first = scenes.sort(["clean", "max_penetration_mm", "scene_id"], descending=[False, True, False], nulls_last=True)
@@ -118,12 +118,12 @@ def _pictures(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count:
     rows = folder.table("scenes", where=pc.field("scene_id").isin(chosen)).to_pylist()
     ordered = sorted(rows, key=lambda r: chosen.index(r["scene_id"]))
     yield "<h2>Pictures</h2>"
-    yield from picture_grid((row["scene_id"], partial(_scene_pictures, row, store)) for row in ordered)
+    yield from grids.grid((row["scene_id"], partial(_shown, row)) for row in ordered)
 
 
-def _scene_pictures(row: dict[str, Any], store: AssetStore) -> Shown:
+def _shown(row: dict[str, Any]) -> list[ShownScene]:
     verdict = {True: '<span class="good">clean</span>', False: '<span class="bad">not clean</span>', None: "unknown"}[
         row["clean"]
     ]
     task = escape(row["task"]["task"]) if row["task"] else ""
-    return [(draw_scene(scene_from_row(row), store), f"<b>{escape(row['scene_id'])}</b> {verdict}<br>{task}")]
+    return [ShownScene(scene_from_row(row), f"<b>{escape(row['scene_id'])}</b> {verdict}<br>{task}", row=row)]

@@ -1,4 +1,4 @@
-"""Parts of a report page, which is one self-contained HTML file."""
+"""Parts of a report page: one HTML file, which opens without a network."""
 
 import base64
 import io
@@ -14,7 +14,7 @@ from PIL import Image
 
 from stable_data.storage.run_folder import RunFolder
 
-_STYLE = Path(__file__).with_name("report.css")
+_STYLE, _SCRIPT = (Path(__file__).with_name(name) for name in ("report.css", "report.js"))
 _SHOWN = 200  # notices of a table that the page lists
 
 
@@ -23,7 +23,7 @@ def page(title: str, body: Iterable[str]) -> bytes:
     text = (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{escape(title)}</title><style>{_STYLE.read_text('utf-8')}</style>"
-        f"<main>{''.join(body)}</main></html>"
+        f"<main>{''.join(body)}</main><script>{_SCRIPT.read_text('utf-8')}</script></html>"
     )
     return text.encode()
 

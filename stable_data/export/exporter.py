@@ -24,6 +24,8 @@ from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.scene import Scene
 from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import scene_from_row
 from stable_data.supports import join_scenes
 
 MANIFEST_FILE, ATTRIBUTION_FILE = "export.json", "ATTRIBUTION.md"
@@ -86,7 +88,7 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
     with target.locked():
         _check_same(target, run, name, choice)
         try:
-            shown = scenes if pieces is None else pieces
+            shown = scenes.rows() if pieces is None else pieces
             return _export(scenes, shown, total, annotations, out, chosen, progress)
         except OSError as error:
             raise cannot_write(str(out), error) from error
@@ -112,7 +114,7 @@ def _joined(piece: Sequence[Scene], store: AssetStore) -> Scene:
 
 def _export(
     scenes: RunScenes,
-    chosen_scenes: Iterable[Scene] | Iterable[Sequence[Scene]],
+    shown: Iterable[Row] | Iterable[Sequence[Scene]],
     total: int,
     annotations: Mapping[str, AssetAnnotation],
     out: Path,
@@ -120,14 +122,14 @@ def _export(
     progress: Progress | None,
 ) -> ExportResult:
     written, existing, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
-    for item in chosen_scenes:
-        name = item.scene_id if isinstance(item, Scene) else _piece_of(item)
+    for item in shown:
+        name = item["scene_id"] if isinstance(item, dict) else _piece_of(item)
         try:
-            scene = item if isinstance(item, Scene) else _joined(item, scenes.store)
+            row, scene = (item, scene_from_row(item)) if isinstance(item, dict) else (None, _joined(item, scenes.store))
             if chosen.scene_path(scene, out).exists():
                 existing += 1
             else:
-                geometry = scenes.geometry(scene)
+                geometry = scenes.geometry(scene, row)
                 chosen.export_scene(geometry, out)
                 written += 1
                 boxes += sum(mesh is None and geometry.is_seen(k) for k, mesh in enumerate(geometry.meshes))

@@ -16,7 +16,7 @@ from stable_data.geometry.shading import corner_normals
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface import Surface
 from stable_data.rotations import quat_of
-from stable_data.scene import QuatXyzw, Scene, Vec3
+from stable_data.scene import TABLE, UPRIGHT, QuatXyzw, Scene, Vec3
 from stable_data.simulation.mujoco_model import SUPPORT
 from stable_data.simulation.render import object_colour
 from stable_data.simulation.room import furnish
@@ -42,31 +42,39 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
 
 def scene_glb(geometry: SceneGeometry) -> bytes:
     """Returns the content of a scene's file."""
+    document = _Document(_table(geometry))
+    for k, o in enumerate(geometry.scene.objects):
+        if geometry.is_seen(k):
+            document.add_object(geometry, k, o.position, o.yaw)
+    return document.content(geometry.scene.scene_id, _Y_UP)
+
+
+def table_glb(geometry: SceneGeometry) -> bytes:
+    """Returns what is seen of a scene without its objects: the table or the support. As a file with z up, metres."""
+    return _Document(_table(geometry)).content(TABLE, UPRIGHT)
+
+
+def object_glb(geometry: SceneGeometry, index: int) -> bytes:
+    """Returns what is seen of one object as a file with z up, metres, yaw frame; the origin is the centre of its box."""
+    document = _Document({})
+    document.add_object(geometry, index, (0.0, 0.0, 0.0), 0.0)
+    return document.content(geometry.scene.objects[index].instance, UPRIGHT)
+
+
+def surfaces_glb(name: str, surfaces: Sequence[Surface]) -> bytes:
+    """Returns surfaces in their own frame as a file with one node of this name."""
+    return _Document({name: surfaces}).content(name, UPRIGHT)
+
+
+def _table(geometry: SceneGeometry) -> Mapping[str, Sequence[Surface]]:
+    """What is seen of the table, of the support on which it lies and of the restricted zone, by the name of its node."""
     table, support = defaultdict[str, list[Surface]](list), geometry.support
     if support is not None:
         table[SUPPORT] += support.placed()
     for part in furnish(geometry.scene.table, *geometry.seen_bounds, None if support is None else support.bounds):
         if part.is_of_table:
             table[part.name.split("/")[0]].append(part.surface)
-    document = _Document(table)
-    unit = Shape.box((1.0, 1.0, 1.0))
-    box = Mesh(unit.vertices, unit.faces)
-    for k, (o, mesh) in enumerate(zip(geometry.scene.objects, geometry.meshes, strict=True)):
-        if not geometry.is_seen(k):
-            continue
-        turn = Rotation.from_euler("z", o.yaw)
-        extras: dict[str, Any] = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
-        if o.instance in geometry.scene.fixed:
-            extras["fixed"] = True
-        if mesh is None or o.scale is None:  # its box replaces it
-            number = document.mesh("box", box, _all_of(box, object_colour(o)))
-            document.add(o.instance, number, o.position, quat_of(turn), o.size, extras)
-            continue
-        x, y, z = (o.position + turn.apply(geometry.offset(k))).tolist()
-        asset_id, look = str(o.asset_id), geometry.look(k)
-        number = document.mesh(asset_id, mesh, geometry.paint(k), None if look is None else look.surfaces)
-        document.add(o.instance, number, (x, y, z), quat_of(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
-    return document.content(geometry.scene.scene_id)
+    return table
 
 
 class _Document:
@@ -78,7 +86,7 @@ class _Document:
         self._nodes: list[dict[str, Any]] = [
             {"name": name, "mesh": self.look(name, surfaces)} for name, surfaces in table.items()
         ]
-        self._materials: list[dict[str, Any]] = self._parts.document(())["materials"]
+        self._materials: list[dict[str, Any]] = self._parts.materials
         self._arrays = self._parts.arrays
         self._numbers: dict[tuple[str, ...], int] = {}
 
@@ -112,8 +120,25 @@ class _Document:
         node = {"name": name, "mesh": mesh, "translation": position, "rotation": quat_xyzw, "scale": scale}
         self._nodes.append(node | ({"extras": extras} if extras else {}))
 
-    def content(self, name: str) -> bytes:
-        root = {"name": "scene", "rotation": _Y_UP, "children": list(range(1, len(self._nodes) + 1))}
+    def add_object(self, geometry: SceneGeometry, index: int, position: Vec3, yaw: float) -> None:
+        """Adds an object of a scene at a pose."""
+        o, mesh, turn = geometry.scene.objects[index], geometry.meshes[index], Rotation.from_euler("z", yaw)
+        extras: dict[str, Any] = {"category": o.category, "description": o.description, "asset_id": o.asset_id}
+        if o.instance in geometry.scene.fixed:
+            extras["fixed"] = True
+        if mesh is None or o.scale is None:  # its box replaces it
+            unit = Shape.box((1.0, 1.0, 1.0))
+            box = Mesh(unit.vertices, unit.faces)
+            number = self.mesh("box", box, _all_of(box, object_colour(o)))
+            self.add(o.instance, number, position, quat_of(turn), o.size, extras)
+            return
+        x, y, z = (position + turn.apply(geometry.offset(index))).tolist()
+        asset_id, look = str(o.asset_id), geometry.look(index)
+        number = self.mesh(asset_id, mesh, geometry.paint(index), None if look is None else look.surfaces)
+        self.add(o.instance, number, (x, y, z), quat_of(turn * Rotation.from_quat(o.tilt_quat_xyzw)), o.scale, extras)
+
+    def content(self, name: str, turn: QuatXyzw) -> bytes:
+        root = {"name": "scene", "rotation": turn, "children": list(range(1, len(self._nodes) + 1))}
         document = {
             "scene": 0,
             "scenes": [{"name": name, "nodes": [0]}],

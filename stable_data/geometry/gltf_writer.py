@@ -117,7 +117,7 @@ class SurfaceParts:
     def __init__(self) -> None:
         self.arrays: list[GltfArray] = []
         self.images: list[bytes] = []
-        self._materials: list[dict[str, Any]] = []
+        self.materials: list[dict[str, Any]] = []
 
     def primitive(
         self,
@@ -156,9 +156,9 @@ class SurfaceParts:
                 self.images.append(image)
             found["baseColorTexture"] = {"index": self.images.index(image)}
         material = {"pbrMetallicRoughness": found, "doubleSided": True} | ({"alphaMode": "BLEND"} if is_clear else {})
-        if material not in self._materials:
-            self._materials.append(material)
-        return self._materials.index(material)
+        if material not in self.materials:
+            self.materials.append(material)
+        return self.materials.index(material)
 
     def embedded_images(self) -> list[dict[str, Any]]:
         """Returns the glTF image of each of ``images`` if :func:`pack` stores them behind all arrays that were added until now."""
@@ -172,7 +172,7 @@ class SurfaceParts:
             images: The glTF image of each of ``images``.
         """
         textures = [{"source": k} for k in range(len(images))]
-        entries = {"materials": self._materials, "textures": textures, "images": list(images)}
+        entries = {"materials": self.materials, "textures": textures, "images": list(images)}
         return {name: found for name, found in entries.items() if found}
 
 

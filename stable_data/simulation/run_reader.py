@@ -3,19 +3,21 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.run_assets import run_annotations, run_store
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
+from stable_data.json_text import quote_value
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
 from stable_data.storage.row_groups import TableFiles, row_slices
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import scene_from_row
 
 NEEDED = ("scenes", "assets", "meshes")
@@ -73,38 +75,82 @@ class RunScenes:
         if choice.scene_ids:
             _check_known(run, choice)
         self.store = store or run_store(run.uri)
-        self._run, self._cards = run, dict[str, dict[str, Any]]()
+        self._run = run
         self._settled = SettledPoses(run) if choice.settled else None
+        self._read: tuple[int, pa.Table] | None = None
 
     def __len__(self) -> int:
         return len(self._scenes) if self._limit is None else min(len(self._scenes), self._limit)
 
     def __iter__(self) -> Iterator[Scene]:
         """The scenes, in the order of the run's files."""
+        return map(scene_from_row, self.rows())
+
+    def rows(self) -> Iterator[Row]:
+        """The rows of the scenes, with all columns, in the order of the run's files."""
         left = len(self)
         for group in range(len(self._scenes.groups)):
             if not left:
                 return
             for part in row_slices(self._scenes.read([group])):
-                rows = part.slice(0, left).to_pylist()
-                self._cards = {row["scene_id"]: {name: row[name] for name in _CARD} for row in rows}
-                for row in rows:
+                for row in part.slice(0, left).to_pylist():
                     left -= 1
-                    yield scene_from_row(row)
+                    yield row
+
+    def row(self, number: int) -> Row:
+        """Returns the row of one of the scenes, with all columns.
+
+        Args:
+            number: From 0, in the order of the run's files.
+
+        Raises:
+            ConfigError: There is no such scene (``scene_unknown``), or a file was changed or removed in the meantime.
+        """
+        if not 0 <= number < len(self):
+            raise ConfigError(
+                f"{self._uri}: scene number is {number}, expected 0 to {len(self) - 1} of the selected scenes", "scene_unknown"
+            )
+        starts = self._scenes.starts
+        group = int(np.searchsorted(starts, number, side="right")) - 1
+        if self._read is None or self._read[0] != group:
+            self._read = group, self._scenes.read([group])
+        return dict(self._read[1].slice(number - int(starts[group]), 1).to_pylist()[0])
+
+    def number_of(self, scene_id: str) -> int:
+        """Returns the number of a scene; see :meth:`row`.
+
+        Raises:
+            ConfigError: The scene is not one of the selected ones (``scene_unknown``).
+        """
+        place = {(group.path, group.index): k for k, group in enumerate(self._scenes.groups)}
+        condition = SceneSelection(self._condition, (scene_id,)).condition
+        for group in TableFiles(self._uri, "scenes", ["scene_id"], where=condition).groups:
+            k = place[group.path, group.index]
+            chosen, row = self._scenes.groups[k].chosen, 0 if group.chosen is None else int(group.chosen[0])
+            number = int(self._scenes.starts[k]) + (row if chosen is None else int(np.searchsorted(chosen, row)))
+            if number < len(self):
+                return number
+        found = quote_value(scene_id)
+        raise ConfigError(f"{self._uri}: scene {found} is not among the {len(self)} selected scenes", "scene_unknown")
 
     def pieces(self) -> "ScenePieces":
         """The scenes that stand on supports, together for each piece."""
         surfaces = TableFiles(self._uri, "scenes", ["surface"], where=self._condition)
         return ScenePieces(self._scenes, surfaces, self._limit)
 
-    def geometry(self, scene: Scene) -> SceneGeometry:
-        """Returns one of the scenes with its geometry; its verdicts are there for the scenes that were read last.
+    def geometry(self, scene: Scene, row: Row | None = None) -> SceneGeometry:
+        """Returns one of the scenes with its geometry.
+
+        Args:
+            scene: The scene.
+            row: Its row, for its verdicts; None leaves them out.
 
         Raises:
             SceneError: The scene was never settled, but settled poses are selected.
         """
         geometry = SceneGeometry.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
-        return replace(geometry, annotations=self.annotations, verdicts=self._cards.get(scene.scene_id, {}))
+        verdicts = {} if row is None else {name: row[name] for name in _CARD}
+        return replace(geometry, annotations=self.annotations, verdicts=verdicts)
 
     @cached_property
     def annotations(self) -> Mapping[str, AssetAnnotation]:

@@ -1,16 +1,21 @@
 """The correct job: a broken set comes out clean, nothing is lost, the same rows however it was run."""
 
+import io
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from pipelines.__main__ import app
 from pipelines.correct.job import correct
+from pipelines.correct.report import write_correct_report
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
 from pipelines.execution.ray_executor import WorkerPool
@@ -25,6 +30,7 @@ from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
 from tests.pipelines.runs import content
+from tests.stable_data.viewer.pages import Page
 
 SMALL = CorrectSettings(weights="none", scenes_per_shard=2, num_pictures=0, position_convention="box_centre")
 ALONE = WorkerPool()
@@ -76,6 +82,29 @@ def test_a_broken_set_comes_out_clean(broken: Path, corrected: Path) -> None:
     assert all(after[s]["move_max_mm"] > 1 for s in spoilt)
     assert before.keys() == after.keys()
     assert "corrected" in (corrected / "report" / "index.html").read_text("utf-8")
+
+
+def test_a_page_shows_a_scene_before_and_after(broken: Path, corrected: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(corrected, tmp_path / "out")
+    manifest = json.loads((out / "manifest.json").read_text("utf-8"))
+    write_correct_report(RunFolder(str(out)), manifest, AssetStore(MesaTaskDataset(broken)), 4)
+    before, after = rows_of(out, "corrections"), rows_of(out, "scenes")
+    for scene_id, row in after.items():
+        page = Page((out / "report" / "scenes" / f"{scene_id}.html").read_text("utf-8"))
+        assert len(page.articles) == 2
+        for number, poses in enumerate((before[scene_id]["start"], row["objects"])):
+            loaded = trimesh.load(io.BytesIO(page.models[number]), file_type="glb")
+            loaded.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))  # z up again
+            for pose in poses:
+                parents = loaded.graph.transforms.parents  # trimesh makes a node for each colour
+                nodes = [n for n in loaded.graph.nodes_geometry if pose["instance"] in (n, parents[n])]
+                placed = ((loaded.geometry[geometry], place) for place, geometry in map(loaded.graph.get, nodes))
+                corners = np.concatenate([trimesh.transform_points(mesh.vertices, place) for mesh, place in placed])
+                corners = Rotation.from_euler("z", -pose["yaw"]).apply(corners - pose["position"])
+                np.testing.assert_allclose((corners.max(axis=0) + corners.min(axis=0)) / 2, 0, atol=1e-5)
+        is_clean = before[scene_id]["card_before"]["clean"]
+        assert ("not clean" in page.articles[0]) is not is_clean
+        assert "not clean" not in page.articles[1]
 
 
 def test_what_was_clean_stays_where_it_is(broken: Path, corrected: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from typer.testing import CliRunner
 from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.job import preprocess
+from pipelines.preprocess.report import write_report
 from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import AssetStep, SceneStep
 from stable_data.assets.catalog import library_of_run
@@ -27,6 +29,7 @@ from stable_data.mesatask import MesaTaskDataset, to_box_centre, write_text_feat
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
+from stable_data.viewer.page import SCRIPT_NAME
 from tests.object_store import object_store
 from tests.pipelines.runs import ROOT, SMALL, content, run_cli, run_here, used_assets
 from tests.scenes import box
@@ -138,6 +141,10 @@ def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Pa
         for table in {*AssetStep.TABLES, *SceneStep.TABLES}:
             assert stored.table(table).equals(local.table(table)), table
         assert stored.read_bytes("report/index.html") is not None
+        manifest = json.loads(stored.read_bytes("manifest.json") or b"")
+        write_report(stored, manifest, AssetStore(MesaTaskDataset(tiny)), 1)
+        [name] = re.findall(r'href="(scenes/[^"#]*)#scene=0">open', (stored.read_bytes("report/index.html") or b"").decode())
+        assert all(stored.read_bytes(f"report/{path}") for path in (name, SCRIPT_NAME))
         preprocess(str(tiny), uri, SMALL, WorkerPool())  # resumes: nothing to do
 
 

@@ -20,6 +20,7 @@ from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection,
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import scene_row
 from tests.object_store import object_store
 from tests.stable_data.export.runs import EMPTY, ODD, SCENES, TABLE, at_rest, falling, write_run
@@ -78,12 +79,14 @@ def test_an_export_that_was_stopped_goes_on(name: str, run: RunFolder, tmp_path:
     choice = SceneSelection(scene_ids=("empty", "falling"))
     export_run(run, tmp_path / "whole", name, choice)
 
-    def one_and_no_more(scenes: RunScenes) -> Iterator[Scene]:
-        yield falling()
+    rows = RunScenes.rows
+
+    def one_and_no_more(scenes: RunScenes) -> Iterator[Row]:
+        yield next(rows(scenes))
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(RunScenes, "__iter__", one_and_no_more)
+        patch.setattr(RunScenes, "rows", one_and_no_more)
         with pytest.raises(KeyboardInterrupt):
             export_run(run, tmp_path / "out", name, choice)
     there = {path: path.stat().st_mtime_ns for path in last_files(name, tmp_path / "out")}

@@ -17,6 +17,7 @@ from stable_data.scene import Scene
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import scene_from_row
 from tests.stable_data.export.runs import EMPTY, ODD_INSTANCE, at_rest, falling, posed
 from tests.textured_assets import picture_box, scene_of, textured, thing, write_run
 
@@ -92,8 +93,9 @@ def test_what_is_seen_is_where_the_object_is(flavour: str, store: AssetStore, tm
 
 def test_the_stage_says_what_the_scene_is(run: RunFolder, tmp_path: Path) -> None:
     scenes = RunScenes(run, SceneSelection(where="num_objects == 6"))
-    [scene] = scenes
-    stage = opened(scenes.geometry(scene), tmp_path)
+    [row] = scenes.rows()
+    scene = scene_from_row(row)
+    stage = opened(scenes.geometry(scene, row), tmp_path)
     facts = stage.GetDefaultPrim().GetCustomData()["stable_data"]
     assert facts["instruction"] == "Put the can on the plate."
     assert facts["scene_id"] == scene.scene_id
