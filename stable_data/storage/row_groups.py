@@ -1,11 +1,11 @@
 """The row groups of a table of one or several runs: listed once, then read one by one, also in worker processes."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import groupby, pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -23,6 +23,9 @@ from stable_data.storage.schemas import SCHEMAS, Row
 
 SPLITS = ("train", "validation", "test", "unseen")
 """The values of the column ``split``."""
+
+Places: TypeAlias = Mapping[str, Mapping[int, IntArray]]
+"""Path of a file -> number of a row group -> rows of the row group, ascending, (N,) int64."""
 
 _REQUESTS = 16  # concurrent reads of an object store
 _ARRAYS = (pa.float16(), pa.float32(), pa.int32())  # element types of lists that become numpy arrays
@@ -63,6 +66,7 @@ class TableFiles:
         split: Split of the rows, or None for all rows. Other rows are removed before decoding.
         where: Condition on the rows (:mod:`stable_data.storage.filter_expression`), or None for all rows. Other rows are
             removed before decoding, and row groups that the statistics of the files exclude are not opened.
+        places: Only these rows (:meth:`stable_data.storage.scene_index.SceneIndex.places`) of the only run; None: all.
 
     Attributes:
         uri: The run folder, or all run folders in one string.
@@ -83,6 +87,7 @@ class TableFiles:
         leaves: Sequence[str] | None,
         split: str | None = None,
         where: str | None = None,
+        places: Places | None = None,
     ) -> None:
         _check_split(table, split)
         self._uris = [os.fspath(one) for one in ([uri] if isinstance(uri, str | os.PathLike) else uri)]
@@ -90,14 +95,16 @@ class TableFiles:
         self._table = table
         self._leaves = None if leaves is None else list(leaves)
         self._folders, self._process = [RunFolder(uri) for uri in self._uris], os.getpid()
-        places = {folder.root if folder.is_local else folder.uri for folder in self._folders}
-        if not places or len(places) < len(self._folders):
+        roots = {folder.root if folder.is_local else folder.uri for folder in self._folders}
+        if not roots or len(roots) < len(self._folders):
             raise ConfigError(f"runs are [{self.uri}], expected at least one run and no duplicates", "runs_invalid")
         paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
-        self._schema = leaf_schema(SCHEMAS[table], leaves)
+        if places is not None:
+            paths = [(run, path) for run, path in paths if path in places]
+        self._schema, self._places = leaf_schema(SCHEMAS[table], leaves), places
         query = self._query()  # once, before the threads: concurrent parsing in Python 3.11 may fail
         expected = [*self._schema, *(SCHEMAS[table].field(name) for name in (query.columns if query else ()))]
-        check = _SchemaCheck(table, expected)
+        check = SchemaCheck(table, expected)
         with ThreadPoolExecutor(_REQUESTS) as pool:
             listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query, check), paths))
         self.groups = [group for groups, _ in listed for group in groups]
@@ -149,7 +156,7 @@ class TableFiles:
         return paths
 
     def _list_groups(
-        self, run: int, path: str, query: FilterExpression | None, check: "_SchemaCheck"
+        self, run: int, path: str, query: FilterExpression | None, check: "SchemaCheck"
     ) -> tuple[list[RowGroup], list[str]]:
         """Lists the row groups of a file that have selected rows, and the requested columns that it lacks."""
         folder, schema = self._folders[run], SCHEMAS[self._table]
@@ -157,7 +164,12 @@ class TableFiles:
             with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
                 missing = check.missing(file, f"{folder.uri}: {path}")
                 possible = range(file.num_row_groups) if query is None else _possible(query, path, schema, folder)
-                groups = [_row_group(run, path, file, index, query, schema) for index in possible]
+                rows = None if self._places is None else self._places[path]
+                groups = [
+                    _row_group(run, path, file, index, query, schema, None if rows is None else rows[index])
+                    for index in possible
+                    if rows is None or index in rows
+                ]
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(folder.uri, path, error) from error
         return [group for group in groups if group.num_rows], missing
@@ -170,7 +182,7 @@ class TableFiles:
         return parse_filter(" and ".join(parts), SCHEMAS[self._table]) if parts else None
 
 
-class _SchemaCheck:
+class SchemaCheck:
     """Checks the files of a table against its schema; a schema that the file before has is not checked again.
 
     The files of a run nearly always have one schema, and its conversion to Arrow takes as long as opening a small file.
@@ -203,17 +215,30 @@ def _possible(query: FilterExpression, path: str, schema: pa.Schema, folder: Run
 
 
 def _row_group(
-    run: int, path: str, file: pq.ParquetFile, index: int, query: FilterExpression | None, schema: pa.Schema
+    run: int,
+    path: str,
+    file: pq.ParquetFile,
+    index: int,
+    query: FilterExpression | None,
+    schema: pa.Schema,
+    rows: IntArray | None,
 ) -> RowGroup:
     footer = file.metadata.row_group(index)
     if query is None:
-        return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)
-    columns = conform_to_schema(
-        read_row_groups(file, path, [index], list(query.columns)), pa.schema([schema.field(name) for name in query.columns])
-    )
-    numbers = pa.array(np.arange(footer.num_rows))
-    chosen = query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy()
+        return RowGroup(run, path, index, footer.num_rows if rows is None else len(rows), footer.total_byte_size, rows)
+    chosen = _chosen(file, path, index, query, schema)
+    chosen = chosen if rows is None else np.intersect1d(rows, chosen, assume_unique=True)
     return RowGroup(run, path, index, len(chosen), footer.total_byte_size, chosen)
+
+
+def _chosen(file: pq.ParquetFile, path: str, index: int, query: FilterExpression, schema: pa.Schema) -> IntArray:
+    """Returns the rows of a row group that pass a condition, (N,) int64."""
+    columns = conform_to_schema(
+        read_row_groups(file, path, [index], list(query.columns), use_threads=False),
+        pa.schema([schema.field(name) for name in query.columns]),
+    )
+    numbers = pa.array(np.arange(columns.num_rows))
+    return np.asarray(query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy(), np.int64)
 
 
 def leaf_schema(schema: pa.Schema, leaves: Sequence[str] | None) -> pa.Schema:
