@@ -261,6 +261,7 @@ def query(
     """
     from stable_data.storage.run_folder import RunFolder
     from stable_data.storage.subset import count_selected, select
+    from stable_data.storage.table_scan import TableScan
 
     folder = RunFolder(run)
     if to is None:
@@ -268,7 +269,7 @@ def query(
         typer.echo(f"{run}: {found} of {total} scenes")
         return
     target = RunFolder(to)
-    count_selected(folder, where)  # refuses an invalid condition before anything is written
+    TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
     with target.locked():
         counts = select(folder, where, target)
     typer.echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")

@@ -161,9 +161,10 @@ class TableFiles:
         """Lists the row groups of a file that have selected rows, and the requested columns that it lacks."""
         folder, schema = self._folders[run], SCHEMAS[self._table]
         try:
-            with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
+            fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
+            with pq.ParquetFile(path, filesystem=folder.filesystem, metadata=fragment.metadata) as file:
                 missing = check.missing(file, f"{folder.uri}: {path}")
-                possible = range(file.num_row_groups) if query is None else _possible(query, path, schema, folder)
+                possible = range(file.num_row_groups) if query is None else possible_groups(fragment, query, schema)
                 rows = None if self._places is None else self._places[path]
                 groups = [
                     _row_group(run, path, file, index, query, schema, None if rows is None else rows[index])
@@ -208,9 +209,8 @@ class SchemaCheck:
         return missing
 
 
-def _possible(query: FilterExpression, path: str, schema: pa.Schema, folder: RunFolder) -> list[int]:
+def possible_groups(fragment: ds.ParquetFileFragment, query: FilterExpression, schema: pa.Schema) -> list[int]:
     """Returns the row groups of a file that its statistics do not exclude."""
-    fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
     return [group.id for group in fragment.subset(query.expression, schema=schema).row_groups]
 
 
@@ -226,15 +226,19 @@ def _row_group(
     footer = file.metadata.row_group(index)
     if query is None:
         return RowGroup(run, path, index, footer.num_rows if rows is None else len(rows), footer.total_byte_size, rows)
-    chosen = _chosen(file, path, index, query, schema)
+    chosen = chosen_rows(file, path, [index], query, schema)
     chosen = chosen if rows is None else np.intersect1d(rows, chosen, assume_unique=True)
     return RowGroup(run, path, index, len(chosen), footer.total_byte_size, chosen)
 
 
-def _chosen(file: pq.ParquetFile, path: str, index: int, query: FilterExpression, schema: pa.Schema) -> IntArray:
-    """Returns the rows of a row group that pass a condition, (N,) int64."""
+def chosen_rows(file: pq.ParquetFile, path: str, groups: Sequence[int], query: FilterExpression, schema: pa.Schema) -> IntArray:
+    """Returns the rows of some row groups that pass a condition, (N,) int64, counted from the first row of the first one.
+
+    Raises:
+        ConfigError: The columns of the condition need too much memory.
+    """
     columns = conform_to_schema(
-        read_row_groups(file, path, [index], list(query.columns), use_threads=False),
+        read_row_groups(file, path, groups, list(query.columns), use_threads=False),
         pa.schema([schema.field(name) for name in query.columns]),
     )
     numbers = pa.array(np.arange(columns.num_rows))

@@ -4,9 +4,9 @@ import os
 import struct
 import zlib
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import accumulate, chain, pairwise
 from pathlib import Path
@@ -15,7 +15,6 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -25,13 +24,13 @@ from stable_data.cache_folder import trim_folder, user_cache
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, cannot_read
 from stable_data.scene import IntArray, Scene
+from stable_data.storage.id_hashes import Hashes, id_hashes
 from stable_data.storage.row_groups import Places, SchemaCheck, leaf_schema
 from stable_data.storage.run_folder import RunFolder, Uri, absolute_uri, read_row_groups
 from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 from stable_data.storage.schema_checks import conform_to_schema, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS, Row
 
-Hashes: TypeAlias = npt.NDArray[np.uint64]
 RowNumbers: TypeAlias = npt.NDArray[np.uint32] | npt.NDArray[np.uint64]
 
 MAX_INDEX_BYTES = 4 * 2**30
@@ -41,8 +40,6 @@ _MAGIC = b"stable-data scene index 1".ljust(32)
 _HEADER = struct.Struct("<32s16s5Q")
 """Magic, fingerprint, rows, row groups, bytes of a row's number, and the checksums of the small and of the large arrays."""
 
-_SEED = 7
-_PROBE = ("", "scene", "a name of more than thirty-two characters", "é" * 200)
 _FOOTER_BYTES = 256 * 2**20  # of the footers in memory
 _FOOTER_WEIGHT = 10  # memory of a footer, relative to its bytes in a file
 _AT_ONCE = 16  # files that are read at the same time: an object store has a latency
@@ -74,7 +71,8 @@ class SceneIndex:
         if not self._stamps:
             self._run.dataset(table)  # raises the error that describes the missing table
         self._check = SchemaCheck(table, SCHEMAS[table])
-        self._footers, self._lock = OrderedDict[str, pq.FileMetaData](), Lock()
+        self._files, self._lock = OrderedDict[str, pq.ParquetFile](), Lock()
+        self._schemas: dict[tuple[str, ...] | None, pa.Schema] = {}  # of recent reads
         self._opened = self._open() or self._make()
         self._is_checked = False
 
@@ -126,7 +124,10 @@ class SceneIndex:
                 f"{self._run.uri}: the run has no scenes {unknown[:5]}, expected ids of its table {self._table}",
                 "scene_unknown",
             )
-        return found.table.take(np.argsort(found.wanted)).select(leaf_schema(SCHEMAS[self._table], leaves).names)
+        table = found.table
+        if (np.diff(found.wanted) < 0).any():
+            table = table.take(np.argsort(found.wanted))
+        return table.select(self._schema(leaves).names)
 
     def row(self, scene_id: str, leaves: Sequence[str] | None = None) -> Row | None:
         """Returns the row of a scene as a dictionary; None if the table has no such scene.
@@ -190,22 +191,24 @@ class SceneIndex:
     def _read_all(self, names: pa.Array, leaves: Sequence[str] | None) -> "_Found":
         """Reads the rows whose ids have the hashes of some names, and keeps those of these names."""
         opened, (wanted, rows) = self._opened, self._opened.candidates(names)
+        schema = self._schema(leaves)
         of_group = opened.groups_of(rows)
         ends = [*(np.flatnonzero(np.diff(opened.files[of_group])) + 1).tolist(), len(rows)] if len(rows) else []
         parts = [slice(start, end) for start, end in pairwise([0, *ends])]
-        schema = leaf_schema(SCHEMAS[self._table], leaves)
 
         def read(part: slice) -> pa.Table:
             return self._read(rows[part], of_group[part], leaves, schema)
 
-        if self._run.is_local:  # decoding keeps the processors busy with one file
-            tables = list(map(read, parts))
-        else:
-            with ThreadPoolExecutor(_AT_ONCE) as pool:
+        if len(parts) > 1:
+            with ThreadPoolExecutor(self._num_threads) as pool:
                 tables = list(pool.map(read, parts))
-        table = pa.concat_tables([schema.empty_table(), *tables])
+        else:
+            tables = list(map(read, parts))
+        table = pa.concat_tables(tables) if tables else schema.empty_table()
         is_same = pc.fill_null(pc.equal(table["scene_id"], names.take(pa.array(wanted))), False)
         kept = is_same.to_numpy()
+        if kept.all():
+            return _Found(table, wanted, rows, 0)
         return _Found(table.filter(is_same), wanted[kept], rows[kept], int((~kept).sum()))
 
     def _read(self, rows: IntArray, of_group: IntArray, leaves: Sequence[str] | None, schema: pa.Schema) -> pa.Table:
@@ -219,28 +222,26 @@ class SceneIndex:
                     if number >= file.num_row_groups or own[-1] >= file.metadata.row_group(number).num_rows:
                         raise self._changed()
                     part = read_row_groups(file, path, [number], leaves, use_threads=False)
-                    parts.append(conform_to_schema(part.take(own), schema))
+                    parts.append(part.take(own))  # a copy: a slice would keep its row group in memory
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(self._run.uri, path, error) from error
-        return pa.concat_tables(parts)
+        return conform_to_schema(pa.concat_tables(parts), schema)
 
-    def _file(self, path: str) -> pq.ParquetFile:
-        """Opens a file; the footers of recently used files are kept, since those of files with many row groups are large."""
+    @contextmanager
+    def _file(self, path: str) -> Iterator[pq.ParquetFile]:
+        """Opens a file for one thread; recently used files stay open, since a file with many row groups has a large footer."""
         with self._lock:
-            footer = self._footers.get(path)
-        file = pq.ParquetFile(path, filesystem=self._run.filesystem, metadata=footer, pre_buffer=not self._run.is_local)
-        if footer is None:
+            file = self._files.pop(path, None)
+        if file is None:
+            file = pq.ParquetFile(path, filesystem=self._run.filesystem, pre_buffer=not self._run.is_local)
             missing = self._check.missing(file, f"{self._run.uri}: {path}")
             warn_of_missing_columns(self._run.uri, self._table, missing)
+        yield file
         with self._lock:
-            self._footers[path] = file.metadata
-            self._footers.move_to_end(path)
-            while len(self._footers) > 1 and self._footer_bytes() > _FOOTER_BYTES:
-                self._footers.popitem(last=False)
-        return file
-
-    def _footer_bytes(self) -> int:
-        return _FOOTER_WEIGHT * sum(int(footer.serialized_size) for footer in self._footers.values())
+            self._files[path] = file
+            size = sum(int(one.metadata.serialized_size) for one in self._files.values())
+            while len(self._files) > 1 and size * _FOOTER_WEIGHT > _FOOTER_BYTES:
+                size -= int(self._files.popitem(last=False)[1].metadata.serialized_size)
 
     def _changed(self) -> ConfigError:
         return ConfigError(
@@ -250,10 +251,19 @@ class SceneIndex:
         )
 
     @property
+    def _num_threads(self) -> int:
+        return os.cpu_count() or 1 if self._run.is_local else _AT_ONCE
+
+    def _schema(self, leaves: Sequence[str] | None) -> pa.Schema:
+        key = None if leaves is None else tuple(leaves)
+        if key not in self._schemas:
+            self._schemas = {**dict(list(self._schemas.items())[-4:]), key: leaf_schema(SCHEMAS[self._table], leaves)}
+        return self._schemas[key]
+
+    @property
     def _fingerprint(self) -> str:
-        """Hash of the files of the table and of the hash function."""
-        probe = _hashes(pa.array(_PROBE)).tolist()
-        return content_id(absolute_uri(self._run.uri), self._table, self._stamps, probe)
+        """Hash of the files of the table."""
+        return content_id(absolute_uri(self._run.uri), self._table, self._stamps)
 
     def _open(self) -> "_Rows | None":
         """Maps the stored index; None if there is none of these files."""
@@ -265,7 +275,7 @@ class SceneIndex:
 
     def _make(self) -> "_Rows":
         """Makes the index and stores it, if that is possible."""
-        with ThreadPoolExecutor(2 if self._run.is_local else _AT_ONCE) as pool:
+        with ThreadPoolExecutor(self._num_threads) as pool:
             listed = list(pool.map(self._list, [path for path, _, _ in self._stamps]))
         hashes = np.concatenate([own for own, _ in listed])
         sizes = [own for _, own in listed]
@@ -425,5 +435,4 @@ def _narrow(order: IntArray) -> RowNumbers:
 
 
 def _hashes(names: pa.Array | pa.ChunkedArray) -> Hashes:
-    """Computes a hash of each name, (N,), equal in all processes with one version of polars."""
-    return pl.Series("", pl.from_arrow(names), pl.String).hash(_SEED).to_numpy()
+    return id_hashes(names)[:, 0]
