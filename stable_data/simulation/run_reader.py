@@ -13,6 +13,7 @@ from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
 from stable_data.storage.row_groups import TableFiles, row_slices
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.scene_index import SceneIndex
+from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import scene_from_row
 
 NEEDED = ("scenes", "assets", "meshes")
@@ -63,6 +64,7 @@ class RunScenes:
             self._check_known()
         self.store = store or run_store(run.uri)
         self._settled = SettledPoses(run) if choice.settled else None
+        self._recent: dict[str, Row] = {}
 
     def __len__(self) -> int:
         limit = self._choice.limit
@@ -75,7 +77,9 @@ class RunScenes:
             if not left:
                 return
             for part in row_slices(self._scenes.read([group])):
-                for row in part.slice(0, left).to_pylist():
+                rows = part.slice(0, left).to_pylist()
+                self._recent = {row["scene_id"]: row for row in rows}
+                for row in rows:
                     left -= 1
                     yield scene_from_row(row)
 
@@ -90,7 +94,15 @@ class RunScenes:
         Raises:
             SceneError: The scene was never settled, but settled poses are selected.
         """
-        return SceneGeometry.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
+        return SceneGeometry.of(scene, self.store, self.rest(scene))
+
+    def rest(self, scene: Scene) -> dict[str, RestPose] | None:
+        """The poses of a scene's objects after settling, by instance; None if the poses of the scene are selected."""
+        return None if self._settled is None else self._settled.of(scene.scene_id)
+
+    def recent_row(self, scene: Scene) -> Row | None:
+        """The row of one of the scenes that were read last; None for others, such as joined scenes."""
+        return self._recent.get(scene.scene_id)
 
     def _check_known(self) -> None:
         """Refuses scenes that the run does not have, or that the condition excludes."""
