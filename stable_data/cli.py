@@ -275,6 +275,9 @@ def query(
         from stable_data.simulation.run_reader import SceneSelection
 
         TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
+        if format_name == "lance":
+            _export_lance(folder, Path(to), SceneSelection(where))
+            return
         _export_scenes(folder, Path(to), format_name, SceneSelection(where), is_cached=True)
         return
     if to is None:
@@ -297,7 +300,8 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="Output format: mjcf, glb, mesatask, or original: the scene files that were imported, with the new poses.",
+            help="Output format: mjcf, glb, mesatask; lance: the rows as a Lance dataset; or original: the scene files that were "
+            "imported, with the new poses.",
         ),
     ],
     where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
@@ -326,6 +330,9 @@ def export(
         _export_originals(run, out, SceneSelection(where, tuple(scene or ()), limit), originals)
         return
     chosen = SceneSelection(where, tuple(scene or ()), limit, settled, join)
+    if format_name == "lance":
+        _export_lance(RunFolder(run), out, chosen)
+        return
     _export_scenes(RunFolder(run), out, format_name, chosen, is_cached=cached)
 
 
@@ -354,6 +361,15 @@ def _export_scenes(run: "RunFolder", out: Path, format_name: str, choice: "Scene
     )
     if result.failures:
         raise typer.Exit(SOME_FAILED)
+
+
+def _export_lance(run: "RunFolder", out: Path, choice: "SceneSelection") -> None:
+    from stable_data.storage.lance_table import LANCE_FOLDER, write_lance
+
+    if choice.settled or choice.joined:
+        raise ConfigError("--format lance writes the rows as they are; leave out --settled and --join", "usage")
+    count = write_lance(run, out, choice.where, choice.scene_ids, choice.limit)
+    typer.echo(f"{out}: {count} scenes in {LANCE_FOLDER}")
 
 
 def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: Path | None) -> None:
