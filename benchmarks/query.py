@@ -10,7 +10,6 @@ import argparse
 import json
 import multiprocessing
 import resource
-import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -48,19 +47,21 @@ class QueryFigure:
         task: What was done.
         way: ``index``, ``query``, or ``scan``: as it was done before.
         seconds: Its time: the median of repeated accesses.
+        cpu_seconds: The time of the processor, which other programs of the machine lengthen less; the median likewise.
         seconds_p99: 99th percentile of repeated accesses.
         peak_mb: Largest memory of the process, MB, with about 150 MB of the libraries.
         rows: Number of rows that were found.
-        ratio: Time of the scan divided by this time.
+        ratio: Time of the scan divided by this time; None: the scan was not measured.
     """
 
     task: str
     way: str
     seconds: float
+    cpu_seconds: float
     seconds_p99: float
     peak_mb: float
     rows: int
-    ratio: float
+    ratio: float | None
 
 
 def write_rows(source: RunFolder, target: RunFolder, num_rows: int) -> None:
@@ -121,15 +122,23 @@ def _names(run: str, count: int, seed: int) -> list[str]:
 
 def _repeated(access: Callable[[], object], times: int) -> Measured:
     seconds: list[float] = []
+    processor: list[float] = []
     for _ in range(times):
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), time.process_time()
         access()
         seconds.append(time.perf_counter() - start)
-    return {"seconds": float(np.median(seconds)), "seconds_p99": float(np.percentile(seconds, 99))}
+        processor.append(time.process_time() - cpu)
+    return {
+        "seconds": float(np.median(seconds)),
+        "cpu_seconds": float(np.median(processor)),
+        "seconds_p99": float(np.percentile(seconds, 99)),
+    }
 
 
 def build(run: str, folder: Path) -> Measured:
     """Makes the index."""
+    for path in folder.glob("*.index"):
+        path.unlink()
     measured = _repeated(lambda: SceneIndex(run, folder=folder), 1)
     index = SceneIndex(run, folder=folder)
     return measured | {"rows": len(index), "bytes": float(index.path.stat().st_size)}
@@ -255,8 +264,14 @@ TASKS: tuple[tuple[str, str, Task, Task | None], ...] = (
 )
 
 
-def measure(run: str, folder: Path) -> tuple[list[QueryFigure], Measured]:
-    """Measures all tasks, those of the scan too.
+def measure(run: str, folder: Path, words: list[str], *, with_scans: bool = True) -> tuple[list[QueryFigure], Measured]:
+    """Measures tasks, those of the scan too.
+
+    Args:
+        run: The large run.
+        folder: A folder for indexes and selections.
+        words: Only tasks whose names have one of these words; all if empty.
+        with_scans: Whether the ways before are measured.
 
     Returns:
         The figures; and rows, bytes of the table a row, and bytes of the index a row.
@@ -265,23 +280,31 @@ def measure(run: str, folder: Path) -> tuple[list[QueryFigure], Measured]:
     scans: dict[Task, Measured] = {}
     sizes: Measured = {}
 
-    def add(task: str, way: str, m: Measured, ratio: float) -> None:
-        p99 = round(m["seconds_p99"], 5)
-        figures.append(
-            QueryFigure(task, way, round(m["seconds"], 5), p99, round(m["peak_mb"]), int(m["rows"]), round(ratio, 1))
-        )
+    def add(task: str, way: str, m: Measured, ratio: float | None) -> None:
+        seconds, cpu, p99 = (round(m[name], 5) for name in ("seconds", "cpu_seconds", "seconds_p99"))
+        rounded = None if ratio is None else round(ratio, 1)
+        figure = QueryFigure(task, way, seconds, cpu, p99, round(m["peak_mb"]), int(m["rows"]), rounded)
+        figures.append(figure)
+        print(_line(figure), flush=True)
 
     for name, way, task, before in TASKS:
+        if words and not any(word in name for word in words):
+            continue
         found = alone(task, run, folder)
         if "bytes" in found:
             sizes["index_bytes"] = round(found["bytes"] / found["rows"], 1)
-        if before is not None and before not in scans:
+        if before is not None and with_scans and before not in scans:
             scans[before] = alone(before, run, folder)
             add(name.partition(",")[0], "scan", scans[before], 1.0)
-        add(name, way, found, 1.0 if before is None else scans[before]["seconds"] / found["seconds"])
+        add(name, way, found, scans[before]["seconds"] / found["seconds"] if before in scans else None)
     stamps = RunFolder(run).file_stamps("scenes")
     total = RunFolder(run).num_rows("scenes")
     return figures, {"rows": total, "files": len(stamps), "row_bytes": round(sum(s for _, s, _ in stamps) / total, 1)} | sizes
+
+
+def _line(f: QueryFigure) -> str:
+    times = f"{f.seconds:10.4f} {f.cpu_seconds:10.4f} {f.seconds_p99:10.4f}"
+    return f"{f.task:30} {f.way:6} {times} {f.peak_mb:8.0f} {f.rows:9} {'' if f.ratio is None else f'{f.ratio:7.1f}x'}"
 
 
 def main() -> None:
@@ -291,16 +314,15 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="folder for the large run")
     parser.add_argument("--rows", type=int, default=1_000_000, help="number of scenes")
     parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument("--tasks", nargs="*", default=[], help="only tasks whose names have one of these words")
+    parser.add_argument("--no-scans", action="store_true", help="leave out the ways before, which take minutes for many rows")
     arguments = parser.parse_args()
     large, indexes = arguments.folder / f"rows-{arguments.rows}", arguments.folder / "indexes"
     write_rows(RunFolder(arguments.run), RunFolder(str(large)), arguments.rows)
-    shutil.rmtree(indexes, ignore_errors=True)
-    indexes.mkdir()
-    figures, sizes = measure(str(large), indexes)
+    indexes.mkdir(exist_ok=True)
+    print(f"{'task':30} {'way':6} {'median s':>10} {'CPU s':>10} {'p99 s':>10} {'peak MB':>8} {'rows':>9} {'ratio':>8}")
+    figures, sizes = measure(str(large), indexes, arguments.tasks, with_scans=not arguments.no_scans)
     print(" · ".join(f"{name} {value:,}" for name, value in sizes.items()))
-    print(f"{'task':30} {'way':6} {'median s':>10} {'p99 s':>10} {'peak MB':>8} {'rows':>9} {'ratio':>8}")
-    for f in figures:
-        print(f"{f.task:30} {f.way:6} {f.seconds:10.4f} {f.seconds_p99:10.4f} {f.peak_mb:8.0f} {f.rows:9} {f.ratio:7.1f}x")
     if arguments.json:
         content: dict[str, Any] = {"sizes": sizes, "figures": [asdict(figure) for figure in figures]}
         arguments.json.write_text(json.dumps(content, indent=1) + "\n", "utf-8")

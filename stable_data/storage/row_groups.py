@@ -30,6 +30,7 @@ Places: TypeAlias = Mapping[str, Mapping[int, IntArray]]
 _REQUESTS = 16  # concurrent reads of an object store
 _ARRAYS = (pa.float16(), pa.float32(), pa.int32())  # element types of lists that become numpy arrays
 _SLICE_BYTES = 4 * 2**20
+_SCHEMA = b"ARROW:schema"  # metadata of a file: its schema as Arrow writes it
 _NUMBER = ".row"  # temporary column; no column of a table starts with a dot
 
 
@@ -191,7 +192,7 @@ class SchemaCheck:
 
     def __init__(self, table: str, expected: Sequence[pa.Field]) -> None:
         self._table, self._expected = table, expected
-        self._last: tuple[pq.ParquetSchema, dict[bytes, bytes], list[str]] | None = None
+        self._last: tuple[int, dict[bytes, bytes], list[str]] | None = None
 
     def missing(self, file: pq.ParquetFile, where: str) -> list[str]:
         """Returns the expected columns that a file lacks.
@@ -199,13 +200,14 @@ class SchemaCheck:
         Raises:
             ConfigError: As for :func:`stable_data.storage.schema_checks.check_schema`.
         """
-        last, metadata = self._last, file.metadata.metadata
-        if last is not None and last[0].equals(file.schema) and last[1] == metadata:
+        # Not file.schema: it and the footer refer to each other, so that the footers of all files would stay in memory.
+        last, num_leaves, metadata = self._last, file.metadata.num_columns, file.metadata.metadata or {}
+        if last is not None and _SCHEMA in metadata and last[:2] == (num_leaves, metadata):
             return last[2]
         schema = file.schema_arrow
         check_schema(schema, self._table, where)
         missing = missing_columns(schema, self._expected)
-        self._last = file.schema, metadata, missing  # one assignment: the threads that share this object see all of it
+        self._last = num_leaves, metadata, missing  # one assignment: the threads that share this object see all of it
         return missing
 
 

@@ -71,7 +71,7 @@ class SceneIndex:
         if not self._stamps:
             self._run.dataset(table)  # raises the error that describes the missing table
         self._check = SchemaCheck(table, SCHEMAS[table])
-        self._files, self._lock = OrderedDict[str, pq.ParquetFile](), Lock()
+        self._files, self._file_bytes, self._lock = OrderedDict[str, pq.ParquetFile](), 0, Lock()
         self._schemas: dict[tuple[str, ...] | None, pa.Schema] = {}  # of recent reads
         self._opened = self._open() or self._make()
         self._is_checked = False
@@ -232,16 +232,18 @@ class SceneIndex:
         """Opens a file for one thread; recently used files stay open, since a file with many row groups has a large footer."""
         with self._lock:
             file = self._files.pop(path, None)
+            self._file_bytes -= 0 if file is None else _size(file)
         if file is None:
             file = pq.ParquetFile(path, filesystem=self._run.filesystem, pre_buffer=not self._run.is_local)
             missing = self._check.missing(file, f"{self._run.uri}: {path}")
             warn_of_missing_columns(self._run.uri, self._table, missing)
         yield file
         with self._lock:
+            before = self._files.pop(path, None)  # of another thread
             self._files[path] = file
-            size = sum(int(one.metadata.serialized_size) for one in self._files.values())
-            while len(self._files) > 1 and size * _FOOTER_WEIGHT > _FOOTER_BYTES:
-                size -= int(self._files.popitem(last=False)[1].metadata.serialized_size)
+            self._file_bytes += 0 if before is not None else _size(file)
+            while len(self._files) > 1 and self._file_bytes > _FOOTER_BYTES:
+                self._file_bytes -= _size(self._files.popitem(last=False)[1])
 
     def _changed(self) -> ConfigError:
         return ConfigError(
@@ -430,9 +432,14 @@ class _Rows:
         return np.searchsorted(self.starts, rows, "right") - 1
 
 
+def _size(file: pq.ParquetFile) -> int:
+    """Memory of the footer of an open file, bytes."""
+    return _FOOTER_WEIGHT * int(file.metadata.serialized_size)
+
+
 def _narrow(order: IntArray) -> RowNumbers:
     return order.astype(np.uint32) if len(order) < 2**32 else order.astype(np.uint64)
 
 
 def _hashes(names: pa.Array | pa.ChunkedArray) -> Hashes:
-    return id_hashes(names)[:, 0]
+    return id_hashes(names)[:, 0].copy()  # not a view of both halves
