@@ -167,11 +167,11 @@ def one_anywhere(run: str, folder: Path) -> Measured:
 
 
 def many(run: str, folder: Path) -> Measured:
-    """Reads 256 random scenes at once."""
+    """Reads 256 random scenes at once, after 2,048 others of one open index."""
     index = SceneIndex(run, folder=folder)
-    index.scenes(_names(run, 256, 3))
-    draws = iter([_names(run, 256, seed) for seed in range(4, 9)])
-    return _repeated(lambda: index.scenes(next(draws)), 5) | {"rows": 256}
+    index.scenes(_names(run, 2048, 3))
+    draws = iter([_names(run, 256, seed) for seed in range(4, 13)])
+    return _repeated(lambda: index.scenes(next(draws)), 9) | {"rows": 256}
 
 
 def _scan_ids(run: str, names: list[str]) -> int:

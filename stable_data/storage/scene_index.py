@@ -40,7 +40,7 @@ _MAGIC = b"stable-data scene index 1".ljust(32)
 _HEADER = struct.Struct("<32s16s5Q")
 """Magic, fingerprint, rows, row groups, bytes of a row's number, and the checksums of the small and of the large arrays."""
 
-_FOOTER_BYTES = 256 * 2**20  # of the footers in memory
+_CACHE_BYTES = 2**30
 _FOOTER_WEIGHT = 10  # memory of a footer, relative to its bytes in a file
 _AT_ONCE = 16  # files that are read at the same time: an object store has a latency
 
@@ -57,16 +57,25 @@ class SceneIndex:
         uri: The run folder.
         table: A table with the column ``scene_id``, a row for each scene: ``scenes``, ``settled``, ``rejected``.
         folder: The folder of the indexes; None: that in the user's cache.
+        cache_bytes: Maximum memory of the footers of files that stay open, about 700 bytes a row; the last one stays open whatever
+            its size.
 
     Raises:
         ConfigError: The run has no such table, or the table has no scenes or cannot be read.
     """
 
-    def __init__(self, uri: Uri | RunFolder, table: str = "scenes", folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        uri: Uri | RunFolder,
+        table: str = "scenes",
+        folder: Path | None = None,
+        cache_bytes: int = _CACHE_BYTES,
+    ) -> None:
         self._run = uri if isinstance(uri, RunFolder) else RunFolder(uri)
         if table in SCHEMAS and "scene_id" not in SCHEMAS[table].names:
             raise ConfigError(f"table {table} has no column scene_id, expected a table of scenes", "column_unknown")
         self._table, self._folder = table, user_cache("scene_index") if folder is None else folder
+        self._cache_bytes = cache_bytes
         self._stamps = self._run.file_stamps(table)
         if not self._stamps:
             self._run.dataset(table)  # raises the error that describes the missing table
@@ -76,8 +85,8 @@ class SceneIndex:
         self._opened = self._open() or self._make()
         self._is_checked = False
 
-    def __reduce__(self) -> tuple[type["SceneIndex"], tuple[str, str, Path]]:
-        return type(self), (self._run.uri, self._table, self._folder)
+    def __reduce__(self) -> tuple[type["SceneIndex"], tuple[str, str, Path, int]]:
+        return type(self), (self._run.uri, self._table, self._folder, self._cache_bytes)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -242,7 +251,7 @@ class SceneIndex:
             before = self._files.pop(path, None)  # of another thread
             self._files[path] = file
             self._file_bytes += 0 if before is not None else _size(file)
-            while len(self._files) > 1 and self._file_bytes > _FOOTER_BYTES:
+            while len(self._files) > 1 and self._file_bytes > self._cache_bytes:
                 self._file_bytes -= _size(self._files.popitem(last=False)[1])
 
     def _changed(self) -> ConfigError:
