@@ -14,6 +14,7 @@ _MODULE_OF_NAME = {
     "MesaTaskDataset": "mesatask.dataset",
     "RunFolder": "storage.run_folder",
     "Scene": "scene",
+    "SceneIndex": "storage.scene_index",
     "SceneSelection": "simulation.run_reader",
     "TableDataset": "storage.torch_dataset",
     "TableStream": "storage.torch_dataset",

@@ -10,6 +10,7 @@ from stable_data.simulation.gym_env import make_env as make_env
 from stable_data.simulation.run_reader import SceneSelection as SceneSelection
 from stable_data.storage.filter_expression import parse_filter as parse_filter
 from stable_data.storage.run_folder import RunFolder as RunFolder
+from stable_data.storage.scene_index import SceneIndex as SceneIndex
 from stable_data.storage.table_rows import scene_from_row as scene_from_row
 from stable_data.storage.torch_dataset import TableDataset as TableDataset
 from stable_data.storage.torch_dataset import TableStream as TableStream
@@ -21,6 +22,7 @@ __all__ = [
     "MesaTaskDataset",
     "RunFolder",
     "Scene",
+    "SceneIndex",
     "SceneSelection",
     "TableDataset",
     "TableStream",

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from stable_data.embedded_world import EmbeddedWorld
     from stable_data.simulation.run_reader import SceneSelection
+    from stable_data.storage.run_folder import RunFolder
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -253,22 +254,38 @@ def query(
         str, typer.Argument(metavar="WHERE", help='Condition on scenes, for example "clean and num_stacked >= 2".')
     ],
     to: Annotated[str | None, typer.Option(help="Folder or URI for a run of the selected scenes and their assets.")] = None,
+    format_name: Annotated[
+        str | None,
+        typer.Option("--format", help="With --to: write the scenes as export --cached does, in one of its formats."),
+    ] = None,
 ) -> None:
-    """Count the scenes of a run that satisfy a condition, or write them to a new run.
+    """Count the scenes of a run that satisfy a condition, or write them to a new run or as files of another format.
 
     Conditions compare columns of the table scenes with constants and are joined by and, or and not. An unknown value satisfies
     only is None: "aws is None or aws >= 1".
     """
     from stable_data.storage.run_folder import RunFolder
     from stable_data.storage.subset import count_selected, select
+    from stable_data.storage.table_scan import TableScan
 
     folder = RunFolder(run)
+    if format_name is not None:
+        if to is None:
+            raise ConfigError("--format needs a folder for the files; name it with --to", "usage")
+        from stable_data.simulation.run_reader import SceneSelection
+
+        TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
+        if format_name == "lance":
+            _export_lance(folder, Path(to), SceneSelection(where))
+            return
+        _export_scenes(folder, Path(to), format_name, SceneSelection(where), is_cached=True)
+        return
     if to is None:
         found, total = count_selected(folder, where)
         typer.echo(f"{run}: {found} of {total} scenes")
         return
     target = RunFolder(to)
-    count_selected(folder, where)  # refuses an invalid condition before anything is written
+    TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
     with target.locked():
         counts = select(folder, where, target)
     typer.echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
@@ -283,7 +300,8 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="Output format: mjcf, usd, glb, mesatask, or original: the scene files that were imported, with the new poses.",
+            help="Output format: mjcf, usd, glb, mesatask; lance: the rows as a Lance dataset; or original: the scene files that were "
+            "imported, with the new poses.",
         ),
     ],
     flavour: Annotated[str | None, typer.Option(help="Variant of the format for one consumer; usd has isaaclab.")] = None,
@@ -296,14 +314,14 @@ def export(
     settled: Annotated[bool, typer.Option(help="Use the poses after the simulation in MuJoCo (table settled).")] = False,
     join: Annotated[bool, typer.Option(help="Export the scenes on one piece of furniture as one scene, others not.")] = False,
     originals: Annotated[Path | None, typer.Option(help="Folder of the scene files, for the format original.")] = None,
+    cached: Annotated[
+        bool, typer.Option("--cached", help="Copy scenes that did not change from the user's cache, and add others to it.")
+    ] = False,
 ) -> None:
     """Export scenes of a run to another format, with all files that they need.
 
     Status 0: done. 1: some scenes could not be exported; they are listed. 2: could not start.
     """
-    from tqdm import tqdm
-
-    from stable_data.export.exporter import export_run
     from stable_data.simulation.run_reader import SceneSelection
     from stable_data.storage.run_folder import RunFolder
 
@@ -314,6 +332,19 @@ def export(
             raise ConfigError("--join makes new scenes, which original does not know; leave it out", "usage")
         _export_originals(run, out, SceneSelection(where, tuple(scene or ()), limit), originals)
         return
+    chosen = SceneSelection(where, tuple(scene or ()), limit, settled, join)
+    if format_name == "lance":
+        _export_lance(RunFolder(run), out, chosen)
+        return
+    _export_scenes(RunFolder(run), out, format_name, chosen, is_cached=cached)
+
+
+def _export_scenes(run: "RunFolder", out: Path, format_name: str, choice: "SceneSelection", *, is_cached: bool) -> None:
+    """Exports scenes, prints what was done, and exits with status 1 if some could not be exported."""
+    from tqdm import tqdm
+
+    from stable_data.export.exporter import export_run
+
     with tqdm(desc="export", unit="scene", disable=None) as bar:
 
         def show(done: int, total: int, num_failed: int) -> None:
@@ -321,18 +352,27 @@ def export(
             bar.update(done - bar.n)
             bar.set_postfix_str(f"{num_failed} failed" if num_failed else "", refresh=False)
 
-        chosen = SceneSelection(where, tuple(scene or ()), limit, settled, join)
-        result = export_run(RunFolder(run), out, format_name, chosen, show)
+        result = export_run(run, out, format_name, choice, show, is_cached=is_cached)
     for line in result.failures:
         typer.echo(f"not exported: {line}", err=True)
     typer.echo(
         f"{out}: {result.num_written + result.num_existing} of {result.total} scenes as {format_name}, "
         f"{result.num_existing} of them existed already; "
-        "README.md explains how to open them"
+        + (f"{result.num_cached} were copied from the cache; " if is_cached else "")
+        + "README.md explains how to open them"
         + (f"; {result.num_boxes} objects have no mesh and are boxes" if result.num_boxes else "")
     )
     if result.failures:
         raise typer.Exit(SOME_FAILED)
+
+
+def _export_lance(run: "RunFolder", out: Path, choice: "SceneSelection") -> None:
+    from stable_data.storage.lance_table import LANCE_FOLDER, write_lance
+
+    if choice.settled or choice.joined:
+        raise ConfigError("--format lance writes the rows as they are; leave out --settled and --join", "usage")
+    count = write_lance(run, out, choice.where, choice.scene_ids, choice.limit)
+    typer.echo(f"{out}: {count} scenes in {LANCE_FOLDER}")
 
 
 def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: Path | None) -> None:

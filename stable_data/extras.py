@@ -6,6 +6,7 @@ EXTRA_OF_MODULE = {
     **dict.fromkeys(("collada", "pxr"), "geometry,sim,import"),
     "gymnasium": "geometry,sim,env",
     "viser": "geometry,sim,view",
+    "lance": "lance",
     "torch": "torch",
     **dict.fromkeys(("peft", "safetensors", "tensorboard", "transformers"), "geometry,models"),
     **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),

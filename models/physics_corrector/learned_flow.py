@@ -25,7 +25,7 @@ from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from models.point_encoder.shape_codes import ShapeCodes
 from models.text_encoder import load_default as load_text_encoder
 from stable_data.assets.text_embeddings import TextEncoder
-from stable_data.assets.user_cache import user_cache
+from stable_data.cache_folder import user_cache
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import Scene

@@ -15,7 +15,7 @@ from pipelines.preprocess.scene import SceneSettings, origin_of, prepare_scene
 from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetSource, AssetStore
-from stable_data.assets.user_cache import user_cache
+from stable_data.cache_folder import user_cache
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.geometry.shape import Shape

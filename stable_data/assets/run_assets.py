@@ -3,7 +3,7 @@
 import hashlib
 import weakref
 from collections import OrderedDict
-from collections.abc import Collection, Iterator, Mapping, Set
+from collections.abc import Collection, Iterator, Mapping, Sequence, Set
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,6 +16,7 @@ from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.physics import IS_WEIGHED, PHYSICS_COLUMNS, AssetPhysics, physics_of_row
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
+from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, MeshError, cannot_write
 from stable_data.geometry.gltf_reader import load_surfaces, texture_addresses
 from stable_data.geometry.mesh import Mesh
@@ -24,6 +25,9 @@ from stable_data.json_text import quote_value
 from stable_data.storage.row_groups import TableFiles, rows_from_table
 from stable_data.storage.run_folder import RunFolder, Uri
 from stable_data.storage.schemas import SCHEMAS, Row
+
+_UNSEEN = ("points", "normals", "text_embedding", "sentence_embedding")
+"""Large columns of ``assets`` that no file of a scene depends on."""
 
 _TEXTURE_BYTES = 64 * 2**20  # of recent images in memory
 
@@ -47,6 +51,7 @@ class RowsOfAssets:
         self._group_of = _groups(run, table) if group_of is None else group_of
         self._files = TableFiles(run.uri, table, [name for name in SCHEMAS[table].names if name not in without])
         self._read: tuple[int, pa.Table] | None = None
+        self._fingerprints: dict[str, tuple[str, Sequence[str]]] = {}
 
     def row(self, asset_id: str) -> Row | None:
         """Returns the row of an asset; None if it has none.
@@ -56,11 +61,36 @@ class RowsOfAssets:
         """
         if asset_id not in self._group_of:
             return None
-        group = self._group_of[asset_id]
+        rows = self._rows_of(self._group_of[asset_id])
+        return rows_from_table(rows.filter(pc.equal(rows["asset_id"], asset_id)).slice(0, 1))[0]
+
+    def fingerprint(self, asset_id: str) -> tuple[str, Sequence[str]]:
+        """Returns a hash of the row of an asset, empty if it has none, and the images that its look names.
+
+        All rows of its row group are hashed at once.
+
+        Raises:
+            ConfigError: As :meth:`row`.
+        """
+        if asset_id in self._group_of and asset_id not in self._fingerprints:
+            rows = self._rows_of(self._group_of[asset_id])
+            for k, name in enumerate(rows["asset_id"].to_pylist()):
+                look = rows["look"][k].as_py() if "look" in rows.column_names else None
+                self._fingerprints.setdefault(name, (_content_hash(rows.take([k])), tuple(texture_addresses(look))))
+        return self._fingerprints.get(asset_id, ("", ()))
+
+    def _rows_of(self, group: int) -> pa.Table:
         if self._read is None or self._read[0] != group:
             self._read = group, self._files.read([group])
-        rows = self._read[1]
-        return rows_from_table(rows.filter(pc.equal(rows["asset_id"], asset_id)).slice(0, 1))[0]
+        return self._read[1]
+
+
+def _content_hash(rows: pa.Table) -> str:
+    """A hash of rows and of the names and types of their columns."""
+    sink, plain = pa.BufferOutputStream(), rows.replace_schema_metadata(None)
+    with pa.ipc.new_stream(sink, plain.schema) as stream:
+        stream.write_table(plain)
+    return hashlib.sha256(sink.getvalue()).hexdigest()
 
 
 def _groups(run: RunFolder, table: str) -> dict[str, int]:
@@ -189,6 +219,22 @@ class RunAssets:
         row = self._rows.row(asset_id)
         names = () if row is None else texture_addresses(row["look"])
         return [found for name in names if (found := self._textures.row(name)) is not None]
+
+    def fingerprint(self, asset_id: str) -> str:
+        """Returns a hash of the rows of an asset in ``assets`` and ``meshes``, with the images that its look names.
+
+        Raises:
+            ConfigError: A table can no longer be read.
+        """
+        content, images = self._rows.fingerprint(asset_id)
+        described = "" if self._described is None else self._described.fingerprint(asset_id)[0]
+        known = [name for name in images if self._textures.row(name) is not None]  # a look without its image is not shown
+        return content_id(content, described, known)
+
+    @cached_property
+    def _described(self) -> RowsOfAssets | None:
+        run = RunFolder(self._uri)  # not that of a process before a fork
+        return RowsOfAssets(run, "assets", _UNSEEN) if run.files("assets") else None
 
     def row(self, asset_id: str) -> Row | None:
         """Returns the row of an asset in the table ``meshes``; None if it has none.

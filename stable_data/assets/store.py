@@ -82,6 +82,15 @@ class LookSource(Protocol):
         ...
 
 
+@runtime_checkable
+class FingerprintSource(Protocol):
+    """A source that knows the content of its assets without reading their geometry, such as the tables of a run."""
+
+    def fingerprint(self, asset_id: str) -> str:
+        """Returns a hash of all that the source has of an asset; equal content gives an equal hash."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class AssetMesh:
     """A mesh that was read and repaired.
@@ -134,6 +143,7 @@ class AssetStore:
         self._looks: _Cache[str, tuple[tuple[Surface, ...] | None, tuple[Notice, ...]]] = _Cache(max_bytes)
         self._faults: dict[str, str | None] = {}
         self._physics: dict[str, AssetPhysics | None] = {}
+        self._fingerprints: dict[str, str | None] = {}
 
     def asset(self, asset_id: str) -> AssetMesh:
         """Returns the repaired mesh of an asset.
@@ -179,6 +189,13 @@ class AssetStore:
         if asset_id not in self._physics:
             self._physics[asset_id] = self._source.physics(asset_id) if isinstance(self._source, PhysicsSource) else None
         return self._physics[asset_id]
+
+    def fingerprint(self, asset_id: str) -> str | None:
+        """Returns a hash of all that is known of an asset from a :class:`FingerprintSource`; None if it is not known."""
+        if asset_id not in self._fingerprints:
+            source = self._source
+            self._fingerprints[asset_id] = source.fingerprint(asset_id) if isinstance(source, FingerprintSource) else None
+        return self._fingerprints[asset_id]
 
     def shape(self, o: SceneObject) -> tuple[Shape, tuple[Notice, ...]]:
         """Returns the geometry of an object at its scale and tilt.

@@ -6,7 +6,6 @@ arrays are computed again; a disk that is full or read-only costs time, never a 
 
 import hashlib
 import io
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -21,11 +20,6 @@ import numpy.typing as npt
 from stable_data.atomic_files import write_file_atomically
 
 Arrays = Mapping[str, npt.NDArray[Any]]
-
-
-def user_cache(name: str) -> Path:
-    """The folder of a kind of file: ``stable-data/NAME`` in ``XDG_CACHE_HOME`` or ``~/.cache``."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / name
 
 
 class ArrayFiles:

@@ -19,6 +19,7 @@ from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, StableDataError, cannot_write
 from stable_data.export.formats import ExportFormat, format_named
+from stable_data.export.scene_cache import SceneCache
 from stable_data.mesatask import write_annotations
 from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.scene import Scene
@@ -42,12 +43,14 @@ class ExportResult:
         num_existing: Scenes that existed already.
         num_boxes: Objects of the written scenes without a mesh, exported as boxes.
         failures: A line for each scene that could not be exported.
+        num_cached: Written scenes whose files an earlier export had made.
     """
 
     num_written: int
     num_existing: int
     num_boxes: int
     failures: tuple[str, ...]
+    num_cached: int = 0
 
     @property
     def total(self) -> int:
@@ -55,7 +58,15 @@ class ExportResult:
         return self.num_written + self.num_existing + len(self.failures)
 
 
-def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, progress: Progress | None = None) -> ExportResult:
+def export_run(
+    run: RunFolder,
+    out: Path,
+    name: str,
+    choice: SceneSelection,
+    progress: Progress | None = None,
+    *,
+    is_cached: bool = False,
+) -> ExportResult:
     """Writes scenes of a run in another format; run again, it writes the missing scenes.
 
     The folder also gets README.md, ATTRIBUTION.md, Asset_annotation.json with category, licence and source of every asset in use,
@@ -67,6 +78,8 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
         name: Name of the format, see :data:`stable_data.export.formats.FORMATS`.
         choice: Selection of the scenes.
         progress: Called after every scene.
+        is_cached: Scenes that an earlier cached export of any run made, and that did not change, are copied from the user's cache
+            (:class:`stable_data.export.scene_cache.SceneCache`); others are added to it.
 
     Raises:
         ConfigError: The export cannot start: the format, a table or a scene is not known, no scene is selected, or the folder
@@ -89,7 +102,8 @@ def export_run(run: RunFolder, out: Path, name: str, choice: SceneSelection, pro
         _check_same(target, run, name, choice)
         try:
             shown = scenes.rows() if pieces is None else pieces
-            return _export(scenes, shown, total, annotations, out, chosen, progress)
+            cache = SceneCache(name, chosen, scenes.store) if is_cached else None
+            return _export(scenes, shown, total, annotations, out, chosen, progress, cache)
         except OSError as error:
             raise cannot_write(str(out), error) from error
 
@@ -120,8 +134,9 @@ def _export(
     out: Path,
     chosen: ExportFormat,
     progress: Progress | None,
+    cache: SceneCache | None,
 ) -> ExportResult:
-    written, existing, boxes, failures, used = 0, 0, 0, list[str](), set[str]()
+    written, existing, cached, boxes, failures, used = 0, 0, 0, 0, list[str](), set[str]()
     for item in shown:
         name = item["scene_id"] if isinstance(item, dict) else _piece_of(item)
         try:
@@ -129,10 +144,8 @@ def _export(
             if chosen.scene_path(scene, out).exists():
                 existing += 1
             else:
-                geometry = scenes.geometry(scene, row)
-                chosen.export_scene(geometry, out)
-                written += 1
-                boxes += sum(mesh is None and geometry.is_seen(k) for k, mesh in enumerate(geometry.meshes))
+                is_old, num_boxes = _write_scene(scenes, scene, row, out, chosen, cache)
+                written, cached, boxes = written + 1, cached + is_old, boxes + num_boxes
             # Assets of existing scenes too: the list of licences covers the whole folder.
             support = None if scene.frame is None else scene.frame.asset_id  # the fixed objects are parts of it
             own = scene.objects if support is None else scene.movable
@@ -151,7 +164,28 @@ def _export(
     assets = [annotations[asset_id] for asset_id in sorted(used)]
     write_file_atomically(out / "README.md", _readme(chosen, written + existing, assets).encode())
     write_file_atomically(out / ATTRIBUTION_FILE, _attribution(assets).encode())
-    return ExportResult(written, existing, boxes, tuple(failures))
+    return ExportResult(written, existing, boxes, tuple(failures), cached)
+
+
+def _write_scene(
+    scenes: RunScenes, scene: Scene, row: Row | None, out: Path, chosen: ExportFormat, cache: SceneCache | None
+) -> tuple[bool, int]:
+    """Writes a scene with its row; returns whether its files were in the cache, and its number of objects that are boxes."""
+
+    def export(folder: Path) -> int:
+        geometry = scenes.geometry(scene, row)
+        chosen.export_scene(geometry, folder)
+        return sum(mesh is None and geometry.is_seen(k) for k, mesh in enumerate(geometry.meshes))
+
+    key = None if cache is None else cache.key(scene, row, scenes.rest(scene))
+    if cache is None or key is None:
+        return False, export(out)
+    found = cache.place(key, out)
+    if found is not None:
+        return True, found.num_boxes
+    cache.make(key, scene, export)
+    found = cache.place(key, out)
+    return False, export(out) if found is None else found.num_boxes
 
 
 def _line(scene_id: str, message: str) -> str:

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.assets.store import AssetStore
-from stable_data.assets.user_cache import ArrayFiles, array_key, user_cache
+from stable_data.assets.user_cache import ArrayFiles, array_key
+from stable_data.cache_folder import user_cache
 from stable_data.geometry import convex_decomposition
 from stable_data.geometry.convex_decomposition import ConvexPart, collider_parts
 from stable_data.geometry.mass_properties import mass_properties

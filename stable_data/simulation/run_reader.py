@@ -17,6 +17,7 @@ from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
 from stable_data.storage.row_groups import TableFiles, row_slices
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.scene_index import SceneIndex
 from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import scene_from_row
 
@@ -44,13 +45,6 @@ class SceneSelection:
     settled: bool = False
     joined: bool = False
 
-    @property
-    def condition(self) -> str | None:
-        """The condition that combines ``where`` and ``scene_ids``."""
-        where = f"({self.where})" if self.where else None
-        ids = f"scene_id in {sorted(self.scene_ids)!r}" if self.scene_ids else None
-        return " and ".join(filter(None, (where, ids))) or None
-
 
 class RunScenes:
     """The scenes of a run with their geometry, read on demand; at most one row group of each table is in memory.
@@ -70,17 +64,19 @@ class RunScenes:
 
     def __init__(self, run: RunFolder, choice: SceneSelection = SceneSelection(), store: AssetStore | None = None) -> None:
         _check_tables(run, settled=choice.settled)
-        self._scenes = TableFiles(run.uri, "scenes", None, where=choice.condition)
-        self._uri, self._condition, self._limit = run.uri, choice.condition, choice.limit
+        places = SceneIndex(run).places(choice.scene_ids) if choice.scene_ids else None
+        self._scenes = TableFiles(run.uri, "scenes", None, where=choice.where, places=places)
+        self._uri, self._choice, self._places = run.uri, choice, places
         if choice.scene_ids:
-            _check_known(run, choice)
+            self._check_known()
         self.store = store or run_store(run.uri)
         self._run = run
         self._settled = SettledPoses(run) if choice.settled else None
         self._read: tuple[int, pa.Table] | None = None
 
     def __len__(self) -> int:
-        return len(self._scenes) if self._limit is None else min(len(self._scenes), self._limit)
+        limit = self._choice.limit
+        return len(self._scenes) if limit is None else min(len(self._scenes), limit)
 
     def __iter__(self) -> Iterator[Scene]:
         """The scenes, in the order of the run's files."""
@@ -123,8 +119,8 @@ class RunScenes:
             ConfigError: The scene is not one of the selected ones (``scene_unknown``).
         """
         place = {(group.path, group.index): k for k, group in enumerate(self._scenes.groups)}
-        condition = SceneSelection(self._condition, (scene_id,)).condition
-        for group in TableFiles(self._uri, "scenes", ["scene_id"], where=condition).groups:
+        places = SceneIndex(self._uri).places([scene_id])
+        for group in TableFiles(self._uri, "scenes", ["scene_id"], where=self._choice.where, places=places).groups:
             k = place[group.path, group.index]
             chosen, row = self._scenes.groups[k].chosen, 0 if group.chosen is None else int(group.chosen[0])
             number = int(self._scenes.starts[k]) + (row if chosen is None else int(np.searchsorted(chosen, row)))
@@ -135,8 +131,8 @@ class RunScenes:
 
     def pieces(self) -> "ScenePieces":
         """The scenes that stand on supports, together for each piece."""
-        surfaces = TableFiles(self._uri, "scenes", ["surface"], where=self._condition)
-        return ScenePieces(self._scenes, surfaces, self._limit)
+        surfaces = TableFiles(self._uri, "scenes", ["surface"], where=self._choice.where, places=self._places)
+        return ScenePieces(self._scenes, surfaces, self._choice.limit)
 
     def geometry(self, scene: Scene, row: Row | None = None) -> SceneGeometry:
         """Returns one of the scenes with its geometry.
@@ -148,14 +144,30 @@ class RunScenes:
         Raises:
             SceneError: The scene was never settled, but settled poses are selected.
         """
-        geometry = SceneGeometry.of(scene, self.store, None if self._settled is None else self._settled.of(scene.scene_id))
         verdicts = {} if row is None else {name: row[name] for name in _CARD}
-        return replace(geometry, annotations=self.annotations, verdicts=verdicts)
+        return replace(SceneGeometry.of(scene, self.store, self.rest(scene)), annotations=self.annotations, verdicts=verdicts)
 
     @cached_property
     def annotations(self) -> Mapping[str, AssetAnnotation]:
         """What is known of the assets of the run, by id."""
         return run_annotations(self._run)
+
+    def rest(self, scene: Scene) -> dict[str, RestPose] | None:
+        """The poses of a scene's objects after settling, by instance; None if the poses of the scene are selected."""
+        return None if self._settled is None else self._settled.of(scene.scene_id)
+
+    def _check_known(self) -> None:
+        """Refuses scenes that the run does not have, or that the condition excludes."""
+        choice = self._choice
+        ids = TableFiles(self._uri, "scenes", ["scene_id"], where=choice.where, places=self._places)
+        found = {name for group in range(len(ids.groups)) for name in ids.read([group])["scene_id"].to_pylist()}
+        missing = sorted(set(choice.scene_ids) - found)
+        if missing:
+            condition = f" where {choice.where}" if choice.where else ""
+            raise ConfigError(
+                f"{self._uri}: the run has no scenes {missing[:5]}{condition}, expected ids of its table scenes",
+                "scene_unknown",
+            )
 
 
 class ScenePieces:
@@ -195,23 +207,12 @@ class SettledPoses:
     """The table ``settled`` of a run, read on demand."""
 
     def __init__(self, run: RunFolder) -> None:
-        ids = TableFiles(run.uri, "settled", ["scene_id"])  # poses are read later, by row group
-        self._rows = TableFiles(run.uri, "settled", None)
-        self._place = {
-            name: (group, row)
-            for group in range(len(ids.groups))
-            for row, name in enumerate(ids.read([group])["scene_id"].to_pylist())
-        }
-        self._read: tuple[int, pa.Table] | None = None
+        self._index = SceneIndex(run, "settled")
 
     def of(self, scene_id: str) -> dict[str, RestPose]:
         """The poses of a scene's objects after settling, by instance; empty if it was never settled."""
-        if scene_id not in self._place:
-            return {}
-        group, row = self._place[scene_id]
-        if self._read is None or self._read[0] != group:
-            self._read = group, self._rows.read([group])
-        poses = self._read[1]["poses"][row].as_py()
+        row = self._index.row(scene_id, ["poses"])
+        poses = () if row is None else row["poses"]
         return {pose["instance"]: (tuple(pose["position"]), tuple(pose["quat_xyzw"])) for pose in poses}
 
 
@@ -228,16 +229,4 @@ def _check_tables(run: RunFolder, *, settled: bool = False) -> None:
             f"{run.uri}: the run stores no settled poses, expected rows of the table settled; "
             "generate with --set keep_settled=true, or export the scenes without --settled",
             "table_missing",
-        )
-
-
-def _check_known(run: RunFolder, choice: SceneSelection) -> None:
-    """Refuses scenes that the run does not have, or that the condition excludes."""
-    ids = TableFiles(run.uri, "scenes", ["scene_id"], where=choice.condition)
-    found = {name for group in range(len(ids.groups)) for name in ids.read([group])["scene_id"].to_pylist()}
-    missing = sorted(set(choice.scene_ids) - found)
-    if missing:
-        condition = f" where {choice.where}" if choice.where else ""
-        raise ConfigError(
-            f"{run.uri}: the run has no scenes {missing[:5]}{condition}, expected ids of its table scenes", "scene_unknown"
         )

@@ -1,11 +1,11 @@
 """The row groups of a table of one or several runs: listed once, then read one by one, also in worker processes."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import groupby, pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -24,9 +24,13 @@ from stable_data.storage.schemas import SCHEMAS, Row
 SPLITS = ("train", "validation", "test", "unseen")
 """The values of the column ``split``."""
 
+Places: TypeAlias = Mapping[str, Mapping[int, IntArray]]
+"""Path of a file -> number of a row group -> rows of the row group, ascending, (N,) int64."""
+
 _REQUESTS = 16  # concurrent reads of an object store
 _ARRAYS = (pa.float16(), pa.float32(), pa.int32())  # element types of lists that become numpy arrays
 _SLICE_BYTES = 4 * 2**20
+_SCHEMA = b"ARROW:schema"  # metadata of a file: its schema as Arrow writes it
 _NUMBER = ".row"  # temporary column; no column of a table starts with a dot
 
 
@@ -63,6 +67,7 @@ class TableFiles:
         split: Split of the rows, or None for all rows. Other rows are removed before decoding.
         where: Condition on the rows (:mod:`stable_data.storage.filter_expression`), or None for all rows. Other rows are
             removed before decoding, and row groups that the statistics of the files exclude are not opened.
+        places: Only these rows (:meth:`stable_data.storage.scene_index.SceneIndex.places`) of the only run; None: all.
 
     Attributes:
         uri: The run folder, or all run folders in one string.
@@ -83,6 +88,7 @@ class TableFiles:
         leaves: Sequence[str] | None,
         split: str | None = None,
         where: str | None = None,
+        places: Places | None = None,
     ) -> None:
         _check_split(table, split)
         self._uris = [os.fspath(one) for one in ([uri] if isinstance(uri, str | os.PathLike) else uri)]
@@ -90,14 +96,16 @@ class TableFiles:
         self._table = table
         self._leaves = None if leaves is None else list(leaves)
         self._folders, self._process = [RunFolder(uri) for uri in self._uris], os.getpid()
-        places = {folder.root if folder.is_local else folder.uri for folder in self._folders}
-        if not places or len(places) < len(self._folders):
+        roots = {folder.root if folder.is_local else folder.uri for folder in self._folders}
+        if not roots or len(roots) < len(self._folders):
             raise ConfigError(f"runs are [{self.uri}], expected at least one run and no duplicates", "runs_invalid")
         paths = [(run, path) for run, folder in enumerate(self._folders) for path in self._paths(folder)]
-        self._schema = leaf_schema(SCHEMAS[table], leaves)
+        if places is not None:
+            paths = [(run, path) for run, path in paths if path in places]
+        self._schema, self._places = leaf_schema(SCHEMAS[table], leaves), places
         query = self._query()  # once, before the threads: concurrent parsing in Python 3.11 may fail
         expected = [*self._schema, *(SCHEMAS[table].field(name) for name in (query.columns if query else ()))]
-        check = _SchemaCheck(table, expected)
+        check = SchemaCheck(table, expected)
         with ThreadPoolExecutor(_REQUESTS) as pool:
             listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query, check), paths))
         self.groups = [group for groups, _ in listed for group in groups]
@@ -149,15 +157,21 @@ class TableFiles:
         return paths
 
     def _list_groups(
-        self, run: int, path: str, query: FilterExpression | None, check: "_SchemaCheck"
+        self, run: int, path: str, query: FilterExpression | None, check: "SchemaCheck"
     ) -> tuple[list[RowGroup], list[str]]:
         """Lists the row groups of a file that have selected rows, and the requested columns that it lacks."""
         folder, schema = self._folders[run], SCHEMAS[self._table]
         try:
-            with pq.ParquetFile(path, filesystem=folder.filesystem) as file:
+            fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
+            with pq.ParquetFile(path, filesystem=folder.filesystem, metadata=fragment.metadata) as file:
                 missing = check.missing(file, f"{folder.uri}: {path}")
-                possible = range(file.num_row_groups) if query is None else _possible(query, path, schema, folder)
-                groups = [_row_group(run, path, file, index, query, schema) for index in possible]
+                possible = range(file.num_row_groups) if query is None else possible_groups(fragment, query, schema)
+                rows = None if self._places is None else self._places[path]
+                groups = [
+                    _row_group(run, path, file, index, query, schema, None if rows is None else rows[index])
+                    for index in possible
+                    if rows is None or index in rows
+                ]
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(folder.uri, path, error) from error
         return [group for group in groups if group.num_rows], missing
@@ -170,7 +184,7 @@ class TableFiles:
         return parse_filter(" and ".join(parts), SCHEMAS[self._table]) if parts else None
 
 
-class _SchemaCheck:
+class SchemaCheck:
     """Checks the files of a table against its schema; a schema that the file before has is not checked again.
 
     The files of a run nearly always have one schema, and its conversion to Arrow takes as long as opening a small file.
@@ -178,7 +192,7 @@ class _SchemaCheck:
 
     def __init__(self, table: str, expected: Sequence[pa.Field]) -> None:
         self._table, self._expected = table, expected
-        self._last: tuple[pq.ParquetSchema, dict[bytes, bytes], list[str]] | None = None
+        self._last: tuple[int, dict[bytes, bytes], list[str]] | None = None
 
     def missing(self, file: pq.ParquetFile, where: str) -> list[str]:
         """Returns the expected columns that a file lacks.
@@ -186,34 +200,51 @@ class _SchemaCheck:
         Raises:
             ConfigError: As for :func:`stable_data.storage.schema_checks.check_schema`.
         """
-        last, metadata = self._last, file.metadata.metadata
-        if last is not None and last[0].equals(file.schema) and last[1] == metadata:
+        # Not file.schema: it and the footer refer to each other, so that the footers of all files would stay in memory.
+        last, num_leaves, metadata = self._last, file.metadata.num_columns, file.metadata.metadata or {}
+        if last is not None and _SCHEMA in metadata and last[:2] == (num_leaves, metadata):
             return last[2]
         schema = file.schema_arrow
         check_schema(schema, self._table, where)
         missing = missing_columns(schema, self._expected)
-        self._last = file.schema, metadata, missing  # one assignment: the threads that share this object see all of it
+        self._last = num_leaves, metadata, missing  # one assignment: the threads that share this object see all of it
         return missing
 
 
-def _possible(query: FilterExpression, path: str, schema: pa.Schema, folder: RunFolder) -> list[int]:
+def possible_groups(fragment: ds.ParquetFileFragment, query: FilterExpression, schema: pa.Schema) -> list[int]:
     """Returns the row groups of a file that its statistics do not exclude."""
-    fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
     return [group.id for group in fragment.subset(query.expression, schema=schema).row_groups]
 
 
 def _row_group(
-    run: int, path: str, file: pq.ParquetFile, index: int, query: FilterExpression | None, schema: pa.Schema
+    run: int,
+    path: str,
+    file: pq.ParquetFile,
+    index: int,
+    query: FilterExpression | None,
+    schema: pa.Schema,
+    rows: IntArray | None,
 ) -> RowGroup:
     footer = file.metadata.row_group(index)
     if query is None:
-        return RowGroup(run, path, index, footer.num_rows, footer.total_byte_size)
-    columns = conform_to_schema(
-        read_row_groups(file, path, [index], list(query.columns)), pa.schema([schema.field(name) for name in query.columns])
-    )
-    numbers = pa.array(np.arange(footer.num_rows))
-    chosen = query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy()
+        return RowGroup(run, path, index, footer.num_rows if rows is None else len(rows), footer.total_byte_size, rows)
+    chosen = chosen_rows(file, path, [index], query, schema)
+    chosen = chosen if rows is None else np.intersect1d(rows, chosen, assume_unique=True)
     return RowGroup(run, path, index, len(chosen), footer.total_byte_size, chosen)
+
+
+def chosen_rows(file: pq.ParquetFile, path: str, groups: Sequence[int], query: FilterExpression, schema: pa.Schema) -> IntArray:
+    """Returns the rows of some row groups that pass a condition, (N,) int64, counted from the first row of the first one.
+
+    Raises:
+        ConfigError: The columns of the condition need too much memory.
+    """
+    columns = conform_to_schema(
+        read_row_groups(file, path, groups, list(query.columns), use_threads=False),
+        pa.schema([schema.field(name) for name in query.columns]),
+    )
+    numbers = pa.array(np.arange(columns.num_rows))
+    return np.asarray(query.rows(columns.append_column(_NUMBER, numbers))[_NUMBER].to_numpy(), np.int64)
 
 
 def leaf_schema(schema: pa.Schema, leaves: Sequence[str] | None) -> pa.Schema:

@@ -42,6 +42,8 @@ MAX_DECODED = 2**30
 """Maximum memory for the decoded content of one file, bytes: ten times the content of a file that this module writes."""
 
 _ROW_GROUP = 1024
+_GROUP_ROWS = {"scenes": 128, "settled": 128}  # of tables that are read by scene: one row costs the decoding of its group
+_WITHOUT_DICTIONARIES = frozenset({"scenes"})  # in small row groups they take more bytes and time than they save
 _GROUP_BYTES = {"meshes": 8 * 10**6, "textures": 8 * 10**6}  # of a row group: a reader of one row reads its group
 _FILES_AT_ONCE = 32  # files of one dataset: their footers are in memory together, and are read concurrently
 _AHEAD = 8  # files of an object store that are fetched while another one is processed
@@ -179,7 +181,7 @@ class RunFolder:
         pieces = list(_pieces(rows))
         for number, piece in reversed(list(enumerate(pieces))):
             sink = pa.BufferOutputStream()
-            with pq.ParquetWriter(sink, piece.schema, compression="zstd") as writer:
+            with pq.ParquetWriter(sink, piece.schema, **_format_of(table, piece.schema)) as writer:
                 if piece.num_rows:  # Hugging Face datasets fails on a row group without rows
                     writer.write_table(piece, row_group_size=_rows_of_group(table, piece))
             suffix = f"-{number}" if number else ""
@@ -196,13 +198,25 @@ class RunFolder:
         Raises:
             ConfigError: The folder cannot be read.
         """
+        return [path for path, _, _ in self.file_stamps(table)]
+
+    def file_stamps(self, table: str) -> list[tuple[str, int, int]]:
+        """Returns path, size in bytes and time of change in nanoseconds of the files of a table, in the order of :meth:`files`.
+
+        Raises:
+            ConfigError: The folder cannot be read.
+        """
         try:
             infos = self.filesystem.get_file_info(pafs.FileSelector(self._path(table), allow_not_found=True))
         except OSError as error:
             raise _unreachable(f"{self.uri}/{table}", error) from error
-        matches = ((_PART.fullmatch(info.base_name), info.path) for info in infos)
-        paths = {(match[1], int(match[2] or 0)): path for match, path in matches if match}
-        return [path for (shard_id, _), path in sorted(paths.items()) if (shard_id, 0) in paths]
+        matches = ((_PART.fullmatch(info.base_name), info) for info in infos)
+        found = {(match[1], int(match[2] or 0)): info for match, info in matches if match}
+        return [
+            (info.path, int(info.size or 0), int(info.mtime_ns or 0))
+            for (shard_id, _), info in sorted(found.items(), key=lambda one: one[0])
+            if (shard_id, 0) in found
+        ]
 
     def dataset(self, table: str) -> ds.Dataset:
         """Returns a table of the run as a lazy dataset, in the order of its files.
@@ -423,10 +437,16 @@ def _write_local(path: Path, content: bytes) -> None:
         os.fsync(stream.fileno())  # after a crash, the renamed file must not exist without its content
 
 
+def _format_of(table: str, schema: pa.Schema) -> dict[str, Any]:
+    """The settings of a writer: statistics are kept for the columns that a condition can name, since footers are read whole."""
+    named = [column.name for column in schema if not pa.types.is_nested(column.type)]
+    return {"compression": "zstd", "use_dictionary": table not in _WITHOUT_DICTIONARIES, "write_statistics": named}
+
+
 def _rows_of_group(table: str, piece: pa.Table) -> int:
     """The number of rows of a row group of a table."""
     if table not in _GROUP_BYTES:
-        return _ROW_GROUP
+        return _GROUP_ROWS.get(table, _ROW_GROUP)
     return max(1, min(_ROW_GROUP, _GROUP_BYTES[table] * int(piece.num_rows) // max(1, int(piece.nbytes))))
 
 

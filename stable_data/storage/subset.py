@@ -1,9 +1,10 @@
 """Copies the scenes of a run that pass a condition to another run, with their assets and rows of other tables."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -12,11 +13,13 @@ from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import texture_addresses
-from stable_data.storage.filter_expression import parse_filter
+from stable_data.storage.id_hashes import Hashes, id_hashes
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
+from stable_data.storage.table_scan import TableScan
 
 _SHARD_BYTES = 64 * 10**6
+_SHARD_BYTES_OF = {"scenes": 16 * 10**6}  # a reader of one scene reads the footer of its file
 _ASSET_TABLES = ("assets", "meshes", "sdf", "features")
 
 
@@ -28,16 +31,15 @@ def count_selected(run: RunFolder, where: str) -> tuple[int, int]:
         where: The condition, see :mod:`stable_data.storage.filter_expression`.
 
     Raises:
-        ConfigError: The condition is not valid for ``scenes``, or the run has no such table.
+        ConfigError: The condition is not valid for ``scenes``, or the run has no such table or it cannot be read.
     """
-    query = parse_filter(where, SCHEMAS["scenes"])
-    run.warn_of_missing("scenes", query.columns)
-    return run.table("scenes", ["scene_id"], query.expression).num_rows, run.num_rows("scenes")
+    return TableScan(run, "scenes", where).count()
 
 
 def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     """Writes the scenes that pass a condition to another folder, with their rows of other tables and their assets.
 
+    Rows are written as they are read: the memory does not grow with the number of scenes, but for 16 bytes a selected scene.
     Columns that the run lacks are null in the target; a warning names those of ``scenes``. The table ``failures`` is not
     copied. A repeated call writes only missing shards, and leaves a complete selection of another code version unchanged.
 
@@ -52,8 +54,7 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
     Raises:
         ConfigError: The condition is not valid for ``scenes``, the run has no such table, or the target has other content.
     """
-    query = parse_filter(where, SCHEMAS["scenes"])
-    run.warn_of_missing("scenes", query.columns)
+    scan = TableScan(run, "scenes", where)
     read = {table: sorted(run.shard_ids(table)) for table in SCHEMAS if run.files(table) and table != "failures"}
     manifest = {
         "job": "query",
@@ -68,26 +69,60 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
         return dict(previous["counts"])
     if not previous:
         _write_manifest(target, manifest | {"status": "running"})
-    scene_ids, asset_ids = set[str](), set[str]()
-    for part in run.batches("scenes", ["scene_id", "objects", "surface"], query.expression):
-        scene_ids.update(part["scene_id"].to_pylist())
-        objects = pc.list_flatten(part["objects"])
-        for holder in (objects, part["surface"]):
-            asset_ids.update(pc.struct_field(holder, "asset_id").drop_null().to_pylist())
+    chosen = _Chosen()
+    _write("scenes", map(chosen.noted, scan.tables()), target)
+    chosen.close()
     for table in read:
-        if table == "scenes":
-            _write(run, table, query.expression, target)
-        elif table in _ASSET_TABLES:
-            _write(run, table, pc.field("asset_id").isin(_texts(asset_ids)), target)
+        if table in _ASSET_TABLES:
+            _write(table, _rows(run, table, pc.field("asset_id").isin(_texts(chosen.asset_ids))), target)
         elif table == "textures":
-            _write(run, table, pc.field("sha256").isin(_texts(_images_of(run, asset_ids))), target)
-        elif "scene_id" in SCHEMAS[table].names:
-            _write(run, table, pc.field("scene_id").isin(_texts(scene_ids)), target)
-        else:
-            _write(run, table, pc.field("id").isin(_texts(scene_ids | asset_ids)), target)
+            _write(table, _rows(run, table, pc.field("sha256").isin(_texts(_images_of(run, chosen.asset_ids)))), target)
+        elif table != "scenes":
+            name = "scene_id" if "scene_id" in SCHEMAS[table].names else "id"
+            _write(table, (part.filter(chosen.has(part[name])) for part in _rows(run, table)), target)
     counts = {table: target.num_rows(table) for table in read}
     _write_manifest(target, manifest | {"status": "complete", "counts": counts})
     return counts
+
+
+class _Chosen:
+    """The ids of the selected scenes and of their assets; scenes and assets may be very many, and 16 bytes stand for a scene.
+
+    A scene is known by a hash of 128 bits of its id: two ids of a run with one hash are less likely than an error of the memory.
+    """
+
+    def __init__(self) -> None:
+        self.asset_ids = set[str]()
+        self._parts = list[Hashes]()
+        self._first = self._second = np.zeros(0, np.uint64)
+
+    def noted(self, part: pa.Table) -> pa.Table:
+        """Notes the scenes of a part of the table ``scenes``, and returns the part."""
+        self._parts.append(id_hashes(part["scene_id"]))
+        objects = pc.list_flatten(part["objects"])
+        for holder in (objects, part["surface"]):
+            self.asset_ids.update(pc.unique(pc.struct_field(holder, "asset_id")).drop_null().to_pylist())
+        return part
+
+    def close(self) -> None:
+        """Makes the scenes known; the ids of assets are ids of rows too, in tables such as ``warnings``."""
+        hashes = np.concatenate([*self._parts, id_hashes(_texts(self.asset_ids))])
+        self._parts.clear()
+        order = np.argsort(hashes[:, 0])
+        self._first, self._second = hashes[order, 0], hashes[order, 1]
+
+    def has(self, names: pa.ChunkedArray) -> pa.Array:
+        """Whether each name is that of a selected scene or of an asset in use, booleans."""
+        first, second = id_hashes(names).T
+        places = np.searchsorted(self._first, first)
+        found, is_open = np.zeros(len(first), bool), np.ones(len(first), bool)
+        while is_open.any():  # one round, unless two ids share half of their hash
+            is_open &= places < len(self._first)
+            is_open[is_open] = self._first[places[is_open]] == first[is_open]
+            found[is_open] = self._second[places[is_open]] == second[is_open]
+            is_open &= ~found
+            places += 1
+        return pa.array(found)
 
 
 def _images_of(run: RunFolder, asset_ids: set[str]) -> set[str]:
@@ -105,27 +140,41 @@ def _texts(values: set[str]) -> pa.Array:
     return pa.array(sorted(values), pa.string())
 
 
-def _write(run: RunFolder, table: str, where: pc.Expression, target: RunFolder) -> None:
-    """Writes the selected rows of a table in shards of about _SHARD_BYTES: few files, and bounded memory."""
+def _rows(run: RunFolder, table: str, where: pc.Expression | None = None) -> Iterator[pa.Table]:
+    for batch in run.batches(table, where=where):
+        yield pa.Table.from_batches([batch])
+
+
+def _write(table: str, parts: Iterable[pa.Table], target: RunFolder) -> None:
+    """Writes rows of a table in shards of about _SHARD_BYTES: few files, and bounded memory."""
     existing = target.shard_ids(table)
     pending: list[pa.Table] = []
-    number = 0
+    size = number = 0
 
     def write() -> None:
-        nonlocal number
+        nonlocal number, size
         shard_id = content_id(table, number)
         if shard_id not in existing:
             target.write_table(table, shard_id, pa.concat_tables([SCHEMAS[table].empty_table(), *pending]))
         pending.clear()
-        number += 1
+        number, size = number + 1, 0
 
-    for batch in run.batches(table, where=where):
-        if batch.num_rows:
-            pending.append(pa.Table.from_batches([batch]).replace_schema_metadata(SCHEMAS[table].metadata))
-        if sum(part.nbytes for part in pending) > _SHARD_BYTES:
-            write()
+    for whole in parts:
+        for part in _pieces(whole.replace_schema_metadata(SCHEMAS[table].metadata), _SHARD_BYTES_OF.get(table, _SHARD_BYTES)):
+            pending.append(part)
+            size += part.nbytes
+            if size > _SHARD_BYTES_OF.get(table, _SHARD_BYTES):
+                write()
     if pending or not number:  # a table without rows gets one empty shard
         write()
+
+
+def _pieces(table: pa.Table, max_bytes: int) -> Iterator[pa.Table]:
+    """Yields the rows of a table in slices of at most about ``max_bytes``."""
+    if not table.num_rows:
+        return
+    step = max(1, table.num_rows * max_bytes // max(1, table.nbytes))
+    yield from (table.slice(start, step) for start in range(0, table.num_rows, step))
 
 
 def _previous_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any
 
 from stable_data.scene import Scene
-from stable_data.simulation.run_reader import SceneSelection
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
 
@@ -52,5 +51,5 @@ class EarlierPoses:
         return None
 
     def _rows(self, table: str, scene_id: str) -> list[dict[str, Any]]:
-        files = TableFiles(self._uri, table, _COLUMNS[table], where=SceneSelection(scene_ids=(scene_id,)).condition)
+        files = TableFiles(self._uri, table, _COLUMNS[table], where=f"scene_id == {scene_id!r}")
         return [row for group in range(len(files.groups)) for row in files.read([group]).to_pylist()]

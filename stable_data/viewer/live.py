@@ -167,7 +167,8 @@ class LiveViewer:
             condition = condition.strip()
             if condition:
                 parse_filter(condition, SCHEMAS["scenes"])  # alone first, so that an error quotes the user's text only
-            parts = [f"({part})" for part in (self._choice.condition, condition) if part]
+            ids = f"scene_id in {sorted(self._choice.scene_ids)!r}" if self._choice.scene_ids else None
+            parts = [f"({part})" for part in (self._choice.where, ids, condition) if part]
             choice = SceneSelection(" and ".join(parts) or None, limit=self._choice.limit)
             found = RunScenes(self._run, choice, self._scenes.store)
             if not len(found):

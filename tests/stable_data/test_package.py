@@ -22,7 +22,7 @@ TYPED = {
 }
 """Name -> module, as a type checker sees them."""
 
-BASE = ("MesaTaskDataset", "RunFolder", "Scene", "parse_filter", "scene_from_row")
+BASE = ("MesaTaskDataset", "RunFolder", "Scene", "SceneIndex", "parse_filter", "scene_from_row")
 """What the base dependencies are enough for."""
 
 

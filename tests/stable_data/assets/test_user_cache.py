@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stable_data.assets.store import AssetStore
-from stable_data.assets.user_cache import ArrayFiles, array_key, user_cache
+from stable_data.assets.user_cache import ArrayFiles, array_key
+from stable_data.cache_folder import user_cache
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.simulation import collision_bodies
 

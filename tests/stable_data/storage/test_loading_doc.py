@@ -94,3 +94,13 @@ def test_ray_data_opens_the_tables(run: str) -> None:
     assert sorted(row["scene_id"] for row in rows) == IDS
     positions = {row["scene_id"]: [list(o["position"]) for o in row["objects"]] for row in rows}
     assert positions == {s.scene_id: [list(o.position) for o in s.objects] for s in SCENES}
+
+
+def test_the_documented_scenes_by_id_are_found(run: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    names: dict[str, Any] = {"RUN": run, "SCENE_ID": IDS[40], "OTHER_ID": IDS[2]}
+    exec(code("SceneIndex"), names)  # noqa: S102
+    assert [s.scene_id for s in names["scenes"]] == [IDS[40], IDS[2]]
+    assert names["scene"] == names["scenes"][0]
+    assert names["columns"].column_names == ["num_objects", "stable"]
+    assert names["missing"] == ["no such scene"]
