@@ -5,6 +5,8 @@ EXTRA_OF_MODULE = {
     **dict.fromkeys(("shapely", "threadpoolctl", "trimesh", "vhacdx", "mujoco", "PIL", "OpenGL"), "geometry,sim"),
     **dict.fromkeys(("collada", "pxr"), "geometry,sim,import"),
     "gymnasium": "geometry,sim,env",
+    "sapien": "geometry,sim,sapien",
+    "pydrake": "geometry,sim,drake",
     "torch": "torch",
     **dict.fromkeys(("peft", "safetensors", "tensorboard", "transformers"), "geometry,models"),
     **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),
