@@ -7,7 +7,7 @@ from pipelines.correct.settings import CorrectorJobSettings
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.shape import Shape
-from stable_data.judges.registry import ask_judges, describe, disagree, judge_columns
+from stable_data.judges.registry import DISAGREE, ask_judges, describe, disagree, judge_columns
 from stable_data.judges.robust_rest import stable_share
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.judge_columns import SHARE
@@ -15,9 +15,6 @@ from stable_data.scene import Scene
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import SettleResult
 from stable_data.storage import schemas
-
-DISAGREE = "judges_disagree"
-"""Code of the warning about a scene that one judge finds stable and another one not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,9 @@ from stable_data.metrics.judge_columns import FURTHER, JUDGES, verdict_columns
 from stable_data.scene import Tabletop
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, unknown_result
 
+DISAGREE = "judges_disagree"
+"""Code of the warning about a scene that one judge finds stable and another one not."""
+
 
 def check_judges(judges: str, arbiter: str = "", section: str = "") -> tuple[str, ...]:
     """Reads the settings ``judges`` and ``arbiter``.
