@@ -48,6 +48,10 @@ def verdict_columns(name: str) -> tuple[str, str, str]:
     return f"{name}_stable", f"{name}_move_max_mm", f"{name}_turn_max_deg"
 
 
+FURTHER_COLUMNS = (*(column for name in FURTHER for column in verdict_columns(name)), SHARE)
+"""The columns of ``scenes`` that are no fields of the metric card; null where no judge was asked."""
+
+
 def columns_not_filled(columns: Collection[str], judges: Collection[str], has_share: bool) -> dict[str, str]:
     """Returns those of some columns that no verdict fills.
 

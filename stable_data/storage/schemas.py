@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from stable_data.errors import ConfigError
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.judge_columns import FURTHER, JUDGES, SHARE, verdict_columns
+from stable_data.metrics.judge_columns import FURTHER, FURTHER_COLUMNS, JUDGES, SHARE, verdict_columns
 
 TABLE_VERSION = 3
 """Increases if a column changes its name, type or meaning, but not for a new column that may be null: older tables are read
@@ -532,7 +532,7 @@ def _versioned(name: str, schema: pa.Schema) -> pa.Schema:
 SCHEMAS = {name: _versioned(name, schema) for name, schema in SCHEMAS.items()}
 """Name of a table -> its schema."""
 
-NONE_IF_NULL = frozenset({"fixed", "surface", *(column.name for column in _judge_columns())})
+NONE_IF_NULL = frozenset({"fixed", "surface", *FURTHER_COLUMNS})
 """Columns of which null says that there is none, also in runs that are older than they are."""
 
 _TABLETOP = ("table_type", "table_size", "restricted_zone")

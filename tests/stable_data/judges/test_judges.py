@@ -34,7 +34,7 @@ each_judge = pytest.mark.parametrize("name", INSTALLED)
 
 def hull(corners: FloatArray) -> Mesh:
     found = ConvexHull(corners)
-    faces = found.simplices.copy()
+    faces = found.simplices.astype(np.int64)
     a, b, c = (corners[faces[:, k]] for k in range(3))
     inward = (np.cross(b - a, c - a) * found.equations[:, :3]).sum(axis=1) < 0
     faces[inward] = faces[inward][:, ::-1]

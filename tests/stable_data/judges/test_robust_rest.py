@@ -8,7 +8,7 @@ import pytest
 from stable_data.geometry.mesh import Mesh
 from stable_data.judges import robust_rest
 from stable_data.judges.robust_rest import stable_share
-from stable_data.simulation.settling import RigidBody
+from stable_data.simulation.settling import RigidBody, settle
 from tests.stable_data.judges.test_judges import TABLE, ball, block, box, on_slope
 
 pytestmark = pytest.mark.sim
@@ -41,7 +41,7 @@ def test_fixed_bodies_and_own_properties_are_changed_too(monkeypatch: pytest.Mon
         seen.append((bodies, options, velocities))
         return real(bodies, table, options, velocities)
 
-    real = robust_rest.settle
+    real = settle
     monkeypatch.setattr(robust_rest, "settle", record)
     bodies = on_slope(10.0, ball(0.03), 0.03, friction=0.5)
     stable_share("a", [*bodies, replace(block("b", (0.9, 0.5, 0.05)), mass=2.0)], TABLE, 6)
