@@ -291,6 +291,50 @@ def query(
     typer.echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
 
 
+@app.command("judge")
+@with_clear_errors
+def judge_scenes(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run with the tables scenes, assets and meshes: folder or URI.")],
+    judges: Annotated[
+        str, typer.Option(help="Physics engines, joined by commas: mujoco, sapien (PhysX), drake.")
+    ] = "mujoco,sapien",
+    arbiter: Annotated[str, typer.Option(help="A further judge, which is asked only where the others disagree.")] = "",
+    where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
+    limit: Annotated[int | None, typer.Option(min=0, help="At most this many of the selected scenes.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Output file with one row per scene (Parquet).")] = None,
+) -> None:
+    """Ask physics engines whether the scenes of a run stay at rest, and list those on which they disagree.
+
+    Status 0: done. 1: a judge could not judge some scenes; they count as unknown. 2: could not start.
+    """
+    from tqdm import tqdm
+
+    from stable_data.judges import run_verdicts
+    from stable_data.judges.registry import check_judges, describe
+    from stable_data.simulation.run_reader import RunScenes, SceneSelection
+    from stable_data.storage.run_folder import RunFolder
+
+    names = check_judges(judges, arbiter)
+    scenes = RunScenes(RunFolder(run), SceneSelection(where, limit=limit))
+    asked = run_verdicts.judge_run(scenes, names, arbiter)
+    found = list(tqdm(asked, desc="judge", unit="scene", total=len(scenes), disable=None))
+    for pair, words, count in run_verdicts.agreement(found, names):
+        typer.echo(f"{pair}: {words}: {count} scenes")
+    for scene_id, verdicts in run_verdicts.disagreements(found):
+        typer.echo(f"{scene_id}: {describe(verdicts)}")
+    if out is not None:
+        run_verdicts.write_verdicts(found, [*names, *([arbiter] if arbiter else [])], out)
+    num_unknown = sum(
+        not set(names) <= verdicts.keys() or None in {v.stable for v in verdicts.values()} for _, verdicts in found
+    )
+    typer.echo(f"{run}: {len(found)} scenes judged by {', '.join(names)}, {num_unknown} with an unknown verdict")
+    if num_unknown:
+        for scene_id, verdicts in found:
+            if not verdicts or None in {verdict.stable for verdict in verdicts.values()}:
+                typer.echo(f"unknown: {scene_id}: {describe(verdicts) or 'an object has no solid part'}", err=True)
+        raise typer.Exit(SOME_FAILED)
+
+
 @app.command()
 @with_clear_errors
 def export(

@@ -7,6 +7,8 @@ EXTRA_OF_MODULE = {
     "gymnasium": "geometry,sim,env",
     "viser": "geometry,sim,view",
     "lance": "lance",
+    "sapien": "geometry,sim,sapien",
+    "pydrake": "geometry,sim,drake",
     "torch": "torch",
     **dict.fromkeys(("peft", "safetensors", "tensorboard", "transformers"), "geometry,models"),
     **dict.fromkeys(("jsonschema", "ray"), "geometry,sim,pipelines"),

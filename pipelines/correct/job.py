@@ -135,7 +135,7 @@ class CorrectJob(SceneJob[CorrectSettings]):
 
     def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
         """Writes the report page."""
-        write_correct_report(folder, manifest, self.source.store, self.settings.num_pictures)
+        write_correct_report(folder, manifest, self.source.store, self.settings)
 
 
 def check_place(scenes: str, out: str) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 import polars as pl
 import pyarrow.compute as pc
 
+from pipelines.correct.settings import CorrectSettings
+from pipelines.reports.agreement import judge_agreement
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
 from pipelines.reports.scene_pictures import SceneGrids, ShownScene
 from stable_data.assets.store import AssetStore
@@ -19,14 +21,14 @@ from stable_data.storage.table_rows import scene_from_row
 _CARDS = (("card_before", "before"), ("card_raw", "flow alone"), ("card_after", "corrected"))
 
 
-def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, num_pictures: int) -> None:
+def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, settings: CorrectSettings) -> None:
     """Writes ``report/index.html``.
 
     Args:
         folder: The run, with complete tables.
         manifest: Its manifest, with counts.
         store: The geometry of the assets, for the pictures.
-        num_pictures: Number of scenes that are drawn before and after: those with the most collisions before.
+        settings: The job's settings; ``num_pictures`` scenes are drawn before and after, those with the most collisions before.
     """
     corrections = pl.from_arrow(folder.table("corrections"))
     assert isinstance(corrections, pl.DataFrame)
@@ -45,7 +47,8 @@ def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: Ass
         head(manifest),
         tiles(figures),
         *_before_and_after(corrections),
-        *_pictures(folder, corrections, SceneGrids(folder, store), num_pictures),
+        *judge_agreement(folder, ("scenes",), settings.judge_names),
+        *_pictures(folder, corrections, SceneGrids(folder, store), settings.num_pictures),
         *notices(folder),
     ]
     folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: correct", body))

@@ -12,8 +12,11 @@ from pipelines.preprocess.convention import ConventionChoice
 from pipelines.preprocess.scene import SceneSettings
 from pipelines.sources.scenes import SceneSource
 from stable_data.errors import ConfigError
+from stable_data.judges.registry import check_judges, judge_names
 from stable_data.mesatask import PositionConvention
+from stable_data.metrics.judge_columns import columns_not_filled
 from stable_data.scene import Scene
+from stable_data.storage.filter_expression import FilterExpression
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +51,44 @@ class CorrectorJobSettings(Settings):
     """What follows the flow: ``certify`` certifies what the refinement leaves, ``verify`` only audits the refined scenes, ``off``
     publishes the result of the flow itself. Scenes that are not clean then have the status ``unclean``.
     """
+
+    judges: str = "mujoco"
+    """Physics engines that judge whether the final scene stays at rest, joined by commas: mujoco, sapien (PhysX), drake. Empty: none.
+    Each has columns in ``scenes``.
+    """
+
+    arbiter: str = ""
+    """A further judge, such as drake, which is asked only about scenes on which the others disagree; empty: none."""
+
+    robust_rest: Count = 0
+    """Number of repetitions of MuJoCo's verdict with other frictions, masses, time steps and a nudge, for the column
+    ``stable_share``; 0: none.
+    """
+
+    @property
+    def judge_names(self) -> tuple[str, ...]:
+        """The judges, in order."""
+        return judge_names(self.judges)
+
+    def check_judges(self, section: str, condition: FilterExpression | None = None) -> None:
+        """Refuses unknown judges, an arbiter that has nothing to decide, and a condition on verdicts that no judge gives.
+
+        Raises:
+            ConfigError: See above (``config_invalid``), or the package of a judge is not installed (``judge_missing``).
+        """
+        names = [*check_judges(self.judges, self.arbiter, section), *([self.arbiter] if self.arbiter else [])]
+        if condition is not None:
+            missing = columns_not_filled(condition.columns, names, self.robust_rest > 0)
+            for column, judge in missing.items():
+                what = (
+                    "robust_rest is 0; set it to 8"
+                    if judge == "robust_rest"
+                    else f"judges is {self.judges!r}; add {judge} to it"
+                )
+                raise ConfigError(
+                    f"setting {section}.accept is {condition.text!r}, but nothing fills the column {column}: {what}, or change accept",
+                    "config_invalid",
+                )
 
     def shaping_shared(self) -> dict[str, Any]:
         """What shared correctors add to the settings that shape rows: batches with scenes of other shards can change rounding."""
@@ -108,6 +149,11 @@ class CorrectSettings(CorrectorJobSettings):
     fixed: str = ""
     """Categories or instances that must not move, joined by commas."""
 
+    judges: str = ""
+    """Physics engines that judge whether the final scene stays at rest, joined by commas: mujoco, sapien (PhysX), drake. Empty: none.
+    Each has columns in ``scenes``.
+    """
+
     settle: bool = False
     """Whether physics is simulated to find objects that do not stay at rest; those are moved to a place where they do, if one
     is found.
@@ -142,6 +188,7 @@ class CorrectSettings(CorrectorJobSettings):
     def check(self) -> None:
         """Refuses a simulation after no certification, which would not take place, and a rearrangement without a flow."""
         self.check_correctors(self.section)
+        self.check_judges(self.section)
         if self.purpose == "rearrange" and self.weights == "none":
             raise ConfigError(
                 f"setting {self.section}.purpose is rearrange, but weights is none: nothing knows where things belong, expected weights; "

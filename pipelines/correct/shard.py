@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import ClassVar
 
 from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions, shapes_by_instance
+from pipelines.correct.judging import judge_scene
 from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
@@ -83,8 +84,11 @@ class CorrectWork(SceneWork[CorrectSettings, str, CertificationRequest]):
             scene = relate_scene(posed, done.audit, taken.containers).scene
             after, audit = add_sampled_collisions(done.card_after, done.certified, posed.shapes, done.audit), done.audit
             card, done = add_counts(after, scene), replace(done, card_after=after)
-            found["scenes"] = [{**scene_row(scene), **card_row(card), **audit.rows(), **taken.origin}]
-            notices += notices_of(done, scene_id)
+            progress.step = "settle"
+            judged = judge_scene(scene, posed.shapes, opened.source.store, self.settings, done.rest)
+            card = judged.filled(card)
+            found["scenes"] = [{**scene_row(scene), **card_row(card), **judged.columns, **audit.rows(), **taken.origin}]
+            notices += [*notices_of(done, scene_id), *judged.notices]
         return found | {"corrections": [correction_row(done)], "warnings": [notice_row(n) for n in notices]}
 
 

@@ -16,6 +16,7 @@ from models.semantic_reasoner.factory import load_reasoner
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.staged_layout import table_with_zone
 from models.semantic_reasoner.text.reply_json import parse_reply
+from pipelines.correct.judging import judge_scene
 from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.shard import correction_row
 from pipelines.edit.assets import AssetFinder
@@ -155,7 +156,11 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         card = add_sampled_collisions(add_counts(card, scene), scene, posed.shapes, audit)
         if replied.kind == "none":
             notices.append(Notice(edit.edit_id, "reply", "nothing_changed", f"{edit.edit_id}: the reply changes nothing"))
-        rows["scenes"] = [{**scene_row(scene), **card_row(card), **audit.rows(), **taken.origin}]
+        progress.step = "settle"
+        judged = judge_scene(scene, posed.shapes, opened.source.store, self.settings)
+        notices += judged.notices
+        card = judged.filled(card)
+        rows["scenes"] = [{**scene_row(scene), **card_row(card), **judged.columns, **audit.rows(), **taken.origin}]
         rows["edits"] = [_edit_row(edit, replied.kind, taken, scene)]
         return rows | {"warnings": _notice_rows(edit, notices)}
 

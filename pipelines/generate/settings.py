@@ -107,7 +107,8 @@ class GenerateSettings(CorrectorJobSettings):
                 f"setting {self.section}.engine_gpus is {self.engine_gpus}, expected a fraction of a GPU or a whole number",
                 "config_invalid",
             )
-        _ = self.loop, self.accepting
+        _ = self.loop
+        self.check_judges(self.section, self.accepting)
 
     @property
     def stages(self) -> tuple[Wanted, ...]:

@@ -29,6 +29,7 @@ from models.semantic_reasoner.factory import load_reasoner
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import assistant_message
+from pipelines.correct.judging import JudgedScene, judge_scene
 from pipelines.correct.scene_shard import dropped_notice, notices_of
 from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.engine_pool import PooledEngine, check_gpus, engine_pool
@@ -52,8 +53,7 @@ from pipelines.sources.generation_tasks import Task
 from pipelines.sources.scenes import contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
-from stable_data.errors import MeshError, Notice, SceneError
-from stable_data.geometry.shape import Shape
+from stable_data.errors import Notice, SceneError
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.alignment import Alignment, AlignmentReference, align, requires_the_same
@@ -66,8 +66,7 @@ from stable_data.metrics.relations_kept import relations_kept
 from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Scene
-from stable_data.simulation.collision_bodies import bodies_of
-from stable_data.simulation.settling import SettleResult, settle
+from stable_data.simulation.settling import SettleResult
 from stable_data.storage import schemas
 from stable_data.storage.table_rows import card_row, notice_row, scene_row
 
@@ -286,13 +285,14 @@ class GenerateWork(ShardStep[Task]):
         seen = relate_scene(posed, audit, containers)
         scene = seen.scene
         progress.step = "settle"
-        rest, why_not = self._settled(made.correction, scene, shapes)
+        rest = None if made.correction is None else made.correction.rest  # the correction may have simulated this scene
+        judged = judge_scene(scene, shapes, opened.answers.certifier.store, self.settings, rest)
+        rest = judged.rest
         progress.step = "card"
         card = add_sampled_collisions(add_counts(audit.card(), scene), scene, posed.shapes, audit)
         card = _with_movement(card, made, scene, posed, audit, opened.answers.certifier.store)
         card, not_as_said = _with_alignment(card, seen, containers, made.task, opened.interpret)
-        if rest is not None:
-            card = _with_rest(card, rest)
+        card = judged.filled(card)
         group = duplicate_group(scene)
         origin = {
             "source": SOURCE,
@@ -301,32 +301,22 @@ class GenerateWork(ShardStep[Task]):
             "layout_sha256": None,
             "duplicate_group": group,
         }
-        row = {**scene_row(scene), **card_row(card), **audit.rows(), **origin}
+        row = {**scene_row(scene), **card_row(card), **judged.columns, **audit.rows(), **origin}
         told = [Notice(name, n.step, n.code, n.message) for n in (*notices, *audit.notices)]
         told += [Notice(name, "card", "not_as_said", f"{name}: {text}") for text in not_as_said]
         told += [dropped_notice(d, name) for d in made.dropped]
         if made.correction is not None:
             told += notices_of(made.correction, name)
-        if why_not:
-            told.append(Notice(name, "settle", "not_settled", f"{name}: the physics engine was not used: {why_not}"))
+        told += judged.notices
         found: Rows = {"warnings": [notice_row(n) for n in dict.fromkeys(told)]}
         if rest is not None and self.settings.keep_settled:
             found["settled"] = [_settled_row(name, rest)]
         query = self.settings.accepting
         if query is None or query.passes(row, schemas.SCHEMAS["scenes"]):
             return found | {"scenes": [row]}
-        reason = _why_rejected(query.text, {column: row[column] for column in query.columns}, rest)
+        reason = _why_rejected(query.text, {column: row[column] for column in query.columns}, judged)
         failure = Notice(name, "accept", REJECTED, f"{name}: {reason}")
         return found | {"rejected": [row | {"code": REJECTED, "reason": reason}], "failures": [notice_row(failure)]}
-
-    def _settled(self, correction: Correction | None, scene: Scene, shapes: Sequence[Shape]) -> tuple[SettleResult | None, str]:
-        """The result of the physics engine for a scene, or the reason why there is none."""
-        if correction is not None and correction.rest is not None:
-            return correction.rest, ""  # the correction has simulated this scene
-        try:
-            return settle(bodies_of(scene, shapes, _opened(self).answers.certifier.store), scene.table), ""
-        except MeshError as error:
-            return None, str(error)
 
 
 def _prepare(work: GenerateWork) -> None:
@@ -427,21 +417,9 @@ def _with_alignment(
     return card, lost
 
 
-def _with_rest(card: MetricCard, rest: SettleResult) -> MetricCard:
-    return replace(
-        card,
-        engine_penetration_mm=rest.engine_penetration_mm,
-        settle_move_max_mm=rest.settle_move_max_mm,
-        settle_turn_max_deg=rest.settle_turn_max_deg,
-        drift_mm=rest.drift_mm,
-        jitter_mm=rest.jitter_mm,
-        stable=rest.stable,
-    )
-
-
-def _why_rejected(rule: str, values: dict[str, object], rest: SettleResult | None) -> str:
+def _why_rejected(rule: str, values: dict[str, object], judged: JudgedScene) -> str:
     said = ", ".join(f"{column} is {'unknown' if value is None else value}" for column, value in values.items())
-    reason = f"; {rest.reason}" if rest is not None and rest.reason else ""
+    reason = "".join(f"; {verdict.reason}" for verdict in judged.verdicts.values() if verdict.reason)
     return f"not accepted by {rule!r}: {said}{reason}"
 
 

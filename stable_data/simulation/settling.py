@@ -6,7 +6,7 @@ Colliders are the convex parts of the objects; the table is a box whose top is z
 import hashlib
 import struct
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -142,7 +142,7 @@ class SettleResult:
             inf for the bodies that had exceeded a limit before (for all, if none had), and NaN, unknown, for the others.
         turns: Largest rotation of each body from its start at any time, (N,) float64, degrees, with inf and NaN as in
             ``moves``.
-        engine_penetration_mm: Deepest contact at t = 0.
+        engine_penetration_mm: Deepest contact at t = 0; None if the engine does not tell.
         settle_move_max_mm: Largest of ``moves``.
         settle_turn_max_deg: Largest of ``turns``.
         drift_mm: Largest distance of a body in the watch from its position at the end of the settling.
@@ -183,40 +183,76 @@ class SettleResult:
         return int((~((self.moves <= MOVE_LIMIT) & (self.turns <= TURN_LIMIT))).sum())
 
 
-def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions = PhysicsOptions()) -> SettleResult:
+def settle(
+    bodies: Sequence[RigidBody],
+    table: Tabletop,
+    options: PhysicsOptions = PhysicsOptions(),
+    velocities: FloatArray | None = None,
+) -> SettleResult:
     """Lets a scene settle under gravity and watches it.
 
     Args:
         bodies: The objects.
         table: The table that supports them.
         options: Settings of MuJoCo; by default 2 ms steps, 1 s of settling, 3 s of watching.
+        velocities: Velocity of each body at the start, (N, 6) float64: linear in the world frame, metres a second, then angular
+            in the yaw frame, radians a second. Those of bodies that are not movable are not used. None: all are at rest.
 
     Returns:
         Final poses and the verdict. ``stable`` is None if the scene could not be simulated (a body without a solid part), False
         if a body moved or fell or the simulation diverged.
     """
-    names = tuple(body.name for body in bodies)
-    start = np.array([(*b.position, *yaw_quat(b.yaw)) for b in bodies], np.float64).reshape(-1, 7)
     if not bodies:
-        return _verdict(names, start[None], start[None], 0.0, options)
+        return judge_motion(bodies, 0.0, lambda *_: np.zeros((1, 0, 7)), options)
     try:
         model = compile_bodies(bodies, table, options)
     except MeshError as error:
-        return _unknown(names, start, str(error))
+        return unknown_result(bodies, str(error))
     with without_log_file():
         data = mujoco.MjData(model)
+        if velocities is not None:
+            data.qvel[:] = velocities[[body.movable for body in bodies]].ravel()
         mujoco.mj_forward(model, data)
         penetration = float(max(0.0, -data.contact.dist.min())) if data.ncon else 0.0
-        settled = _simulate(model, data, options.settle_seconds, options, options.rest_speed, Calm.of_settling(start, options))
-        path = np.concatenate([start[None], settled])
-        if not np.isfinite(path).all() or (options.stops_early and _instability_reason(names, *_largest_movement(path), 0.0)):
-            watched = settled[:0]
-        else:
-            enable_sleeping(model, options)  # not before: a body that begins to fall is as slow as one at rest
-            watched = _simulate(model, data, options.watch_seconds, options, calm=Calm.of_watch(path, options))
+
+        def simulate(seconds: float, calm: Calm, is_watch: bool) -> FloatArray:
+            if is_watch:
+                enable_sleeping(model, options)  # not before: a body that begins to fall is as slow as one at rest
+            return _simulate(model, data, seconds, options, 0.0 if is_watch else options.rest_speed, calm)
+
+        return judge_motion(bodies, penetration, simulate, options)
+
+
+def judge_motion(
+    bodies: Sequence[RigidBody],
+    penetration: float | None,
+    simulate: Callable[[float, "Calm", bool], FloatArray],
+    options: PhysicsOptions,
+) -> SettleResult:
+    """Simulates settling and watch with any engine, and judges how the bodies moved.
+
+    Args:
+        bodies: The objects.
+        penetration: Deepest contact at the start, metres; None if it is not known.
+        simulate: Continues the simulation: takes how long, seconds, what ends it early, and whether it is the watch; gives the
+            poses of the bodies at each sample, (T, N, 7) float64, T > 0: position in metres, quaternion xyzw. A sample that is
+            not finite, which must be the last one, says that the simulation diverged.
+        options: Times, and rules of ending early.
+    """
+    names, start = tuple(body.name for body in bodies), start_poses(bodies)
+    path = np.concatenate([start[None], simulate(options.settle_seconds, Calm.of_settling(start, options), False)])
+    if not np.isfinite(path).all() or (options.stops_early and _instability_reason(names, *_largest_movement(path), 0.0)):
+        watched = path[:0]
+    else:
+        watched = simulate(options.watch_seconds, Calm.of_watch(path, options), True)
     if not (np.isfinite(path).all() and np.isfinite(watched).all()):
         return _diverged(names, np.concatenate([path, watched])[:-1], penetration)  # the last sample is NaN
     return _verdict(names, path, watched, penetration, options)
+
+
+def start_poses(bodies: Sequence[RigidBody]) -> FloatArray:
+    """Returns the poses of bodies at the start, (N, 7) float64: position in metres, quaternion xyzw."""
+    return np.array([(*b.position, *yaw_quat(b.yaw)) for b in bodies], np.float64).reshape(-1, 7)
 
 
 def compile_bodies(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions = PhysicsOptions()) -> mujoco.MjModel:
@@ -314,27 +350,16 @@ def _add_body(
     collider: mujoco.MjsDefault,
     files: dict[str, bytes] | None,
 ) -> None:
-    if not np.isfinite((*body.position, body.yaw)).all():
-        raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
-    if not 0 < body.mass < np.inf:
-        raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected a finite value above 0", "no_mass")
-    if body.friction is not None and not all(0 <= value < np.inf for value in body.friction):
-        raise MeshError(f"body {body.name}: friction is {body.friction}, expected finite values of at least 0", "no_friction")
+    check_body(body)
     added = spec.worldbody.add_body(pos=list(body.position), quat=wxyz(yaw_quat(body.yaw)))
     if body.movable:
         added.add_freejoint()
     if body.inertial is not None:
-        if not (np.isfinite(body.inertial.center_of_mass).all() and np.isfinite(body.inertial.inertia).all()):
-            raise MeshError(f"body {body.name}: its inertial is not finite, expected finite numbers", "not_finite")
         added.explicitinertial, added.mass, added.ipos = True, body.mass, body.inertial.center_of_mass.tolist()
         added.fullinertia = body.inertial.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
     # MuJoCo takes the friction of the geom with the higher priority, and the maximum of both at the same priority.
     own = {} if body.friction is None else {"friction": list(body.friction), "priority": 1}
     volumes = [hull_volume(part) for part in body.parts]
-    if not sum(volumes) > 0:
-        raise MeshError(
-            f"body {body.name}: none of its {len(volumes)} convex parts is solid; decompose its mesh again", "no_collider"
-        )
     for part, volume in zip(body.parts, volumes, strict=True):
         if volume > 0:
             if id(part) not in meshes:  # objects of one asset share its parts
@@ -347,6 +372,28 @@ def _add_body(
                     files[mesh.file] = content
             mass = body.mass * volume / sum(volumes)
             added.add_geom(collider, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=meshes[id(part)], mass=mass, **own)
+
+
+def check_body(body: RigidBody) -> None:
+    """Refuses a body that no engine can simulate.
+
+    Raises:
+        MeshError: It has no solid part (code ``no_collider``), no mass (``no_mass``) or no friction (``no_friction``), or its pose
+            or inertial is not finite (``not_finite``).
+    """
+    if not np.isfinite((*body.position, body.yaw)).all():
+        raise MeshError(f"body {body.name}: its pose is {body.position}, yaw {body.yaw}, expected finite numbers", "not_finite")
+    if not 0 < body.mass < np.inf:
+        raise MeshError(f"body {body.name}: mass is {body.mass} kg, expected a finite value above 0", "no_mass")
+    if body.friction is not None and not all(0 <= value < np.inf for value in body.friction):
+        raise MeshError(f"body {body.name}: friction is {body.friction}, expected finite values of at least 0", "no_friction")
+    own = body.inertial
+    if own is not None and not (np.isfinite(own.center_of_mass).all() and np.isfinite(own.inertia).all()):
+        raise MeshError(f"body {body.name}: its inertial is not finite, expected finite numbers", "not_finite")
+    if not any(hull_volume(part) > 0 for part in body.parts):
+        raise MeshError(
+            f"body {body.name}: none of its {len(body.parts)} convex parts is solid; decompose its mesh again", "no_collider"
+        )
 
 
 def _mesh_file(part: Mesh) -> tuple[str, bytes]:
@@ -480,7 +527,7 @@ def has_exploded(data: mujoco.MjData) -> bool:
 
 
 def _verdict(
-    names: tuple[str, ...], settled: FloatArray, watched: FloatArray, penetration: float, options: PhysicsOptions
+    names: tuple[str, ...], settled: FloatArray, watched: FloatArray, penetration: float | None, options: PhysicsOptions
 ) -> SettleResult:
     """Judges trajectories (T, N, 7): the start and the settling, then the watch."""
     path = np.concatenate([settled, watched])
@@ -492,7 +539,7 @@ def _verdict(
         jitter = 1e3 * float(np.linalg.norm(last - last.mean(axis=0), axis=2).max(initial=0.0))
     reason = _instability_reason(names, moves, turns, drift)
     move, turn = float(moves.max(initial=0.0)), float(turns.max(initial=0.0))
-    figures = (1e3 * penetration, 1e3 * move, turn, 1e3 * drift if len(watched) else None, jitter)
+    figures = (_millimetres(penetration), 1e3 * move, turn, 1e3 * drift if len(watched) else None, jitter)
     return SettleResult(names, path[-1, :, :3], path[-1, :, 3:], moves, turns, *figures, stable=not reason, reason=reason)
 
 
@@ -510,13 +557,15 @@ def _instability_reason(names: tuple[str, ...], moves: FloatArray, turns: FloatA
     return f"an object drifted {1e3 * drift:.1f} mm" if drift > DRIFT_LIMIT else ""
 
 
-def _unknown(names: tuple[str, ...], start: FloatArray, reason: str) -> SettleResult:
+def unknown_result(bodies: Sequence[RigidBody], reason: str) -> SettleResult:
+    """Returns the result for a scene that could not be simulated, with the reason; ``stable`` is None."""
+    names, start = tuple(body.name for body in bodies), start_poses(bodies)
     unknown = np.full(len(names), np.nan)
     figures = (None, None, None, None, None)
     return SettleResult(names, start[:, :3], start[:, 3:], unknown, unknown, *figures, stable=None, reason=reason)
 
 
-def _diverged(names: tuple[str, ...], known: FloatArray, penetration: float) -> SettleResult:
+def _diverged(names: tuple[str, ...], known: FloatArray, penetration: float | None) -> SettleResult:
     """The verdict on a simulation that diverged after a trajectory (T, N, 7), with its start.
 
     Bodies that exceeded a limit before are the cause, because bodies at rest do not make a simulation diverge. If none had, all
@@ -527,8 +576,12 @@ def _diverged(names: tuple[str, ...], known: FloatArray, penetration: float) -> 
     blamed = np.where(exceeds | ~exceeds.any(), np.inf, np.nan)
     after = _instability_reason(names, moves, turns, 0.0)
     reason = "the simulation diverged" + (f" after {after}" if after else "; separate objects that penetrate each other deeply")
-    figures = (1e3 * penetration, None, None, None, None)
+    figures = (_millimetres(penetration), None, None, None, None)
     return SettleResult(names, known[0, :, :3], known[0, :, 3:], blamed, blamed, *figures, stable=False, reason=reason)
+
+
+def _millimetres(metres: float | None) -> float | None:
+    return None if metres is None else 1e3 * metres
 
 
 def _exceed_limits(moves: FloatArray, turns: FloatArray) -> npt.NDArray[np.bool_]:

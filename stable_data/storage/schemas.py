@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from stable_data.errors import ConfigError
 from stable_data.metrics.card import MetricCard
+from stable_data.metrics.judge_columns import FURTHER, FURTHER_COLUMNS, JUDGES, SHARE, verdict_columns
 
 TABLE_VERSION = 3
 """Increases if a column changes its name, type or meaning, but not for a new column that may be null: older tables are read
@@ -117,6 +118,25 @@ def _card_columns() -> list[pa.Field]:
     return columns
 
 
+def _judge_columns() -> list[pa.Field]:
+    """The columns of the judges other than MuJoCo, and of robust rest."""
+    columns = []
+    for name in FURTHER:
+        stable, move, turn = verdict_columns(name)
+        engine = JUDGES[name].engine
+        columns += [
+            _column(
+                stable,
+                _truth,
+                f"stable as {engine} simulates the scene, by the same limits; null where not simulated or unknown",
+            ),
+            _column(move, _number, f"settle_move_max_mm as {engine} simulates the scene; null where not simulated", "mm"),
+            _column(turn, _number, f"settle_turn_max_deg as {engine} simulates the scene; null where not simulated", "deg"),
+        ]
+    share = "share of the repetitions of the verdict with other frictions, masses, steps and a nudge that find the scene stable; null "
+    return [*columns, _column(SHARE, _number, f"{share}where not repeated or all unknown")]
+
+
 CARD = pa.struct([(column.name, column.type) for column in _card_columns()])
 
 _scene_head = [
@@ -163,6 +183,7 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "m, rad",
             ),
             *_card_columns(),
+            *_judge_columns(),
             _column(
                 "pairs",
                 pa.list_(PAIR),
@@ -511,7 +532,7 @@ def _versioned(name: str, schema: pa.Schema) -> pa.Schema:
 SCHEMAS = {name: _versioned(name, schema) for name, schema in SCHEMAS.items()}
 """Name of a table -> its schema."""
 
-NONE_IF_NULL = frozenset({"fixed", "surface"})
+NONE_IF_NULL = frozenset({"fixed", "surface", *FURTHER_COLUMNS})
 """Columns of which null says that there is none, also in runs that are older than they are."""
 
 _TABLETOP = ("table_type", "table_size", "restricted_zone")

@@ -10,6 +10,7 @@ import pyarrow as pa
 from stable_data.errors import Notice
 from stable_data.json_text import json_text
 from stable_data.metrics.card import MetricCard
+from stable_data.metrics.judge_columns import FURTHER_COLUMNS
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
 from stable_data.storage.schemas import SAMPLE_OBJECT, SCHEMAS, TASK, Row
 
@@ -144,8 +145,8 @@ def card_from_row(row: Mapping[str, Any]) -> MetricCard:
 
 
 def card_row(card: MetricCard) -> Row:
-    """Returns a metric card as columns of ``scenes``."""
-    return asdict(card)
+    """Returns a metric card as columns of ``scenes``; the columns of judges other than MuJoCo are null."""
+    return asdict(card) | dict.fromkeys(FURTHER_COLUMNS)
 
 
 def notice_row(notice: Notice) -> Row:

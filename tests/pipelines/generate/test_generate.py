@@ -267,7 +267,7 @@ def test_a_scene_whose_rest_is_unknown_is_not_accepted(
     def refuse(*_: Any) -> Any:
         raise MeshError("nothing solid", "no_collider")
 
-    for module in ("pipelines.generate.shard", "models.physics_corrector.stabilization.stabilize"):
+    for module in ("pipelines.correct.judging", "models.physics_corrector.stabilization.stabilize"):
         monkeypatch.setattr(f"{module}.bodies_of", refuse)
     generate(tasks("Lift it."), str(tmp_path), settings, ALONE, [str(dataset)])
     (row,) = rows_of(tmp_path, "rejected")

@@ -1,0 +1,5 @@
+"""MuJoCo, the engine of the corrections, as a judge."""
+
+from stable_data.simulation.settling import settle
+
+__all__ = ["settle"]
