@@ -87,7 +87,7 @@ def test_a_broken_set_comes_out_clean(broken: Path, corrected: Path) -> None:
 def test_a_page_shows_a_scene_before_and_after(broken: Path, corrected: Path, tmp_path: Path) -> None:
     out = shutil.copytree(corrected, tmp_path / "out")
     manifest = json.loads((out / "manifest.json").read_text("utf-8"))
-    write_correct_report(RunFolder(str(out)), manifest, AssetStore(MesaTaskDataset(broken)), 4)
+    write_correct_report(RunFolder(str(out)), manifest, AssetStore(MesaTaskDataset(broken)), CorrectSettings(num_pictures=4))
     before, after = rows_of(out, "corrections"), rows_of(out, "scenes")
     for scene_id, row in after.items():
         page = Page((out / "report" / "scenes" / f"{scene_id}.html").read_text("utf-8"))
