@@ -38,7 +38,8 @@ def content(out: Path) -> dict[str, bytes]:
 
 def last_files(name: str, out: Path) -> list[Path]:
     """The file of each scene that is put in place last."""
-    return [path for scene in SCENES if (path := FORMATS[name].scene_path(scene, out)).exists()]
+    named = [scene for scene in SCENES if name != "mesatask" or scene.scene_id != ODD]  # which it cannot name
+    return [path for scene in named if (path := FORMATS[name].scene_path(scene, out)).exists()]
 
 
 @pytest.mark.parametrize("name", sorted(FORMATS.keys() - {"mesatask"}))
