@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 STEP = 1 / 240
 
 
-class Loader(URDFLoader):
+class Loader(URDFLoader):  # type: ignore[misc]  # no types are published
     """The loader without what is seen, whose materials ask for a device that draws."""
 
     def _build_link(self, link: Any, link_builder: Any) -> None:
