@@ -7,7 +7,8 @@ The files of a prop, or of the furniture of a scene, are in one folder::
     visual/<content>.png              a texture
     meshes.json                       the list of them, written last
 
-Metres, z up. Each OBJ file has one material at most: some readers take only the first of a file.
+Metres, z up. Texture coordinates are from 0 to 1 where the size of the image allows it. An OBJ file has one material at most: some
+readers take only the first of a file.
 """
 
 import hashlib
@@ -35,6 +36,8 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 
 LIST_FILE = "meshes.json"
 _VERSION = 1
+_EDGE = 1e-4  # share of an image by which coordinates may be beyond it
+_LARGEST_IMAGE = 3 * 4096**2  # bytes, of an image that is put side by side
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,25 +147,36 @@ def _write(folder: Path, parts: Sequence[Mesh], surfaces: Sequence[LookMesh]) ->
 
 def _write_surface(folder: Path, number: int, surface: LookMesh) -> VisualFile:
     name = f"surface_{number}"
-    texture = None
-    if surface.pixels is not None:
-        key = hashlib.sha256(repr(surface.pixels.shape).encode() + surface.pixels.tobytes())
+    texture = uv = rows = None
+    if surface.pixels is not None and surface.corner_uv is not None:
+        corner_uv, pixels = _within_image(surface.corner_uv, surface.pixels)
+        uv, rows = np.unique(corner_uv.reshape(-1, 2), axis=0, return_inverse=True)
+        rows = rows.reshape(-1, 3)
+        key = hashlib.sha256(repr(pixels.shape).encode() + pixels.tobytes())
         texture = f"{key.hexdigest()[:16]}.png"
         if not (folder / "visual" / texture).exists():
-            write_file_atomically(folder / "visual" / texture, png_file(surface.pixels))
+            write_file_atomically(folder / "visual" / texture, png_file(pixels))
     red, green, blue, opacity = (float(v) for v in surface.rgba)
     lines = [f"newmtl {name}", "Ka 0 0 0", f"Kd {red:.6g} {green:.6g} {blue:.6g}", "Ks 0.05 0.05 0.05", "Ns 20"]
     lines += [f"d {opacity:.6g}", "illum 2"]
     lines += [f"map_Kd {texture}"] if texture else []
     write_file_atomically(folder / "visual" / f"{name}.mtl", ("\n".join(lines) + "\n").encode())
-    uv = rows = None
-    if texture is not None and surface.corner_uv is not None:
-        uv, rows = np.unique(surface.corner_uv.reshape(-1, 2), axis=0, return_inverse=True)
-        rows = rows.reshape(-1, 3)
     content = obj_file(surface.vertices, surface.faces, uv, rows, _vertex_normals(surface.vertices, surface.faces), name)
     write_file_atomically(folder / "visual" / f"{name}.obj", content)
     texture = None if texture is None else f"visual/{texture}"
     return VisualFile(f"visual/{name}.obj", texture, (red, green, blue, opacity))
+
+
+def _within_image(corner_uv: FloatArray, pixels: Picture) -> tuple[FloatArray, Picture]:
+    """Texture coordinates (F, 3, 2) from 0 to 1, and the image as often side by side as that needs: not every reader repeats it.
+
+    An image that would become too large stays as it is, with coordinates beyond it.
+    """
+    own = corner_uv - np.floor(corner_uv.min(axis=1, keepdims=True) + _EDGE)
+    columns, rows = np.maximum(np.ceil(own.max(axis=(0, 1)) - _EDGE), 1).astype(int).tolist()
+    if columns * rows > 1 and columns * rows * pixels.size > _LARGEST_IMAGE:
+        return corner_uv, pixels
+    return np.clip(own / (columns, rows), 0.0, 1.0), np.tile(pixels, (rows, columns, 1))
 
 
 def _vertex_normals(vertices: FloatArray, faces: Any) -> FloatArray:

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from stable_data.assets.store import AssetStore
-from stable_data.export.mesh_files import LIST_FILE, obj_file, put_furniture_meshes, put_prop_meshes
+from stable_data.export.mesh_files import LIST_FILE, _within_image, obj_file, put_furniture_meshes, put_prop_meshes
 from stable_data.export.props import placed_props, prop_parts, prop_surfaces
 from stable_data.simulation.run_reader import RunScenes
 from stable_data.simulation.scene_geometry import SceneGeometry
@@ -102,3 +102,21 @@ def test_an_obj_file_counts_texture_rows_from_below() -> None:
     text = obj_file(corners, np.array([[0, 1, 2]]), np.array([[0.25, 0.0]]), np.array([[0, 0, 0]]), material="m").decode()
     assert text == "mtllib m.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.25 1\nf 1/1 2/1 3/1\n"
     assert obj_file(corners, np.array([[0, 1, 2]]), normals=corners).decode().endswith("f 1//1 2//2 3//3\n")
+
+
+def test_an_image_that_repeats_is_put_side_by_side(store: AssetStore, tmp_path: Path) -> None:
+    name, files = put_furniture_meshes(SceneGeometry.of(at_rest(), store), tmp_path)
+    for visual in files.visual:
+        uv = np.array(read_obj(tmp_path / name / visual.mesh).get("vt", [[0.0, 0.0]]))
+        assert uv.min() >= 0
+        assert uv.max() <= 1
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(0, 255, (4, 8, 3), np.uint8)
+    corner_uv = np.array([[[-0.2, 3.1], [1.7, 3.4], [0.4, 4.9]]])
+    found, image = _within_image(corner_uv, pixels)
+    assert image.shape == (8, 24, 3)
+    for was, now in zip(corner_uv[0], found[0], strict=True):
+        x, y = (int(share * side) % side for share, side in zip(was % 1.0, (8, 4), strict=True))
+        assert (image[int(now[1] * 8), int(now[0] * 24)] == pixels[y, x]).all()
+    far = corner_uv * 1e4
+    assert _within_image(far, pixels)[0] is far
