@@ -12,6 +12,7 @@ Worlds contain their models and name meshes by relative paths, which Gazebo, Dra
 SDFormat this is, and Drake both show: the first has no glTF, the second no COLLADA.
 """
 
+import json
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -20,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.export.mesh_files import MeshFiles, put_furniture_meshes, put_prop_meshes
 from stable_data.export.props import PlacedProp, Prop, placed_props, sized_prop
-from stable_data.export.scene_files import camera_poses, json_file, object_facts, scene_facts, sliding_friction, table_box
+from stable_data.export.scene_files import camera_poses, object_facts, scene_facts, sliding_friction, table_box
 from stable_data.export.xml_elements import add, document
 from stable_data.rotations import quat_of
 from stable_data.scene import QuatXyzw, Scene, Vec3
@@ -56,7 +57,7 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
     world = add(root, "world", name=path.stem)
     objects = placed_props(geometry)
     facts = scene_facts(geometry) | {"objects": {p.name: object_facts(p) for p in objects}}
-    add(world, "stable_data:scene", json_file(facts, indent=None).decode().strip())
+    add(world, "stable_data:scene", json.dumps(facts, allow_nan=False))
     _add_surroundings(world, geometry)
     _add_table(world, geometry, out / MESH_FOLDER)
     for placed in objects:
@@ -169,7 +170,12 @@ def _config(prop: Prop) -> ET.Element:
     add(root, "sdf", "model.sdf", version=_VERSION)
     known = prop.annotation
     author = None if known is None else known.raw.get("author")
-    add(add(root, "author"), "name", " ".join(str(author or "unknown").split()))
-    licence = "unknown" if known is None else known.licence or "unknown"
-    add(root, "description", " ".join(f"{prop.category}; asset {prop.asset_id}; licence {licence}".split()))
+    add(add(root, "author"), "name", _plain(author or "unknown"))
+    licence = None if known is None else known.licence
+    add(root, "description", _plain(f"{prop.category}; asset {prop.asset_id}; licence {licence or 'unknown'}"))
     return root
+
+
+def _plain(text: object) -> str:
+    """Text on one line, without characters that XML does not allow."""
+    return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())

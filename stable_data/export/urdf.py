@@ -28,6 +28,7 @@ for Drake, PyBullet and Gazebo, and in the JSON file for all others. Copy the fo
 OBJECT_FOLDER, TABLE_FOLDER = "objects", "tables"
 
 _DRAKE = "http://drake.mit.edu"
+_UNSEEN_SIDE = 1e-6  # metres
 
 
 def scene_path(scene: Scene, out: Path) -> Path:
@@ -71,6 +72,10 @@ def _robot(
     add(inertial, "mass", value=mass.mass)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = mass.inertia.tolist()
     add(inertial, "inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
+    if not is_seen:  # PyBullet shows the colliders of a link where nothing else is to be seen
+        nothing = add(link, "visual", name="nothing")
+        add(add(nothing, "geometry"), "box", size=[_UNSEEN_SIDE] * 3)
+        add(add(nothing, "material", name="nothing"), "color", rgba=[0.0] * 4)
     for number, visual in enumerate(meshes.visual if is_seen else ()):
         element = add(link, "visual", name=f"visual_{number}")
         _add_mesh(element, visual.mesh, factor)

@@ -109,6 +109,15 @@ def test_a_model_is_the_object_of_the_world_at_its_size(store: AssetStore, tmp_p
         assert config.findtext("sdf") == "model.sdf"
 
 
+def test_words_that_xml_does_not_take(store: AssetStore, tmp_path: Path) -> None:
+    odd = "a\x00\ufffe <b> ]]> &amp; é"
+    first = replace(at_rest().objects[0], description=odd)
+    world, _ = opened(SceneGeometry.of(replace(at_rest(), objects=(first,)), store), tmp_path)
+    facts = json.loads(world.findtext("stable_data:scene", None, NAMES) or "")
+    assert [known["description"] for known in facts["objects"].values()] == [odd]
+    assert sdformat._plain("\x01mug\x02;\ufffe\n é") == "mug ; é"
+
+
 def test_what_the_support_shows_is_not_drawn_twice(store: AssetStore, tmp_path: Path) -> None:
     geometry = SceneGeometry.of(at_rest(), store)
     unseen = replace(placed_props(geometry)[0], is_seen=False)

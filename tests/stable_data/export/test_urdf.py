@@ -122,3 +122,14 @@ def test_names_are_those_of_bodies_and_differ_without_case(store: AssetStore, tm
     [odd] = [entry for entry in layout["objects"] if entry["instance"] == ODD_INSTANCE]
     assert odd["name"].isascii()
     assert not set(odd["name"]) & set('#<&"/ ')
+
+
+def test_what_the_support_shows_is_not_drawn_twice(store: AssetStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    geometry = SceneGeometry.of(at_rest(), store)
+    seen = placed_props(geometry)[0]
+    monkeypatch.setattr(urdf, "placed_props", lambda _: [seen, replace(seen, name="other", is_seen=False)])
+    layout, folder = opened(geometry, tmp_path)
+    drawn, unseen = (ET.fromstring((folder / o["urdf"]).read_text("utf-8")) for o in layout["objects"])  # noqa: S314
+    assert len(drawn.findall(".//collision")) == len(unseen.findall(".//collision"))
+    assert drawn.findall(".//visual//mesh")
+    assert not unseen.findall(".//visual//mesh")
