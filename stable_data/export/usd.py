@@ -56,4 +56,4 @@ class UsdFormat:
         """
         from stable_data.export.usd_stage import write_stage  # OpenUSD is an extra
 
-        write_stage(geometry, out, self.scene_path(geometry.scene, out), self.flavour)
+        write_stage(geometry, out, self.scene_path(geometry.scene, out), is_whole=self.flavour == "neutral")

@@ -11,7 +11,6 @@ from pxr import Gf, Kind, Sdf, Vt
 from scipy.spatial.transform import Rotation
 
 from stable_data.export.props import PlacedProp, placed_props, sized_prop
-from stable_data.export.usd import Flavour
 from stable_data.export.usd_layer import (
     Materials,
     add_box_collider,
@@ -45,20 +44,20 @@ _PICTURE = (640, 480)  # of the cameras; only the ratio matters
 _LENS, _SENSOR = 50.0, 36.0  # millimetres; the sensor's height
 
 
-def write_stage(geometry: SceneGeometry, out: Path, path: Path, flavour: Flavour) -> None:
+def write_stage(geometry: SceneGeometry, out: Path, path: Path, *, is_whole: bool) -> None:
     """Writes the stage of a scene, and what it references as far as that does not exist.
 
     Args:
         geometry: The scene.
         out: The folder of the export.
         path: The file of the stage.
-        flavour: See :class:`~stable_data.export.usd.UsdFormat`.
+        is_whole: Whether it has a physics scene, cameras, lights and a room, and its packages the usual size of their assets; else
+            it is for a program that makes these itself, and each package has the size of an object.
 
     Raises:
         MeshError: An object has no solid part.
         OSError: A file cannot be written.
     """
-    is_whole = flavour == "neutral"
     scene = geometry.scene
     layer = new_layer("World", f"Scene {scene.scene_id} of stable-data", is_text=True)
     world = add_prim(layer, "World", "Xform")
