@@ -344,8 +344,8 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="Output format: mjcf, usd, glb, mesatask; lance: the rows as a Lance dataset; or original: the scene files that were "
-            "imported, with the new poses.",
+            help="Output format: mjcf, mjcf-objects (robosuite, RoboCasa), usd, sdformat, urdf, arena (Isaac Lab-Arena), glb, "
+            "mesatask; lance: the rows as a Lance dataset; or original: the scene files that were imported, with the new poses.",
         ),
     ],
     flavour: Annotated[str | None, typer.Option(help="Variant of the format for one consumer; usd has isaaclab.")] = None,

@@ -113,8 +113,10 @@ def _tell(consumer: Consumer, scenes: list[Scene], source: RunScenes, out: Path,
 
 
 def _judge(consumer: Consumer, out: Path) -> dict[str, Any]:
-    """Passes the packages of an export to a validator, and the stages to one that is for any file."""
+    """Passes the assets of an export to a validator, and the scenes to one that is for any file."""
     files = sorted(out.glob("props/*/usd/*.usd"))
+    if consumer.format_name == "sdformat":
+        files = sorted(out.glob("worlds/*.sdf")) + sorted(out.glob("models/*/model.sdf"))
     if consumer.name == "nvidia_usd":
         files += sorted(out.glob("scenes/*.usda")) + sorted(out.glob("furniture/*.usd"))
     seen = consumer.open(files)

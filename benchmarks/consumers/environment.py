@@ -4,12 +4,15 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from ctypes.util import find_library
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError
+from stable_data.extras import install_hint
 
 _HERE = Path(__file__).parent
 FOLDER = _HERE.parents[1] / ".consumers"
@@ -29,6 +32,9 @@ class Consumer:
         environment: The environment in which it runs, a file of ``requirements``, or ``ours``.
         engine: Whether it simulates.
         judges: Whether it is a validator, which names problems and no bodies.
+        program: Name of its file in ``programs``; its own name if it is empty.
+        module: A package that it needs in the project's own environment.
+        library: A library of the system that it needs.
     """
 
     name: str
@@ -36,6 +42,9 @@ class Consumer:
     environment: str
     engine: bool = True
     judges: bool = False
+    program: str = ""
+    module: str = ""
+    library: str = ""
 
     @cached_property
     def python(self) -> Path:
@@ -45,11 +54,17 @@ class Consumer:
     @property
     def is_there(self) -> bool:
         """Whether its environment has been made."""
-        return self.python.exists()
+        has_module = not self.module or find_spec(self.module) is not None
+        return self.python.exists() and has_module and (not self.library or find_library(self.library) is not None)
 
     @property
     def missing(self) -> str:
         """How to get its environment."""
+        if self.library:
+            return f"{self.name} needs the library {self.library}, see benchmarks/consumers/programs/README.md"
+        if self.environment == OURS:
+            hint = install_hint(ModuleNotFoundError(name=self.module))
+            return f"{self.name} {hint or f'needs {self.module}, which is not installed'}"
         return f"{self.name} has no environment yet: make consumers NAME={self.environment}"
 
     def open(self, files: Sequence[Path], seconds: float = 0.0, timeout: float = 3600.0) -> list[dict[str, Any]]:
@@ -68,7 +83,7 @@ class Consumer:
         """
         if not self.is_there:
             raise ConfigError(self.missing, "consumer")
-        program = _HERE / "programs" / f"{self.name}.py"
+        program = _HERE / "programs" / f"{self.program or self.name}.py"
         request = json.dumps({"files": [str(path) for path in files], "seconds": seconds})
         done = subprocess.run(
             [str(self.python), "-P", str(program)], input=request, capture_output=True, text=True, timeout=timeout, check=False
@@ -86,6 +101,14 @@ CONSUMERS: Mapping[str, Consumer] = {
         Consumer("newton_usd", "usd", "usd"),
         Consumer("simready", "usd", "simready", engine=False, judges=True),
         Consumer("nvidia_usd", "usd", "simready", engine=False, judges=True),
+        Consumer("libsdformat", "sdformat", OURS, engine=False, judges=True, library="sdformat12"),
+        Consumer("drake_sdformat", "sdformat", "robotics", program="drake_scene"),
+        Consumer("drake_urdf", "urdf", "robotics", program="drake_scene"),
+        Consumer("pybullet_urdf", "urdf", "robotics"),
+        Consumer("yourdfpy_urdf", "urdf", "robotics", engine=False),
+        Consumer("sapien_urdf", "urdf", OURS, module="sapien"),
+        Consumer("mujoco_objects", "mjcf-objects", OURS, module="mujoco"),
+        Consumer("robosuite_objects", "mjcf-objects", "robosuite"),
     )
 }
 """The consumers by name."""

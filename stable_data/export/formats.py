@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 from stable_data.errors import ConfigError
-from stable_data.export import glb, mesatask, mjcf
+from stable_data.export import arena, glb, mesatask, mjcf, mjcf_objects, sdformat, urdf
 from stable_data.export.usd import UsdFormat
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import SceneGeometry
@@ -37,9 +37,13 @@ class ExportFormat(Protocol):
 
 
 FORMATS: dict[str, ExportFormat] = {
+    "arena": arena,
     "glb": glb,
     "mesatask": mesatask,
     "mjcf": mjcf,
+    "mjcf-objects": mjcf_objects,
+    "sdformat": sdformat,
+    "urdf": urdf,
     "usd": UsdFormat(),
     "usd:isaaclab": UsdFormat("isaaclab"),
 }

@@ -11,20 +11,19 @@ from the file. MuJoCo's own writer is not used, because it rounds to six digits.
 """
 
 import hashlib
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from PIL import Image
 
 from stable_data.atomic_files import safe_file_name, write_file_atomically
+from stable_data.export.mesh_files import obj_file, png_file
+from stable_data.export.xml_elements import add, document, text_of
 from stable_data.scene import Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import VISUAL, engine_spec
-from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER
 
@@ -62,9 +61,7 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
     pictures = {t.name: _put_texture(t, folder) for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_2D}
     path = scene_path(geometry.scene, out)
     path.parent.mkdir(parents=True, exist_ok=True)
-    tree = _model(spec, files, pictures)
-    ET.indent(tree)
-    write_file_atomically(path, ET.tostring(tree, encoding="utf-8") + b"\n")
+    write_file_atomically(path, document(_model(spec, files, pictures)))
 
 
 def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
@@ -76,13 +73,13 @@ def _put_mesh(mesh: mujoco.MjsMesh, folder: Path) -> str:
     named = hashlib.sha256(repr((vertices.shape, faces.shape, uv.shape)).encode())
     for array in (vertices, faces, uv, corners):
         named.update(array.tobytes())
-    return _put(named, ".obj", folder, lambda: _obj(vertices, faces, uv, corners))
+    return _put(named, ".obj", folder, lambda: obj_file(vertices, faces, uv if len(uv) else None, corners))
 
 
 def _put_texture(texture: mujoco.MjsTexture, folder: Path) -> str:
     """Writes an image under a hash of its pixels, which takes less time than its file, and returns its name in the folder."""
     pixels = np.frombuffer(bytes(texture.data), np.uint8).reshape(texture.height, texture.width, texture.nchannel)
-    return _put(hashlib.sha256(repr(pixels.shape).encode() + pixels.tobytes()), ".png", folder, lambda: _png(pixels))
+    return _put(hashlib.sha256(repr(pixels.shape).encode() + pixels.tobytes()), ".png", folder, lambda: png_file(pixels))
 
 
 def _put(named: "hashlib._Hash", suffix: str, folder: Path, content: Callable[[], bytes]) -> str:
@@ -95,117 +92,85 @@ def _put(named: "hashlib._Hash", suffix: str, folder: Path, content: Callable[[]
     return f"{digest[:2]}/{digest}{suffix}"
 
 
-def _obj(vertices: Any, faces: Any, uv: Any, corners: Any) -> bytes:
-    """A mesh as Wavefront OBJ; MuJoCo stores single precision, which nine digits represent exactly."""
-    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
-    if len(uv):
-        lines += [f"vt {u:.9g} {1 - v:.9g}" for u, v in uv.tolist()]  # the format counts from below
-        pairs = np.stack([faces + 1, corners + 1], axis=2).reshape(-1, 6)
-        lines += [f"f {a}/{i} {b}/{j} {c}/{k}" for a, i, b, j, c, k in pairs.tolist()]
-    else:
-        lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _png(pixels: Picture) -> bytes:
-    """An image as PNG; MuJoCo reads no JPEG."""
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "png")
-    return stream.getvalue()
-
-
 def _model(spec: mujoco.MjSpec, files: dict[str, str], pictures: dict[str, str]) -> ET.Element:
     root = ET.Element("mujoco", model=spec.modelname)
-    _add(root, "compiler", angle="radian", meshdir=f"../{MESH_FOLDER}", texturedir=f"../{MESH_FOLDER}")
-    option = _add(root, "option", timestep=spec.option.timestep, cone="elliptic", impratio=spec.option.impratio)
+    add(root, "compiler", angle="radian", meshdir=f"../{MESH_FOLDER}", texturedir=f"../{MESH_FOLDER}")
+    option = add(root, "option", timestep=spec.option.timestep, cone="elliptic", impratio=spec.option.impratio)
     # By default versions before 4 give two meshes a single contact point, on which objects creep.
-    _add(option, "flag", autoreset="disable", multiccd="enable")
-    _add(root, "statistic", center=spec.stat.center, extent=spec.stat.extent)
+    add(option, "flag", autoreset="disable", multiccd="enable")
+    add(root, "statistic", center=spec.stat.center, extent=spec.stat.extent)
     _add_visual(root, spec.visual)
-    defaults = _add(root, "default")
+    defaults = add(root, "default")
     for name in (COLLIDER, VISUAL):
         geom = spec.find_default(name).geom
-        of_class = _add(defaults, "default")
+        of_class = add(defaults, "default")
         of_class.set("class", name)
         if name == VISUAL:
-            _add(of_class, "geom", contype=0, conaffinity=0, group=geom.group, mass=0)
+            add(of_class, "geom", contype=0, conaffinity=0, group=geom.group, mass=0)
         else:
             contact = {key: getattr(geom, key) for key in ("condim", "friction", "solref", "solimp")}
-            _add(of_class, "geom", group=geom.group, **contact)
-    assets = _add(root, "asset")
+            add(of_class, "geom", group=geom.group, **contact)
+    assets = add(root, "asset")
     for texture in spec.textures:
         if texture.name in pictures:
-            _add(assets, "texture", name=texture.name, type="2d", file=pictures[texture.name])
+            add(assets, "texture", name=texture.name, type="2d", file=pictures[texture.name])
             continue
         size = {"width": texture.width, "height": texture.height}
-        _add(assets, "texture", type="skybox", builtin="gradient", rgb1=texture.rgb1, rgb2=texture.rgb2, **size)
+        add(assets, "texture", type="skybox", builtin="gradient", rgb1=texture.rgb1, rgb2=texture.rgb2, **size)
     for material in spec.materials:
         texture = material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB]
         painted = {"rgba": material.rgba} | ({"texture": texture} if texture else {})
         shine = {key: getattr(material, key) for key in ("specular", "shininess", "emission")}
-        _add(assets, "material", name=material.name, **painted, **shine)
+        add(assets, "material", name=material.name, **painted, **shine)
     for mesh in spec.meshes:
-        element = _add(assets, "mesh", name=mesh.name, file=files[mesh.name], inertia=_INERTIAS[int(mesh.inertia)])
+        element = add(assets, "mesh", name=mesh.name, file=files[mesh.name], inertia=_INERTIAS[int(mesh.inertia)])
         if not np.array_equal(mesh.scale, (1.0, 1.0, 1.0)):
-            element.set("scale", _text(mesh.scale))
-    _add_world(_add(root, "worldbody"), spec)
+            element.set("scale", text_of(mesh.scale))
+    _add_world(add(root, "worldbody"), spec)
     for key in spec.keys:
-        _add(_add(root, "keyframe"), "key", name=key.name, qpos=key.qpos)
+        add(add(root, "keyframe"), "key", name=key.name, qpos=key.qpos)
     return root
 
 
 def _add_visual(root: ET.Element, visual: Any) -> None:
-    element = _add(root, "visual")
+    element = add(root, "visual")
     light, depth, whole = visual.headlight, visual.map, visual.global_
-    _add(element, "headlight", ambient=light.ambient, diffuse=light.diffuse, specular=light.specular)
-    _add(element, "map", znear=depth.znear, zfar=depth.zfar, shadowclip=depth.shadowclip)
-    _add(element, "quality", shadowsize=visual.quality.shadowsize, offsamples=visual.quality.offsamples)
-    _add(element, "global", offwidth=whole.offwidth, offheight=whole.offheight)
+    add(element, "headlight", ambient=light.ambient, diffuse=light.diffuse, specular=light.specular)
+    add(element, "map", znear=depth.znear, zfar=depth.zfar, shadowclip=depth.shadowclip)
+    add(element, "quality", shadowsize=visual.quality.shadowsize, offsamples=visual.quality.offsamples)
+    add(element, "global", offwidth=whole.offwidth, offheight=whole.offheight)
 
 
 def _add_world(world: ET.Element, spec: mujoco.MjSpec) -> None:
     for light in spec.worldbody.lights:
         shade = "true" if light.castshadow else "false"
         colours = {"diffuse": light.diffuse, "specular": light.specular, "ambient": light.ambient}
-        _add(world, "light", directional="true", pos=light.pos, dir=light.dir, castshadow=shade, **colours)
+        add(world, "light", directional="true", pos=light.pos, dir=light.dir, castshadow=shade, **colours)
     for camera in spec.worldbody.cameras:
-        _add(world, "camera", name=camera.name, pos=camera.pos, quat=camera.quat, fovy=camera.fovy)
+        add(world, "camera", name=camera.name, pos=camera.pos, quat=camera.quat, fovy=camera.fovy)
     for geom in spec.worldbody.geoms:
         _add_geom(world, geom)
     for body in spec.bodies[1:]:
-        element = _add(world, "body", name=body.name, pos=body.pos, quat=body.quat)
+        element = add(world, "body", name=body.name, pos=body.pos, quat=body.quat)
         for joint in body.joints:
-            _add(element, "freejoint", name=joint.name)
-        _add(element, "inertial", pos=body.ipos, quat=body.iquat, mass=body.mass, diaginertia=body.inertia)
+            add(element, "freejoint", name=joint.name)
+        add(element, "inertial", pos=body.ipos, quat=body.iquat, mass=body.mass, diaginertia=body.inertia)
         for geom in body.geoms:
             _add_geom(element, geom)
 
 
 def _add_geom(parent: ET.Element, geom: mujoco.MjsGeom) -> None:
     kind = _GEOM_TYPES[int(geom.type)]
-    element = _add(parent, "geom", name=geom.name, type=kind)
+    element = add(parent, "geom", name=geom.name, type=kind)
     element.set("class", geom.classname.name)
     for key in ("pos", "quat", "rgba", "group", "friction", "priority"):
         if not np.array_equal(value := getattr(geom, key), getattr(geom.classname.geom, key)):
-            element.set(key, _text(value))  # values of the class are not repeated
+            element.set(key, text_of(value))  # values of the class are not repeated
     if geom.material:
         element.set("material", geom.material)
     if kind == "mesh":
         element.set("mesh", geom.meshname)
         if geom.classname.name == COLLIDER:
-            element.set("mass", _text(geom.mass))
+            element.set("mass", text_of(geom.mass))
     else:
-        element.set("size", _text(geom.size))
-
-
-def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
-    return ET.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
-
-
-def _text(value: Any) -> str:
-    """Numbers as text that reads back to the same number; single precision with as many digits as it has."""
-    if isinstance(value, str):
-        return value
-    if hasattr(value, "__len__"):
-        return " ".join(_text(v) for v in value)
-    return str(value.item() if isinstance(value, np.float64) else value)
+        element.set("size", text_of(geom.size))

@@ -51,8 +51,8 @@ def write_stage(geometry: SceneGeometry, out: Path, path: Path, *, is_whole: boo
         geometry: The scene.
         out: The folder of the export.
         path: The file of the stage.
-        is_whole: Whether the stage has a physics scene, lights, cameras and a room, and packages have their usual size; else every
-            object has a package of its own size.
+        is_whole: Whether it has a physics scene, cameras, lights and a room, and its packages the usual size of their assets; else
+            it is for a program that makes these itself, and each package has the size of an object.
 
     Raises:
         MeshError: An object has no solid part.

@@ -1,33 +1,15 @@
 """Exports in OpenUSD, opened by MuJoCo and Newton, and judged by the validators of SimReady and NVIDIA."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from benchmarks.consumers.comparison import differences, expected, stays
 from benchmarks.consumers.environment import CONSUMERS
-from stable_data.assets.run_assets import run_store
 from stable_data.export.usd import UsdFormat
-from stable_data.simulation.run_reader import RunScenes
 from stable_data.simulation.scene_geometry import SceneGeometry
-from tests import textured_assets
-from tests.stable_data.export.runs import EMPTY, at_rest, falling, write_run
 
 pytestmark = [pytest.mark.slow, pytest.mark.sim, pytest.mark.timeout(1200)]
-
-
-@pytest.fixture(scope="module")
-def geometries(tmp_path_factory: pytest.TempPathFactory) -> list[SceneGeometry]:
-    """Scenes at rest and not, with odd names, boxes, a fixed object and textures."""
-    root = tmp_path_factory.mktemp("runs")
-    store = run_store(write_run(root / "plain").uri)
-    fixed = replace(at_rest(), scene_id="fixed", fixed=frozenset({"2_plate_0"}))
-    look = textured_assets.textured("box", textured_assets.picture_box())
-    dressed = textured_assets.scene_of(textured_assets.thing("0_box_0", "box", 0.4, 0.3, 0.5, 1.5))
-    scenes = RunScenes(textured_assets.write_run(root / "dressed", [look], dressed))
-    found = [SceneGeometry.of(scene, store) for scene in (at_rest(), falling(), EMPTY, fixed)]
-    return [*found, *(scenes.geometry(scene) for scene in scenes)]
 
 
 def exported(geometries: list[SceneGeometry], flavour: str, out: Path) -> list[Path]:

@@ -15,9 +15,8 @@ from stable_data.storage.run_folder import RunFolder
 pytestmark = pytest.mark.sim
 
 DOC = (Path(__file__).parents[3] / "docs" / "export.md").read_text("utf-8")
-COMMANDS = [
-    line for block in re.findall(r"^```\n(.*?)^```", DOC, re.DOTALL | re.MULTILINE) for line in block.splitlines() if line
-]
+CODE = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)
+COMMANDS = [line for line in DOC.splitlines() if line.startswith("stable-data export RUN ")]
 
 
 def exported(command: str, run: RunFolder, out: Path) -> Path:
@@ -35,9 +34,17 @@ def test_every_command_runs_as_written(command: str, run: RunFolder, tmp_path: P
 
 
 def test_the_documented_code_opens_a_model(run: RunFolder, tmp_path: Path) -> None:
-    [mjcf] = [command for command in COMMANDS if "mjcf" in command]
-    [code] = re.findall(r"```python\n(.*?)```", DOC, re.DOTALL)
+    [mjcf] = [command for command in COMMANDS if "mjcf_files" in command]
+    code, _ = CODE
     names: dict[str, Any] = {"OUT": exported(mjcf, run, tmp_path), "SCENE": "falling"}
     exec(code, names)  # noqa: S102
     assert names["data"].time == pytest.approx(1.0)
     assert np.isfinite(names["data"].qpos).all()
+
+
+def test_the_documented_code_places_objects(run: RunFolder, tmp_path: Path) -> None:
+    [command] = [command for command in COMMANDS if "mjcf-objects" in command]
+    _, code = CODE
+    names: dict[str, Any] = {"OUT": exported(command, run, tmp_path), "SCENE": "falling"}
+    exec(code, names)  # noqa: S102
+    assert names["model"].njnt == len(names["layout"]["objects"]) == 2
