@@ -11,6 +11,7 @@ from pxr import Gf, Kind, Sdf, Vt
 from scipy.spatial.transform import Rotation
 
 from stable_data.export.props import PlacedProp, placed_props, sized_prop
+from stable_data.export.scene_files import PICTURE, camera_poses, object_facts, scene_facts, table_box
 from stable_data.export.usd_layer import (
     Materials,
     add_box_collider,
@@ -33,14 +34,12 @@ from stable_data.export.usd_prop import (
     write_package,
 )
 from stable_data.geometry.surface import Surface
-from stable_data.simulation.mujoco_model import CAMERAS, SUPPORT
-from stable_data.simulation.render import camera_pose
+from stable_data.simulation.mujoco_model import SUPPORT
 from stable_data.simulation.room import furnish
 from stable_data.simulation.scene_geometry import SceneGeometry
-from stable_data.simulation.settling import GRAVITY, TABLE_DEPTH
+from stable_data.simulation.settling import GRAVITY
 
 _PROPS, _FURNITURE = "props", "furniture"
-_PICTURE = (640, 480)  # of the cameras; only the ratio matters
 _LENS, _SENSOR = 50.0, 36.0  # millimetres; the sensor's height
 
 
@@ -69,8 +68,8 @@ def write_stage(geometry: SceneGeometry, out: Path, path: Path, *, is_whole: boo
         put(physics, "float", {"physics:gravityMagnitude": GRAVITY})
     table = add_prim(world, "Table", "Xform", ("MaterialBindingAPI", "SemanticsLabelsAPI:class"))
     put(table, "token[]", {"semantics:labels:class": Vt.TokenArray(["table"])})
-    x, y = scene.table.size_xy
-    add_box_collider(table, "Collider", np.array([0.0, 0.0, -TABLE_DEPTH]), np.array([x, y, 0.0]))
+    middle, size = map(np.array, table_box(geometry))
+    add_box_collider(table, "Collider", middle - size / 2, middle + size / 2)
     relate(table, "material:binding:physics", add_physics_material(table, "PhysicsMaterial", None))
     _refer(add_prim(world, "Furniture", "Xform"), f"../{_FURNITURE}/{_put_furniture(geometry, out / _FURNITURE, is_whole)}")
     objects = add_prim(world, "Objects", "Xform")
@@ -86,22 +85,17 @@ def write_stage(geometry: SceneGeometry, out: Path, path: Path, *, is_whole: boo
 
 def _facts(geometry: SceneGeometry) -> dict[str, Any]:
     """What is known of the scene: task, relations and verdicts."""
-    scene, task = geometry.scene, geometry.scene.task
-    known = {name: value for name, value in geometry.verdicts.items() if value is not None}
+    given = scene_facts(geometry)
+    known = {name: value for name, value in given["verdicts"].items() if value is not None}
     facts: dict[str, Any] = {
-        "scene_id": scene.scene_id,
-        "table_type": scene.table.table_type,
-        "relations": Vt.StringArray([f"{r.subject} {r.kind} {r.target}" for r in scene.relations]),
-        "verdicts": {name: value if isinstance(value, bool | int) else float(value) for name, value in known.items()},
-        "unknown_verdicts": Vt.StringArray(sorted(geometry.verdicts.keys() - known.keys())),
+        "scene_id": given["scene_id"],
+        "table_type": given["table_type"],
+        "relations": [f"{r['subject']} {r['kind']} {r['target']}" for r in given["relations"]],
+        "verdicts": known,
+        "unknown_verdicts": sorted(given["verdicts"].keys() - known.keys()),
+        **(given["task"] or {}),
     }
-    if task is not None:
-        facts["instruction"] = task.task
-        facts["environment"] = task.environment
-        facts["goal"] = Vt.StringArray(list(task.goal))
-        facts["action_sequence"] = Vt.StringArray(list(task.action_sequence))
-        facts["task_objects"] = Vt.StringArray(list(task.task_objects))
-    return facts
+    return {name: Vt.StringArray(value) if isinstance(value, list) else value for name, value in facts.items()}
 
 
 def prim_names(placed: Sequence[PlacedProp]) -> list[str]:
@@ -128,9 +122,7 @@ def _add_object(
     body = add_prim(parent, name, "Xform")
     _refer(body, f"../{_PROPS}/{package_path(prop).as_posix()}")
     place(body, placed.position, placed.quat_xyzw)
-    o = placed.object
-    facts = {"instance": o.instance, "category": o.category, "description": o.description, "asset_id": o.asset_id}
-    facts |= {"stage": None if o.stage is None else str(o.stage), "support": o.support}
+    facts = object_facts(placed)
     body.customData = {"stable_data": {key: value for key, value in facts.items() if value}}
     if placed.is_fixed:
         body.SetInfo("apiSchemas", Sdf.TokenListOp.Create(deletedItems=list(BODY_SCHEMAS)))
@@ -186,12 +178,11 @@ def _write_furniture(parts: list[tuple[str, int, Surface, str]], folder: Path, f
 
 def _add_view(world: Sdf.PrimSpec, geometry: SceneGeometry) -> None:
     """Adds cameras and lights."""
-    low, high = geometry.seen_bounds
     cameras = add_prim(world, "Cameras", "Scope")
-    for view in CAMERAS:
+    for view, position, quat_xyzw in camera_poses(geometry):
         camera = add_prim(cameras, view, "Camera")
-        place(camera, *camera_pose(low, high, view, _PICTURE, geometry.scene.table))
-        width = _SENSOR * _PICTURE[0] / _PICTURE[1]
+        place(camera, position, quat_xyzw)
+        width = _SENSOR * PICTURE[0] / PICTURE[1]
         put(camera, "float", {"focalLength": _LENS, "horizontalAperture": width, "verticalAperture": _SENSOR})
         put(camera, "float2", {"clippingRange": Gf.Vec2f(0.01, 1000.0)})
     lights = add_prim(world, "Lights", "Scope")

@@ -29,7 +29,7 @@ from stable_data.judges import judge as shared
 from stable_data.judges.judge import VERDICT_OPTIONS, FrictionLayer
 from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import FloatArray, Tabletop
-from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, check_body
+from stable_data.simulation.settling import TABLE_DEPTH, PhysicsOptions, RigidBody, SettleResult, check_body
 
 STEP = 0.004
 """Longest step, seconds; steps divide the interval between samples."""
@@ -59,9 +59,9 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
     *layers, of_table = shared.friction_layers([*own, None], options.friction[0])
     colliders: dict[FrictionLayer, list[GeometryId]] = defaultdict(list)
     x, y = table.size_xy
-    place = RigidTransform([x / 2, y / 2, -shared.TABLE_THICKNESS / 2])
+    place = RigidTransform([x / 2, y / 2, -TABLE_DEPTH / 2])
     for copy in of_table:
-        shape = Box(x, y, shared.TABLE_THICKNESS)
+        shape = Box(x, y, TABLE_DEPTH)
         colliders[copy].append(
             plant.RegisterCollisionGeometry(plant.world_body(), place, shape, f"table_{copy.index}", _properties(copy, None))
         )

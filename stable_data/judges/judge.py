@@ -24,9 +24,6 @@ from stable_data.simulation.settling import (
 VERDICT_OPTIONS = PhysicsOptions()
 """Options of the verdict on stability."""
 
-TABLE_THICKNESS = 0.1
-"""Thickness of the box whose top is the table, metres: as in MuJoCo."""
-
 
 class Judge(Protocol):
     """A physics engine that judges scenes."""

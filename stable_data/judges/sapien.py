@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError
 from stable_data.judges.judge import (
-    TABLE_THICKNESS,
     VERDICT_OPTIONS,
     FrictionLayer,
     friction_layers,
@@ -19,7 +18,7 @@ from stable_data.judges.judge import (
 )
 from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import FloatArray, QuatXyzw, Tabletop, Vec3
-from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, check_body
+from stable_data.simulation.settling import GRAVITY, TABLE_DEPTH, PhysicsOptions, RigidBody, SettleResult, check_body
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # it has no graphics driver; nothing is drawn
@@ -52,7 +51,7 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
             f"bodies have {len(of_table) - 1} different frictions, PhysX expects at most {_MAX_LAYERS - 1}", "engine"
         )
     world = _new_world()
-    half = (table.size_xy[0] / 2, table.size_xy[1] / 2, TABLE_THICKNESS / 2)
+    half = (table.size_xy[0] / 2, table.size_xy[1] / 2, TABLE_DEPTH / 2)
     _add_static(world, _box_shapes(half, of_table), (half[0], half[1], -half[2]))
     try:
         entities = [_add_body(world, body, copies) for body, copies in zip(bodies, layers, strict=True)]
@@ -75,7 +74,7 @@ def _new_world() -> Any:
     """An empty world; the configuration is global, so that of others is put back."""
     others = physx.get_scene_config()
     physx.set_scene_config(
-        gravity=(0.0, 0.0, -9.81),
+        gravity=(0.0, 0.0, -GRAVITY),
         enable_pcm=False,  # with it, contacts of things of some centimetres are so few that a stack of boxes that leans falls
         enable_tgs=True,
         enable_ccd=False,
