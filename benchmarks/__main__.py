@@ -40,6 +40,8 @@ def main() -> None:
             "loader": ([run, data], []),
             "export": ([run], ["--scenes", "6"]),
             "viewing": ([run], ["--scenes", "6", "--rows", "200"]),
+            "query": ([run, f"{run}/large", "--rows", "100000"], ["--rows", "2000"]),
+            "judges": ([data, "--limit", "40"], ["--limit", "2"]),
             "env": ([run], ["--scenes", "2", "--steps", "10"]),
             "corrector_losses": ([run, data], ["--batch", "8"]),
             "correction": ([data, *layouts], ["--per-bucket", "1"]),

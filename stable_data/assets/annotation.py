@@ -24,8 +24,8 @@ class AssetAnnotation:
         mark_deletion: Whether the annotators marked it for deletion.
         is_composite: Whether the mesh contains several objects.
         extents_z_up: Box extents in mesh units along the z-up axes, if given. The file gives them y-up.
-        typical_scale: Usual scale, metres per mesh unit, if the asset is of a run that knows it; no file gives it.
-        resting_tilt: Most frequent tilt in the scenes of its run, xyzw, if the asset is of a run; no file gives it.
+        typical_scale: Usual scale, metres per mesh unit, if the asset is of a run that knows it; no file gives it. Not compared.
+        resting_tilt: Most frequent tilt in the scenes of its run, xyzw, if the asset is of a run; no file gives it. Not compared.
         raw: The entry of the file, for a lossless round trip. Not compared.
     """
 
@@ -40,8 +40,8 @@ class AssetAnnotation:
     mark_deletion: bool = False
     is_composite: bool = False
     extents_z_up: Vec3 | None = None
-    typical_scale: Vec3 | None = None
-    resting_tilt: QuatXyzw | None = None
+    typical_scale: Vec3 | None = field(default=None, compare=False, repr=False)
+    resting_tilt: QuatXyzw | None = field(default=None, compare=False, repr=False)
     raw: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @property

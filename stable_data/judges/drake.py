@@ -25,11 +25,12 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from stable_data.errors import MeshError
+from stable_data.geometry.mesh import Mesh
 from stable_data.judges import judge as shared
 from stable_data.judges.judge import VERDICT_OPTIONS, FrictionLayer
 from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import FloatArray, Tabletop
-from stable_data.simulation.settling import TABLE_DEPTH, PhysicsOptions, RigidBody, SettleResult, check_body
+from stable_data.simulation.settling import GRAVITY, TABLE_DEPTH, PhysicsOptions, RigidBody, SettleResult, check_body
 
 STEP = 0.004
 """Longest step, seconds; steps divide the interval between samples."""
@@ -38,7 +39,15 @@ MODULUS = 2e6
 """Hydroelastic modulus of what moves, Pa: bodies sink in by hundredths of a millimetre. The table and fixed bodies are rigid. Stiffer
 bodies stay on slopes that are too steep for their friction; softer towers fall."""
 
+# Drake refuses faces below an absolute area, which hulls of small things have. So a scene is simulated this much larger: lengths,
+# gravity and speeds grow by it, pressures fall by it, times, masses and frictions stay.
+_ENLARGED = 100.0
+
 _RIGID_HINT = 0.1  # metres; hulls and boxes have their own faces, whatever it is
+
+_FLATTEST = 1e-4  # lowest height of a tetrahedron, share of the extent of its part; parts with flatter ones touch at points
+
+_STICTION = 1e-3  # metres a second: slower contacts count as sticking; the default of Drake
 
 _DISSIPATION = 10.0  # seconds a metre, of Hunt and Crossley
 
@@ -53,15 +62,17 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
         time_step=options.sample_seconds / num_steps,
         contact_model="hydroelastic_with_fallback",
         discrete_contact_approximation="lagged",
+        stiction_tolerance=_STICTION * _ENLARGED,
     )
     plant, graph = AddMultibodyPlant(config, builder)
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -GRAVITY * _ENLARGED])
     own = [None if body.friction is None else body.friction[0] for body in bodies]
     *layers, of_table = shared.friction_layers([*own, None], options.friction[0])
     colliders: dict[FrictionLayer, list[GeometryId]] = defaultdict(list)
-    x, y = table.size_xy
-    place = RigidTransform([x / 2, y / 2, -TABLE_DEPTH / 2])
+    x, y, z = (_ENLARGED * side for side in (*table.size_xy, TABLE_DEPTH))
+    place = RigidTransform([x / 2, y / 2, -z / 2])
     for copy in of_table:
-        shape = Box(x, y, TABLE_DEPTH)
+        shape = Box(x, y, z)
         colliders[copy].append(
             plant.RegisterCollisionGeometry(plant.world_body(), place, shape, f"table_{copy.index}", _properties(copy, None))
         )
@@ -92,7 +103,7 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
         for number, made in movable:
             pose = plant.EvalBodyPoseInWorld(own_context, made)
             turn = pose.rotation().ToQuaternion()
-            poses[number] = (*pose.translation(), turn.x(), turn.y(), turn.z(), turn.w())
+            poses[number] = (*pose.translation() / _ENLARGED, turn.x(), turn.y(), turn.z(), turn.w())
         return poses.copy()
 
     return shared.judge_samples(bodies, advance, options, "Drake")
@@ -108,29 +119,43 @@ def _add_body(
     made, place = plant.world_body(), _pose(body)
     if body.movable:
         own = shared.inertial_of(body)
-        inertia, centre = own.inertia / body.mass, own.center_of_mass
+        inertia, centre = own.inertia / body.mass * _ENLARGED**2, own.center_of_mass * _ENLARGED
         unit = UnitInertia(*inertia.diagonal(), inertia[0, 1], inertia[0, 2], inertia[1, 2]).ShiftFromCenterOfMass(centre)
         made, place = plant.AddRigidBody(f"body_{number}", SpatialInertia(body.mass, centre, unit)), RigidTransform()
     for part_number, part in enumerate(shared.solid_parts(body)):
-        extent = float(np.ptp(part.vertices, axis=0).min()) if body.movable else None
+        corners, is_regular = part.vertices * _ENLARGED, _is_regular(part)
+        extent = float(np.ptp(corners, axis=0).min()) if body.movable else None
         for copy in copies:
             name = f"body_{number}_{part_number}_{copy.index}"
-            hull = Convex(points=part.vertices.T, label=name)
-            colliders[copy].append(plant.RegisterCollisionGeometry(made, place, hull, name, _properties(copy, extent)))
+            hull = Convex(points=corners.T, label=name)
+            found = _properties(copy, extent, has_pressure=is_regular)
+            colliders[copy].append(plant.RegisterCollisionGeometry(made, place, hull, name, found))
+
+
+def _is_regular(part: Mesh) -> bool:
+    """Whether Drake can fill a part with tetrahedra from its middle: it refuses the scene if one of them is flat."""
+    a, b, c = (part.vertices[part.faces[:, k]] - part.vertices.mean(axis=0) for k in range(3))
+    normal = np.cross(b - a, c - a)
+    sides = np.stack([normal, np.cross(a, b), np.cross(b, c), np.cross(c, a)])
+    largest = np.linalg.norm(sides, axis=2).max(axis=0)  # twice the area of the largest side of each
+    heights = np.einsum("ij,ij->i", a, normal) / largest
+    return bool((heights > _FLATTEST * np.ptp(part.vertices, axis=0).max()).all())
 
 
 def _pose(body: RigidBody) -> RigidTransform:
-    return RigidTransform(Quaternion(wxyz(yaw_quat(body.yaw))), body.position)
+    return RigidTransform(Quaternion(wxyz(yaw_quat(body.yaw))), [_ENLARGED * c for c in body.position])
 
 
-def _properties(copy: FrictionLayer, extent: float | None) -> ProximityProperties:
-    """Those of a part of this thickness, metres; None: it is rigid."""
+def _properties(copy: FrictionLayer, extent: float | None, *, has_pressure: bool = True) -> ProximityProperties:
+    """Those of a part of this thickness; None: it is rigid. Without pressure it touches at points."""
     found = ProximityProperties()
-    AddContactMaterial(_DISSIPATION, None, CoulombFriction(copy.friction, copy.friction), found)
+    AddContactMaterial(_DISSIPATION / _ENLARGED, None, CoulombFriction(copy.friction, copy.friction), found)
+    if not has_pressure:
+        return found
     if extent is None:
-        AddRigidHydroelasticProperties(_RIGID_HINT, found)
+        AddRigidHydroelasticProperties(_RIGID_HINT * _ENLARGED, found)
     else:
-        AddCompliantHydroelasticProperties(extent, MODULUS, found)
+        AddCompliantHydroelasticProperties(extent, MODULUS / _ENLARGED, found)
     return found
 
 

@@ -68,7 +68,8 @@ class AssetNotes:
 
     def __init__(self, run: RunFolder) -> None:
         others = [name for name in SCHEMAS["assets"].names if name not in _ASSET_COLUMNS]
-        self._rows = RowsOfAssets(run, "assets", others) if run.files("assets") else None
+        here = RunFolder(run.root) if run.is_local else run  # a job may have another working folder by now
+        self._rows = RowsOfAssets(here, "assets", others) if run.files("assets") else None
         self._recent: OrderedDict[str, Row | None] = OrderedDict()
 
     def of(self, asset_id: str | None) -> Row | None:
