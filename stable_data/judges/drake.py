@@ -6,18 +6,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from pydrake import geometry
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.geometry import (
-    AddCompliantHydroelasticProperties,
-    AddContactMaterial,
-    AddRigidHydroelasticProperties,
-    Box,
-    CollisionFilterDeclaration,
-    Convex,
-    GeometryId,
-    GeometrySet,
-    ProximityProperties,
-)
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant, MultibodyPlantConfig
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
@@ -25,7 +15,6 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from stable_data.errors import MeshError
-from stable_data.geometry.mesh import Mesh
 from stable_data.judges import judge as shared
 from stable_data.judges.judge import VERDICT_OPTIONS, FrictionLayer
 from stable_data.rotations import wxyz, yaw_quat
@@ -39,12 +28,10 @@ MODULUS = 2e6
 """Hydroelastic modulus of what moves, Pa: bodies sink in by hundredths of a millimetre. The table and fixed bodies are rigid. Stiffer
 bodies stay on slopes that are too steep for their friction; softer towers fall."""
 
-# Drake refuses faces below an absolute area, which hulls of small things have. So a scene is simulated this much larger: lengths,
-# gravity and speeds grow by it, pressures fall by it, times, masses and frictions stay.
+# Drake refuses small faces, by area. So a scene is simulated larger: lengths, gravity and speeds grow, pressures fall by this.
 _ENLARGED = 100.0
 
 _RIGID_HINT = 0.1  # metres; hulls and boxes have their own faces, whatever it is
-
 _FLATTEST = 1e-4  # lowest height of a tetrahedron, share of the extent of its part; parts with flatter ones touch at points
 
 _STICTION = 1e-3  # metres a second: slower contacts count as sticking; the default of Drake
@@ -68,11 +55,11 @@ def settle(bodies: Sequence[RigidBody], table: Tabletop, options: PhysicsOptions
     plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -GRAVITY * _ENLARGED])
     own = [None if body.friction is None else body.friction[0] for body in bodies]
     *layers, of_table = shared.friction_layers([*own, None], options.friction[0])
-    colliders: dict[FrictionLayer, list[GeometryId]] = defaultdict(list)
+    colliders: dict[FrictionLayer, list[geometry.GeometryId]] = defaultdict(list)
     x, y, z = (_ENLARGED * side for side in (*table.size_xy, TABLE_DEPTH))
     place = RigidTransform([x / 2, y / 2, -z / 2])
     for copy in of_table:
-        shape = Box(x, y, z)
+        shape = geometry.Box(x, y, z)
         colliders[copy].append(
             plant.RegisterCollisionGeometry(plant.world_body(), place, shape, f"table_{copy.index}", _properties(copy, None))
         )
@@ -114,7 +101,7 @@ def _add_body(
     number: int,
     body: RigidBody,
     copies: Sequence[FrictionLayer],
-    colliders: dict[FrictionLayer, list[GeometryId]],
+    colliders: dict[FrictionLayer, list[geometry.GeometryId]],
 ) -> None:
     made, place = plant.world_body(), _pose(body)
     if body.movable:
@@ -123,49 +110,39 @@ def _add_body(
         unit = UnitInertia(*inertia.diagonal(), inertia[0, 1], inertia[0, 2], inertia[1, 2]).ShiftFromCenterOfMass(centre)
         made, place = plant.AddRigidBody(f"body_{number}", SpatialInertia(body.mass, centre, unit)), RigidTransform()
     for part_number, part in enumerate(shared.solid_parts(body)):
-        corners, is_regular = part.vertices * _ENLARGED, _is_regular(part)
+        corners, is_regular = part.vertices * _ENLARGED, shared.has_volume_everywhere(part, _FLATTEST)
         extent = float(np.ptp(corners, axis=0).min()) if body.movable else None
         for copy in copies:
             name = f"body_{number}_{part_number}_{copy.index}"
-            hull = Convex(points=corners.T, label=name)
+            hull = geometry.Convex(points=corners.T, label=name)
             found = _properties(copy, extent, has_pressure=is_regular)
             colliders[copy].append(plant.RegisterCollisionGeometry(made, place, hull, name, found))
-
-
-def _is_regular(part: Mesh) -> bool:
-    """Whether Drake can fill a part with tetrahedra from its middle: it refuses the scene if one of them is flat."""
-    a, b, c = (part.vertices[part.faces[:, k]] - part.vertices.mean(axis=0) for k in range(3))
-    normal = np.cross(b - a, c - a)
-    sides = np.stack([normal, np.cross(a, b), np.cross(b, c), np.cross(c, a)])
-    largest = np.linalg.norm(sides, axis=2).max(axis=0)  # twice the area of the largest side of each
-    heights = np.einsum("ij,ij->i", a, normal) / largest
-    return bool((heights > _FLATTEST * np.ptp(part.vertices, axis=0).max()).all())
 
 
 def _pose(body: RigidBody) -> RigidTransform:
     return RigidTransform(Quaternion(wxyz(yaw_quat(body.yaw))), [_ENLARGED * c for c in body.position])
 
 
-def _properties(copy: FrictionLayer, extent: float | None, *, has_pressure: bool = True) -> ProximityProperties:
+def _properties(copy: FrictionLayer, extent: float | None, *, has_pressure: bool = True) -> geometry.ProximityProperties:
     """Those of a part of this thickness; None: it is rigid. Without pressure it touches at points."""
-    found = ProximityProperties()
-    AddContactMaterial(_DISSIPATION / _ENLARGED, None, CoulombFriction(copy.friction, copy.friction), found)
+    found = geometry.ProximityProperties()
+    geometry.AddContactMaterial(_DISSIPATION / _ENLARGED, None, CoulombFriction(copy.friction, copy.friction), found)
     if not has_pressure:
         return found
     if extent is None:
-        AddRigidHydroelasticProperties(_RIGID_HINT * _ENLARGED, found)
+        geometry.AddRigidHydroelasticProperties(_RIGID_HINT * _ENLARGED, found)
     else:
-        AddCompliantHydroelasticProperties(extent, MODULUS / _ENLARGED, found)
+        geometry.AddCompliantHydroelasticProperties(extent, MODULUS / _ENLARGED, found)
     return found
 
 
-def _separate(filters: Any, colliders: dict[FrictionLayer, list[GeometryId]]) -> None:
+def _separate(filters: Any, colliders: dict[FrictionLayer, list[geometry.GeometryId]]) -> None:
     """Lets colliders touch only in their layer, and there only where one of them decides."""
-    rules = CollisionFilterDeclaration()
+    rules = geometry.CollisionFilterDeclaration()
     for copy, found in colliders.items():
         if not copy.decides:
-            rules.ExcludeWithin(GeometrySet(found))
+            rules.ExcludeWithin(geometry.GeometrySet(found))
     for (a, of_a), (b, of_b) in combinations(colliders.items(), 2):
         if a.index != b.index:
-            rules.ExcludeBetween(GeometrySet(of_a), GeometrySet(of_b))
+            rules.ExcludeBetween(geometry.GeometrySet(of_a), geometry.GeometrySet(of_b))
     filters.Apply(rules)

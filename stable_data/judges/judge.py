@@ -129,3 +129,13 @@ def judge_samples(
 
     result = judge_motion(bodies, None, simulate, options)
     return unknown_result(bodies, f"the simulation in {engine} diverged") if has_failed else result
+
+
+def has_volume_everywhere(part: Mesh, flattest: float) -> bool:
+    """Whether all tetrahedra from the middle of a convex part to its faces are higher than this share of its extent."""
+    a, b, c = (part.vertices[part.faces[:, k]] - part.vertices.mean(axis=0) for k in range(3))
+    normal = np.cross(b - a, c - a)
+    sides = np.stack([normal, np.cross(a, b), np.cross(b, c), np.cross(c, a)])
+    largest = np.linalg.norm(sides, axis=2).max(axis=0)  # twice the area of the largest side of each
+    heights = np.einsum("ij,ij->i", a, normal) / largest
+    return bool((heights > flattest * np.ptp(part.vertices, axis=0).max()).all())
