@@ -1,13 +1,21 @@
 """The folder of a user for files that can be made again, shared by all of the user's processes."""
 
 import os
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 
 
 def user_cache(name: str) -> Path:
-    """The folder of a kind of file: ``stable-data/NAME`` in ``XDG_CACHE_HOME`` or ``~/.cache``."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "stable-data" / name
+    """The folder of a kind of file: ``stable-data/NAME`` in ``XDG_CACHE_HOME`` or ``~/.cache``.
+
+    A user without a home has it in the folder of temporary files.
+    """
+    try:
+        place = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    except RuntimeError:
+        place = Path(tempfile.gettempdir())
+    return place / "stable-data" / name
 
 
 def trim_folder(folder: Path, max_bytes: int) -> int:

@@ -272,6 +272,8 @@ def query(
     if format_name is not None:
         if to is None:
             raise ConfigError("--format needs a folder for the files; name it with --to", "usage")
+        if "://" in to:
+            raise ConfigError(f"--to is {to}, but --format writes to a local folder; name a folder", "usage")
         from stable_data.simulation.run_reader import SceneSelection
 
         TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
@@ -311,11 +313,18 @@ def judge_scenes(
 
     from stable_data.judges import run_verdicts
     from stable_data.judges.registry import check_judges, describe
+    from stable_data.mesatask.lint import prepare_place
     from stable_data.simulation.run_reader import RunScenes, SceneSelection
     from stable_data.storage.run_folder import RunFolder
 
     names = check_judges(judges, arbiter)
+    if not names:
+        raise ConfigError("--judges names no judge, expected some of mujoco, sapien, drake", "usage")
+    if out is not None:
+        prepare_place(out)
     scenes = RunScenes(RunFolder(run), SceneSelection(where, limit=limit))
+    if not len(scenes):
+        raise ConfigError(f"{run}: no scene is selected, expected at least one; change --where or --limit", "scene_unknown")
     asked = run_verdicts.judge_run(scenes, names, arbiter)
     found = list(tqdm(asked, desc="judge", unit="scene", total=len(scenes), disable=None))
     for pair, words, count in run_verdicts.agreement(found, names):

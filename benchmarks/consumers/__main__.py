@@ -50,7 +50,8 @@ def open_scenes(consumer: Consumer, scenes: list[Scene], source: RunScenes, out:
             bodies = {name: body for name, body in bodies.items() if not body.is_fixed or name in saw["bodies"]}
         if lines := differences(bodies, saw):
             found[scene.scene_id] = lines
-    rest = Counter(stays(saw) for saw in seen) if consumer.engine else Counter[bool | None]()
+    stayed = [stays(expected(source.geometry(s), consumer.format_name), saw) for s, saw in zip(scenes, seen, strict=True)]
+    rest = Counter(stayed) if consumer.engine else Counter[bool | None]()
     return {
         "scenes": len(scenes),
         "opened": sum(saw["error"] is None for saw in seen),
@@ -58,7 +59,7 @@ def open_scenes(consumer: Consumer, scenes: list[Scene], source: RunScenes, out:
         "at_rest": rest[True],
         "not_at_rest": rest[False],
         "unknown": rest[None],
-        "restless": [s.scene_id for s, saw in zip(scenes, seen, strict=True) if consumer.engine and stays(saw) is False],
+        "restless": [s.scene_id for s, is_still in zip(scenes, stayed, strict=True) if consumer.engine and is_still is False],
         "seconds_per_scene": elapsed / len(scenes),
     }
 

@@ -96,9 +96,9 @@ def _distance(expected: Any, seen: Any) -> float:
     return float(np.abs(np.subtract(expected, seen)).max())
 
 
-def stays(seen: Mapping[str, Any]) -> bool | None:
+def stays(bodies: Mapping[str, Body], seen: Mapping[str, Any]) -> bool | None:
     """Whether no movable body of a scene moved or turned farther than a stable scene allows; None if that is not known."""
-    if seen["error"] is not None:
+    if seen["error"] is not None or {name for name, body in bodies.items() if not body.is_fixed} - seen["bodies"].keys():
         return None
     for body in seen["bodies"].values():
         if body["is_fixed"]:

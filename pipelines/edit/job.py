@@ -137,4 +137,4 @@ class EditJob(SceneJob[EditSettings]):
 
     def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
         """Writes the report page."""
-        write_edit_report(folder, manifest, AssetStore(self._libraries), self.settings.num_pictures)
+        write_edit_report(folder, manifest, AssetStore(self._libraries), self.settings)

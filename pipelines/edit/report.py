@@ -9,6 +9,8 @@ from typing import Any
 import polars as pl
 import pyarrow.compute as pc
 
+from pipelines.edit.settings import EditSettings
+from pipelines.reports.agreement import judge_agreement
 from pipelines.reports.html import bars, head, histogram, notices, page, tiles
 from pipelines.reports.scene_pictures import SceneGrids, ShownScene
 from stable_data.assets.store import AssetStore
@@ -18,14 +20,14 @@ from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import object_from_row, scene_from_row
 
 
-def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, num_pictures: int) -> None:
+def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetStore, settings: EditSettings) -> None:
     """Writes ``report/index.html``.
 
     Args:
         folder: The run, with complete tables.
         manifest: Its manifest, with counts.
         store: The geometry of the assets, for the pictures.
-        num_pictures: Number of edits that are drawn before and after; the kinds alternate.
+        settings: The job's settings; ``num_pictures`` edits are drawn before and after, the kinds alternate.
     """
     counts = manifest["counts"]
     edits = folder.table("edits", ["edit_id", "kind", "instruction"]).to_pylist()
@@ -51,7 +53,8 @@ def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetS
             [0, 1e-9, 1, 3, 10, 30, 100, 10_000],
         ),
         "</div>",
-        *_pictures(folder, edits, SceneGrids(folder, store), num_pictures),
+        *judge_agreement(folder, ("scenes",), settings.judge_names),
+        *_pictures(folder, edits, SceneGrids(folder, store), settings.num_pictures),
         *notices(folder),
     ]
     folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: edit", body))

@@ -204,7 +204,7 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
             chosen.ABOUT,
             "",
             "Frame: the table top is z = 0 with its near-left corner at the origin, +x right, +y away from the viewer, z up; metres, "
-            "kilograms, radians. An object's position is the centre of its box. An object without a mesh is a box.",
+            "kilograms, radians. An object without a mesh is a box.",
             "",
             f"{MANIFEST_FILE} names the run and the settings of the export. {ANNOTATION_FILE} gives category, source and licence of "
             f"each asset, and {ATTRIBUTION_FILE} what their licences ask for. Assets by licence and source:",

@@ -28,10 +28,11 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import COLLIDER
 
 ABOUT = """MuJoCo models (MJCF): `<scene>/scene.xml`, which `mujoco.MjModel.from_xml_path` and `python -m mujoco.viewer --mjcf=` open.
-Bodies have the names of the instances; the keyframe `home` contains the poses. Geoms of group 3 collide and are the convex parts
-of the objects and the geom `table`; geoms of group 2 are visible, among them the table with its legs (`table/…`) and a floor and
-walls around it (`room/…`), which nothing collides with. Masses, inertias, friction and contact settings are those of the stability verdict.
-Scenes share the folder `assets`: copy it with them, or export a single scene with `--scene`."""
+Bodies have the names of the instances, and their position is the centre of the object's box; the keyframe `home` contains the poses.
+Geoms of group 3 collide and are the convex parts of the objects and the geom `table`; geoms of group 2 are visible, among them the
+table with its legs (`table/…`) and a floor and walls around it (`room/…`), which nothing collides with. Masses, inertias, friction and
+contact settings are those of the stability verdict. Scenes share the folder `assets`: copy it with them, or export a single scene with
+`--scene`."""
 
 MESH_FOLDER = "assets"
 

@@ -132,13 +132,15 @@ def placed_props(geometry: SceneGeometry) -> list[PlacedProp]:
     Raises:
         MeshError: A mesh has no part with a volume (``no_collider``).
     """
-    names: dict[str, str] = {}
-    found = []
+    taken = {body_name(o.instance).lower() for o in geometry.scene.objects}
+    used, found = set[str](), []
     for k, (o, body) in enumerate(zip(geometry.scene.objects, geometry.bodies, strict=True)):
         name = body_name(o.instance)
-        if name.lower() in names:  # some formats and file systems do not tell upper from lower case
-            name = f"{name}-{k}"
-        names[name.lower()] = o.instance
+        if name.lower() in used:  # some formats and file systems do not tell upper from lower case
+            while (name := f"{name}-{k}").lower() in taken:
+                pass
+        used.add(name.lower())
+        taken.add(name.lower())
         found.append(_placed(geometry, k, body, name))
     return found
 
@@ -192,7 +194,8 @@ def _prop(o: SceneObject, mesh: Mesh, annotation: AssetAnnotation, store: AssetS
     known = _PROPS.setdefault(store, {})
     key = (annotation.asset_id, (a, b, c))
     if key not in known:
-        known[key] = _asset_prop((a, b, c), mesh, annotation, o.category, object_colour(o))
+        category = annotation.category or o.category  # not that of the object that comes first
+        known[key] = _asset_prop((a, b, c), mesh, annotation, category, object_colour(replace(o, category=category)))
     return known[key], factor
 
 

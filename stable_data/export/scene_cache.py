@@ -17,12 +17,14 @@ from stable_data.cache_folder import trim_folder, user_cache
 from stable_data.code_version import code_version
 from stable_data.export.formats import ExportFormat
 from stable_data.scene import Scene
+from stable_data.simulation.offscreen import can_render
 
 MAX_CACHE_BYTES = 8 * 2**30
 """Maximum size of the files of all exported scenes of a user; those that were used longest ago are removed."""
 
 _TRIMMED = 0.9  # of the maximum: what remains when the cache is full
-_MAKERS = ("mujoco", "numpy", "pillow", "scipy", "trimesh", "usd-core")  # packages whose versions shape the files
+# Packages whose versions shape the files; the last three decompose meshes.
+_MAKERS = ("mujoco", "numpy", "pillow", "scipy", "trimesh", "usd-core", "fast-simplification", "manifold3d", "vhacdx")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,9 @@ class SceneCache:
         self._folder, self._format, self._store = folder or user_cache("exports"), chosen, store
         self._size = trim_folder(self._folder, MAX_CACHE_BYTES)
         settings: dict[str, Any] = asdict(chosen) if is_dataclass(chosen) and not isinstance(chosen, type) else {}
-        self._code = [name, settings, code_version(), {maker: _version(maker) for maker in _MAKERS}]
+        makers = {maker: _version(maker) for maker in _MAKERS}
+        # A package of OpenUSD has a picture where the machine can render, and states a date.
+        self._code = [name, settings, code_version(), makers, can_render(), os.environ.get("SOURCE_DATE_EPOCH")]
         module = getattr(chosen, "__name__", type(chosen).__module__)
         self.is_usable = module.partition(".")[0] == __name__.partition(".")[0]
 
@@ -116,8 +120,10 @@ class SceneCache:
                 place = Path(staging)
                 num_boxes = export(place)
                 own = self._format.scene_path(scene, place)
-                paths = sorted(path for path in place.rglob("*") if path.is_file())
-                paths = [*(path for path in paths if path != own), own]
+                paths = [path for path in place.rglob("*") if path.is_file() and path != own]
+                # As the formats do: what lies deeper is needed by what lies above it, which says that a thing is complete.
+                paths.sort(key=lambda path: (-len(path.parts), path.stat().st_mtime_ns, path))
+                paths = [*paths, own]
                 files = {path.relative_to(place).as_posix(): self._keep(path.read_bytes()) for path in paths}
             self._put(self._folder / key[:2] / f"{key}.json", json.dumps({"files": files, "num_boxes": num_boxes}).encode())
             if self._size > MAX_CACHE_BYTES:

@@ -18,10 +18,10 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 Flavour: TypeAlias = Literal["neutral", "isaaclab"]
 
 _ABOUT = """OpenUSD: `scenes/<scene>.usda` is a stage: metres, kilograms, z up, explicit gravity. Each object is a prim below
-`/World/Objects` with the name of its instance, a pose and one rigid body; it references a package below `props`, which follows the
-profile Robotics-Prop of SimReady. Where the size differs from that of the package, the stage states the scale of `Geometry` and the
-mass. Colliders are convex parts with purpose `guide`; `/World/Table` is a static collider. Task, relations and verdicts are
-`customData` of `/World`. Copy the folders `props` and `furniture` with the stages."""
+`/World/Objects` with the name of its instance, a pose (that of the centre of its base) and one rigid body; it references a package
+below `props`, which follows the profile Robotics-Prop of SimReady. Where the size differs from that of the package, the stage states
+the scale of `Geometry` and the mass. Colliders are convex parts with purpose `guide`; `/World/Table` is a static collider. Task,
+relations and verdicts are `customData` of `/World`. Copy the folders `props` and `furniture` with the stages."""
 
 _ABOUT_ISAACLAB = """OpenUSD for Isaac Lab: as the format usd, but every object has a package of its own size below `props`, so that
 each file can be spawned as it is; and stages have no physics scene, lights, cameras and room, which Isaac Lab makes itself."""

@@ -6,6 +6,7 @@ A thread keeps its OpenGL context, because in software a new one compiles all it
 import os
 import threading
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,6 +19,7 @@ from stable_data.simulation.mujoco_import import mujoco
 Picture: TypeAlias = npt.NDArray[np.uint8]
 """(H, W, 3) uint8, red, green, blue."""
 
+_EMPTY = '<mujoco><worldbody><camera name="view"/></worldbody></mujoco>'
 _MOST_GEOMS = 10_000  # of a picture
 _SUNS, _SUN_RADIUS = 4, 0.04  # directions of a light whose shadows are averaged, and their angle to the middle, radians
 _kept = threading.local()
@@ -85,6 +87,16 @@ def _sun_directions(scene: mujoco.MjvScene) -> Iterator[None]:
             turned = middle + _SUN_RADIUS * (np.cos(angle) * right + np.sin(angle) * np.cross(right, middle))
             light.dir = turned / np.linalg.norm(turned)
         yield
+
+
+@lru_cache(maxsize=1)
+def can_render() -> bool:
+    """Whether the machine can render."""
+    try:
+        draw_model(mujoco.MjSpec.from_string(_EMPTY).compile(), "view", (8, 8))
+    except ConfigError:
+        return False
+    return True
 
 
 def _make_context_current() -> None:

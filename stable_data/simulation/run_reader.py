@@ -1,7 +1,7 @@
 """Reads selected scenes of a run, in order, with the geometry that they need."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,19 +12,16 @@ from stable_data.assets.run_assets import run_annotations, run_store
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
-from stable_data.metrics.card import MetricCard
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
 from stable_data.storage.row_groups import TableFiles, row_slices
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.scene_index import SceneIndex
 from stable_data.storage.schemas import Row
-from stable_data.storage.table_rows import scene_from_row
+from stable_data.storage.table_rows import card_columns, scene_from_row
 
 NEEDED = ("scenes", "assets", "meshes")
 """Tables that a run must have so that its scenes can be built."""
-
-_CARD = tuple(f.name for f in fields(MetricCard))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,12 +136,13 @@ class RunScenes:
 
         Args:
             scene: The scene.
-            row: Its row, for its verdicts; None leaves them out.
+            row: Its row, for its verdicts; None leaves them out. They are those of the poses in the scene, and are also left out
+                with poses after settling.
 
         Raises:
             SceneError: The scene was never settled, but settled poses are selected.
         """
-        verdicts = {} if row is None else {name: row[name] for name in _CARD}
+        verdicts = {} if row is None or self._settled is not None else card_columns(row)
         return replace(SceneGeometry.of(scene, self.store, self.rest(scene)), annotations=self.annotations, verdicts=verdicts)
 
     @cached_property

@@ -144,6 +144,12 @@ def card_from_row(row: Mapping[str, Any]) -> MetricCard:
     return MetricCard(**{f.name: row[f.name] for f in fields(MetricCard)})
 
 
+def card_columns(row: Mapping[str, Any]) -> Row:
+    """Returns the verdicts in a row of ``scenes``: the metric card, and what further judges said of it, if they were asked."""
+    card = {f.name: row.get(f.name) for f in fields(MetricCard)}
+    return card | {name: row[name] for name in FURTHER_COLUMNS if row.get(name) is not None}
+
+
 def card_row(card: MetricCard) -> Row:
     """Returns a metric card as columns of ``scenes``; the columns of judges other than MuJoCo are null."""
     return asdict(card) | dict.fromkeys(FURTHER_COLUMNS)

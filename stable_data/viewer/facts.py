@@ -5,18 +5,18 @@ All text comes from data and is escaped. A value that is not known is shown as u
 
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib.resources import files
 from typing import Any
 
 from stable_data.assets.run_assets import RowsOfAssets
-from stable_data.metrics.card import MetricCard
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row
+from stable_data.storage.table_rows import card_columns
 
 UNKNOWN = '<span class="unknown">unknown</span>'
 
@@ -119,7 +119,7 @@ class SceneFacts:
             scene,
             [mesh is not None for mesh in geometry.meshes],
             [notes.of(o.asset_id) for o in scene.objects],
-            {f.name: row.get(f.name) for f in fields(MetricCard)} if row else None,
+            card_columns(row) if row else None,
             {verdict["instance"]: verdict for verdict in row.get("verdicts") or ()},
             row.get("pairs") or (),
             str(row.get("reason") or ""),

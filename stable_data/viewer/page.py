@@ -15,6 +15,7 @@ from pathlib import Path
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, SceneError, StableDataError, cannot_write
 from stable_data.export.glb import scene_glb
+from stable_data.metrics.judge_columns import FURTHER, verdict_columns
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
@@ -127,6 +128,9 @@ def run_page(run: RunFolder, choice: SceneSelection) -> tuple[bytes, list[str]]:
                 raise  # the run cannot be read
             failures.append(f"{row['scene_id']}: {error}")
             continue
+        except Exception as error:  # noqa: BLE001 - an unexpected error loses one scene only
+            failures.append(f"{row['scene_id']}: unexpected {type(error).__name__}: {error}; please report it")
+            continue
         size += len(shown[-1].glb)
         _check_size(size, len(shown))  # before all of them are in memory
     if not shown:
@@ -164,7 +168,9 @@ def _part(name: str) -> str:
 def _entry(number: int, scene: PageScene) -> str:
     card, task = scene.facts.card or {}, scene.facts.scene.task
     verdicts = card.get("clean"), card.get("stable")
-    kind = "good" if verdicts == (True, True) else "bad" if False in verdicts else "unknown"
+    further = {card.get(verdict_columns(name)[0]) for name in FURTHER}  # null where a judge was not asked
+    is_bad = False in verdicts or False in further
+    kind = "bad" if is_bad else "good" if verdicts == (True, True) else "unknown"
     said = "" if task is None else f"<small>{escape(task.task[:160])}</small>"
     return f'<li><a href="#scene={number}"><span class="dot {kind}"></span>{breakable(scene.title)}{said}</a></li>'
 
