@@ -1,4 +1,5 @@
 import os
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -7,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.atomic_files import safe_file_name, write_file_atomically
+from stable_data.cache_folder import user_cache
 
 
 def test_a_file_is_there_whole_and_nothing_beside_it(tmp_path: Path) -> None:
@@ -57,3 +59,12 @@ def test_different_names_stay_different(names: list[str]) -> None:
 def test_a_reserved_name_is_changed() -> None:
     assert safe_file_name("world") == "world"
     assert safe_file_name("world", {"world"}) != "world"
+
+
+def test_a_user_without_a_home_has_a_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: Path) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "expanduser", fail)
+    assert user_cache("kind") == Path(tempfile.gettempdir()) / "stable-data" / "kind"

@@ -58,6 +58,7 @@ def test_each_judge_has_its_columns(judged: Path) -> None:
     assert "Robust rest" in page
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_verdicts_as_this_process(clean_run: Path, judged: Path, tmp_path: Path) -> None:
@@ -127,3 +128,17 @@ def test_a_stored_run_is_judged_by_a_command(clean_run: Path, tmp_path: Path) ->
     assert "mujoco, sapien: stable, stable: 2 scenes" in done.output
     rows = pq.read_table(table).to_pylist()
     assert [(row["stable"], row["sapien_stable"], row["sapien_reason"]) for row in rows] == [(True, True, "")] * 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--judges", ""], "names no judge"),
+        (["--where", "num_objects > 1000"], "no scene is selected"),
+        (["--limit", "0"], "no scene is selected"),
+    ],
+)
+def test_judging_nothing_is_refused(options: list[str], message: str, clean_run: Path) -> None:
+    done = CliRunner().invoke(app, ["judge", str(clean_run), *options])
+    assert done.exit_code == 2
+    assert message in done.stderr

@@ -37,6 +37,7 @@ def published(folder: Path, config: TransformerConfig) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_published_weights_become_a_corrector_that_corrects(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
     file, encoder = published(tmp_path, FIRST), tmp_path / "encoder.safetensors"
     words = ["fit-encoder", "--data", str(clean_run), "--weights", f"modelnet:{file}", "--out", str(encoder)]

@@ -105,7 +105,18 @@ def test_a_sized_prop_is_the_prop_at_that_size(factor: float, store: AssetStore)
         np.testing.assert_allclose(large.vertices, factor * small.vertices, rtol=1e-9, atol=1e-12)
 
 
-def test_names_that_differ_by_case_alone_stay_apart(store: AssetStore) -> None:
-    objects = [thing("can/0", name, x, 0.3, 0.0) for name, x in (("Can_0", 0.2), ("can_0", 0.5))]
-    names = [p.name for p in placed_props(SceneGeometry.of(Scene("cans", TABLE, tuple(objects)), store))]
-    assert len({name.lower() for name in names}) == 2
+@pytest.mark.parametrize("names", [("Can_0", "can_0"), ("CAN-2", "can", "CAN"), ("can", "CAN", "can-1", "Can")])
+def test_names_that_differ_by_case_alone_stay_apart(names: tuple[str, ...], store: AssetStore) -> None:
+    objects = [thing("can/0", name, 0.2 * (k + 1), 0.3, 0.0) for k, name in enumerate(names)]
+    found = [p.name for p in placed_props(SceneGeometry.of(Scene("cans", TABLE, tuple(objects)), store))]
+    assert len({name.lower() for name in found}) == len(names)
+    assert found[0] == names[0]
+
+
+def test_a_prop_is_named_after_its_asset_whatever_object_comes_first(store: AssetStore) -> None:
+    known = AssetAnnotation(asset("can/0").uid, "tin")
+    size = (0.77, 0.77, 0.77)  # which no other test has made a prop of
+    cans = [replace(thing("can/0", f"{k}_can_0", 0.2 * (k + 1), 0.3, 0.0, scale=size), category=f"kind_{k}") for k in range(2)]
+    for objects in (cans, cans[::-1]):
+        geometry = replace(SceneGeometry.of(Scene("cans", TABLE, tuple(objects)), store), annotations={known.asset_id: known})
+        assert {p.prop.category for p in placed_props(geometry)} == {"tin"}

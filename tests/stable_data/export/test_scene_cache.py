@@ -160,3 +160,27 @@ def test_query_with_a_format_is_a_cached_export(run: RunFolder, tmp_path: Path) 
         assert refused.exit_code == 2
         assert said in refused.stderr
         assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("name", ["urdf", "usd"])
+def test_what_says_that_a_thing_is_complete_is_put_in_place_after_it(
+    name: str, run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that an export that was stopped goes on without the cache."""
+    choice = SceneSelection(scene_ids=("falling",))
+    export_run(run, tmp_path / "whole", name, choice, is_cached=True)
+    num_files, write = len(files(tmp_path / "whole")), scene_cache.write_file_atomically
+    for count in (num_files // 4, num_files // 2, num_files - 6):
+        left = iter(range(count))
+
+        def stop(path: Path, content: bytes, left: Any = left) -> None:
+            if "out" in str(path.relative_to(tmp_path)):
+                next(left)  # ends with StopIteration
+            write(path, content)
+
+        out = tmp_path / f"out_{count}"
+        with monkeypatch.context() as patch:
+            patch.setattr(scene_cache, "write_file_atomically", stop)
+            export_run(run, out, name, choice, is_cached=True)
+        export_run(run, out, name, choice)
+        assert files(out) == files(tmp_path / "whole")
