@@ -114,8 +114,8 @@ def test_names_that_differ_by_case_alone_stay_apart(names: tuple[str, ...], stor
 
 
 def test_a_prop_is_named_after_its_asset_whatever_object_comes_first(store: AssetStore) -> None:
-    known = AssetAnnotation(asset("can/0").uid, "tin")
     size = (0.77, 0.77, 0.77)  # which no other test has made a prop of
+    known = AssetAnnotation(asset("can/0").uid, "tin", typical_scale=size)
     cans = [replace(thing("can/0", f"{k}_can_0", 0.2 * (k + 1), 0.3, 0.0, scale=size), category=f"kind_{k}") for k in range(2)]
     for objects in (cans, cans[::-1]):
         geometry = replace(SceneGeometry.of(Scene("cans", TABLE, tuple(objects)), store), annotations={known.asset_id: known})

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
+from stable_data.atomic_files import write_file_atomically
 from stable_data.cli import app
 from stable_data.export import scene_cache
 from stable_data.export.exporter import export_run
@@ -169,7 +170,7 @@ def test_what_says_that_a_thing_is_complete_is_put_in_place_after_it(
     """So that an export that was stopped goes on without the cache."""
     choice = SceneSelection(scene_ids=("falling",))
     export_run(run, tmp_path / "whole", name, choice, is_cached=True)
-    num_files, write = len(files(tmp_path / "whole")), scene_cache.write_file_atomically
+    num_files, write = len(files(tmp_path / "whole")), write_file_atomically
     for count in (num_files // 4, num_files // 2, num_files - 6):
         left = iter(range(count))
 
