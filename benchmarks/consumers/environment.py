@@ -76,22 +76,34 @@ class Consumer:
             timeout: Seconds.
 
         Returns:
-            What it saw of each file, see ``programs/README.md``; ``error`` says why it could not be opened.
+            What it saw of each file, see ``programs/README.md``; ``error`` says why it could not be opened, or that the program
+            ended over it.
 
         Raises:
-            ConfigError: The program failed, or its environment is missing (``consumer``).
+            ConfigError: The program ended over the first file, or its environment is missing (``consumer``).
         """
         if not self.is_there:
             raise ConfigError(self.missing, "consumer")
+        seen: list[dict[str, Any]] = []
+        while len(seen) < len(files):
+            more, end = self._open(files[len(seen) :], seconds, timeout)
+            seen += more
+            if len(seen) < len(files):  # the program ended over this file
+                if not seen:
+                    raise ConfigError(f"{self.name} does not run: {end}", "consumer")
+                seen.append({"error": f"the program ended: {end}"})
+        return seen
+
+    def _open(self, files: Sequence[Path], seconds: float, timeout: float) -> tuple[list[dict[str, Any]], str]:
+        """What it saw of the files until it ended, and how it ended."""
         program = _HERE / "programs" / f"{self.program or self.name}.py"
         request = json.dumps({"files": [str(path) for path in files], "seconds": seconds})
+        # -P: a program has the name of the package that it imports.
         done = subprocess.run(
             [str(self.python), "-P", str(program)], input=request, capture_output=True, text=True, timeout=timeout, check=False
         )
-        seen: list[dict[str, Any]] = [json.loads(line[5:]) for line in done.stdout.splitlines() if line.startswith("SEEN ")]
-        if done.returncode or len(seen) != len(files):
-            raise ConfigError(f"{self.name}: {len(seen)} of {len(files)} files, then: {done.stderr[-2000:]}", "consumer")
-        return seen
+        seen = [json.loads(line[5:]) for line in done.stdout.splitlines() if line.startswith("SEEN ")]
+        return seen, f"status {done.returncode}, {' '.join(done.stderr.split())[-2000:]}"
 
 
 CONSUMERS: Mapping[str, Consumer] = {
