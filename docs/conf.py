@@ -40,6 +40,7 @@ apidoc_modules = [
         "automodule_options": {"members"},
     }
 ]
+autodoc_mock_imports = ["lance", "pydrake"]  # optional, and not in the environment of the site
 autodoc_default_options = {"ignore-module-all": True}  # a name is described in the module that defines it
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
