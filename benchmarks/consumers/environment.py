@@ -80,7 +80,8 @@ class Consumer:
             ended over it.
 
         Raises:
-            ConfigError: The program ended over the first file, or its environment is missing (``consumer``).
+            ConfigError: The program ended over the first file, or with an error after the last one, or its environment is missing
+                (``consumer``).
         """
         if not self.is_there:
             raise ConfigError(self.missing, "consumer")
@@ -88,6 +89,8 @@ class Consumer:
         while len(seen) < len(files):
             more, end = self._open(files[len(seen) :], seconds, timeout)
             seen += more
+            if len(seen) == len(files) and not end.startswith("status 0"):
+                raise ConfigError(f"{self.name} saw all files, but ended with an error: {end}", "consumer")
             if len(seen) < len(files):  # the program ended over this file
                 if not seen:
                     raise ConfigError(f"{self.name} does not run: {end}", "consumer")

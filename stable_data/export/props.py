@@ -23,7 +23,7 @@ from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface import Surface
 from stable_data.rotations import quat_of, yaw_frame_box
 from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
-from stable_data.simulation.collision_bodies import asset_parts, bodies_of
+from stable_data.simulation.collision_bodies import asset_parts
 from stable_data.simulation.mujoco_model import body_name
 from stable_data.simulation.render import object_colour, rgba
 from stable_data.simulation.scene_geometry import SceneGeometry
@@ -305,11 +305,8 @@ def prop_mass(prop: Prop, store: AssetStore) -> tuple[MassDistribution, Vec3 | N
     o = SceneObject(
         prop.name, prop.category, (0.0, 0.0, prop.size[2] / 2), 0.0, prop.size, prop.asset_id, prop.scale, prop.tilt_quat_xyzw
     )
-    scene = Scene(prop.name, _STAND, (o,))
-    scene, shapes, _ = store.resolved(scene)
-    geometry = SceneGeometry.of(scene, store)
-    body = bodies_of(scene, shapes, store)[0]
-    base = np.array(prop.base)
+    geometry = SceneGeometry.of(Scene(prop.name, _STAND, (o,)), store)
+    [body], base = geometry.bodies, np.array(prop.base)
     offset = np.zeros(3) if geometry.meshes[0] is None else geometry.offset(0)
     return _mass_in_prop(body, Rotation.identity(), offset, base), body.friction
 

@@ -8,18 +8,17 @@ A package::
 """
 
 import hashlib
-import io
 import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from PIL import Image
 from pxr import Gf, Kind, Sdf, Vt
 
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
+from stable_data.export.mesh_files import png_file
 from stable_data.export.props import MassDistribution, Prop, prop_mass, prop_parts, prop_surfaces
 from stable_data.export.usd_layer import (
     Materials,
@@ -35,7 +34,6 @@ from stable_data.export.usd_layer import (
 from stable_data.geometry.images import texture_pixels
 from stable_data.geometry.surface import Surface
 from stable_data.scene import Vec3
-from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.render import render_surfaces
 from stable_data.simulation.settling import PhysicsOptions
 
@@ -154,7 +152,7 @@ def put_image(content: bytes, folder: Path) -> str:
     if not (folder / name).exists():
         folder.mkdir(parents=True, exist_ok=True)
         is_png = content.startswith(b"\x89PNG")
-        write_file_atomically(folder / name, content if is_png else _png(texture_pixels(content)))
+        write_file_atomically(folder / name, content if is_png else png_file(texture_pixels(content)))
     return name
 
 
@@ -163,13 +161,7 @@ def _picture(surfaces: Sequence[Surface]) -> bytes | None:
         picture = render_surfaces(surfaces, _THUMBNAIL)
     except ConfigError:  # this machine cannot render
         return None
-    return _png(picture)
-
-
-def _png(pixels: Picture) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "png")
-    return stream.getvalue()
+    return png_file(picture)
 
 
 def _said(text: object) -> str:

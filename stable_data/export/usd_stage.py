@@ -17,6 +17,7 @@ from stable_data.export.usd_layer import (
     add_box_collider,
     add_prim,
     add_surface,
+    label,
     new_layer,
     place,
     put,
@@ -67,7 +68,7 @@ def write_stage(geometry: SceneGeometry, out: Path, path: Path, *, is_whole: boo
         put(physics, "vector3f", {"physics:gravityDirection": Gf.Vec3f(0, 0, -1)})
         put(physics, "float", {"physics:gravityMagnitude": GRAVITY})
     table = add_prim(world, "Table", "Xform", ("MaterialBindingAPI", "SemanticsLabelsAPI:class"))
-    put(table, "token[]", {"semantics:labels:class": Vt.TokenArray(["table"])})
+    label(table, "class", ["table"])
     middle, size = map(np.array, table_box(geometry))
     add_box_collider(table, "Collider", middle - size / 2, middle + size / 2)
     relate(table, "material:binding:physics", add_physics_material(table, "PhysicsMaterial", None))
@@ -167,7 +168,7 @@ def _write_furniture(parts: list[tuple[str, int, Surface, str]], folder: Path, f
         group = name.partition("/")[0]
         if group not in groups:
             groups[group] = add_prim(root, group, "Xform", ("SemanticsLabelsAPI:class",))
-            put(groups[group], "token[]", {"semantics:labels:class": Vt.TokenArray([group])})
+            label(groups[group], "class", [group])
         image = None
         if surface.image is not None and surface.corner_uv is not None:
             image = put_image(surface.image, folder / TEXTURE_FOLDER)
