@@ -17,8 +17,8 @@ from xml.etree import ElementTree as ET
 
 from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.export.mesh_files import MeshFiles, put_furniture_meshes, put_prop_meshes
-from stable_data.export.props import MassDistribution, PlacedProp, placed_props, sized_prop
-from stable_data.export.scene_files import layout_file, table_box
+from stable_data.export.props import MassDistribution, PlacedProp, sized_prop
+from stable_data.export.scene_files import put_layout, table_box
 from stable_data.export.xml_elements import add, document
 from stable_data.rotations import wxyz
 from stable_data.scene import Scene, Vec3
@@ -30,8 +30,6 @@ in the same folder at another size; robosuite's `MujocoXMLObject(path, name, dup
 `layouts/<scene>.json` gives the file and the pose of each object and of the table, with task, relations, verdicts and cameras; a pose
 is that of the body `object`, quaternions are xyzw. Mass and inertia are explicit. Copy the folders `objects` and `tables` with the
 layouts; a folder of an object is complete."""
-
-OBJECT_FOLDER, TABLE_FOLDER = "objects", "tables"
 
 _COLLISION, _VISUAL, _REGION = "collision", "visual", "region"
 
@@ -47,12 +45,7 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
     Raises:
         MeshError: An object has no solid part.
     """
-    placed = placed_props(geometry)
-    files = [f"../{OBJECT_FOLDER}/{_put_object(p, geometry, out / OBJECT_FOLDER)}" for p in placed]
-    table = f"../{TABLE_FOLDER}/{_put_table(geometry, out / TABLE_FOLDER)}"
-    path = scene_path(geometry.scene, out)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file_atomically(path, layout_file(geometry, placed, "mjcf", files, table))
+    put_layout(geometry, scene_path(geometry.scene, out), out, "mjcf", _put_object, _put_table)
 
 
 def _put_object(placed: PlacedProp, geometry: SceneGeometry, folder: Path) -> str:

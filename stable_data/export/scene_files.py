@@ -2,10 +2,12 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
-from stable_data.export.props import PlacedProp
+from stable_data.atomic_files import write_file_atomically
+from stable_data.export.props import PlacedProp, placed_props
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.simulation.mujoco_model import CAMERAS
 from stable_data.simulation.render import FIELD_OF_VIEW, camera_pose
@@ -86,7 +88,36 @@ def table_box(geometry: SceneGeometry) -> tuple[Vec3, Vec3]:
     return (x / 2, y / 2, -TABLE_DEPTH / 2), (x, y, TABLE_DEPTH)
 
 
-def layout_file(geometry: SceneGeometry, placed: Sequence[PlacedProp], key: str, files: Sequence[str], table: str) -> bytes:
+def put_layout(
+    geometry: SceneGeometry,
+    path: Path,
+    out: Path,
+    key: str,
+    put_object: Callable[[PlacedProp, SceneGeometry, Path], str],
+    put_table: Callable[[SceneGeometry, Path], str],
+) -> None:
+    """Writes a scene in a format that has a file for each object: the objects, the table, and last the file of the scene.
+
+    Args:
+        geometry: The scene.
+        path: The file of the scene, one folder below ``out``.
+        out: The folder of the export; objects are in its folder ``objects``, the table in ``tables``.
+        key: Name of the format of the files, which is their key.
+        put_object: Writes the file of an object, if it does not exist, and returns its path in the folder.
+        put_table: The same for the table.
+
+    Raises:
+        MeshError: An object has no solid part.
+        OSError: A file cannot be written.
+    """
+    placed = placed_props(geometry)
+    files = [f"../objects/{put_object(p, geometry, out / 'objects')}" for p in placed]
+    table = f"../tables/{put_table(geometry, out / 'tables')}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file_atomically(path, _layout_file(geometry, placed, key, files, table))
+
+
+def _layout_file(geometry: SceneGeometry, placed: Sequence[PlacedProp], key: str, files: Sequence[str], table: str) -> bytes:
     """Returns the content of the file of a scene for a format that has a file for each object and none for a scene.
 
     Args:

@@ -13,8 +13,8 @@ from xml.etree import ElementTree as ET
 
 from stable_data.atomic_files import safe_file_name, write_file_atomically
 from stable_data.export.mesh_files import MeshFiles, put_furniture_meshes, put_prop_meshes
-from stable_data.export.props import MassDistribution, PlacedProp, placed_props, sized_prop
-from stable_data.export.scene_files import layout_file, sliding_friction, table_box
+from stable_data.export.props import MassDistribution, PlacedProp, sized_prop
+from stable_data.export.scene_files import put_layout, sliding_friction, table_box
 from stable_data.export.xml_elements import add, document
 from stable_data.scene import UPRIGHT, Scene
 from stable_data.simulation.collision_bodies import DENSITY
@@ -24,8 +24,6 @@ ABOUT = """URDF: `scenes/<scene>.json` gives the pose of every object and of the
 mass, full inertia, convex parts as `<collision>` meshes, and visible meshes (OBJ with MTL and PNG). Quaternions are xyzw; a pose is
 that of the root link. `fixed` objects do not move; task, relations, verdicts and cameras are in the same file. Friction is in the URDF
 for Drake, PyBullet and Gazebo, and in the JSON file for all others. Copy the folders `objects` and `tables` with the scenes."""
-
-OBJECT_FOLDER, TABLE_FOLDER = "objects", "tables"
 
 _DRAKE = "http://drake.mit.edu"
 _UNSEEN_SIDE = 1e-6  # metres
@@ -42,12 +40,7 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
     Raises:
         MeshError: An object has no solid part.
     """
-    placed = placed_props(geometry)
-    files = [f"../{OBJECT_FOLDER}/{_put_object(p, geometry, out / OBJECT_FOLDER)}" for p in placed]
-    table = f"../{TABLE_FOLDER}/{_put_table(geometry, out / TABLE_FOLDER)}"
-    path = scene_path(geometry.scene, out)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file_atomically(path, layout_file(geometry, placed, "urdf", files, table))
+    put_layout(geometry, scene_path(geometry.scene, out), out, "urdf", _put_object, _put_table)
 
 
 def _put_object(placed: PlacedProp, geometry: SceneGeometry, folder: Path) -> str:

@@ -11,7 +11,7 @@ import pytest
 
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
-from stable_data.export import urdf
+from stable_data.export import scene_files, urdf
 from stable_data.export.props import placed_props, prop_parts
 from stable_data.scene import Relation, RelationKind, Scene
 from stable_data.simulation.scene_geometry import SceneGeometry
@@ -127,7 +127,7 @@ def test_names_are_those_of_bodies_and_differ_without_case(store: AssetStore, tm
 def test_what_the_support_shows_is_not_drawn_twice(store: AssetStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     geometry = SceneGeometry.of(at_rest(), store)
     seen = placed_props(geometry)[0]
-    monkeypatch.setattr(urdf, "placed_props", lambda _: [seen, replace(seen, name="other", is_seen=False)])
+    monkeypatch.setattr(scene_files, "placed_props", lambda _: [seen, replace(seen, name="other", is_seen=False)])
     layout, folder = opened(geometry, tmp_path)
     drawn, unseen = (ET.fromstring((folder / o["urdf"]).read_text("utf-8")) for o in layout["objects"])  # noqa: S314
     assert len(drawn.findall(".//collision")) == len(unseen.findall(".//collision"))
