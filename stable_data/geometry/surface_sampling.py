@@ -85,6 +85,14 @@ def sample_surface(mesh: Mesh, num: int) -> FloatArray:
     return _sample(mesh.triangles, double_areas(mesh), num, np.random.default_rng(0))[0]
 
 
+def sample_oriented_surface(mesh: Mesh, num: int) -> tuple[FloatArray, FloatArray]:
+    """Samples points as :func:`sample_surface`, with the unit normals of their faces, (num, 3) float64 each."""
+    triangles = mesh.triangles
+    normals, _ = unit_normals(triangles)
+    points, face = _sample(triangles, double_areas(mesh), num, np.random.default_rng(0))
+    return points, normals[face]
+
+
 def _sample(triangles: FloatArray, weights: FloatArray, num: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
     """Samples points (num, 3) on triangles, evenly by weight, and returns the triangle of each (num,)."""
     total = np.cumsum(weights)

@@ -1,0 +1,247 @@
+"""A scripted expert: carries out the steps of a goal with grasps that hold, planned paths, and a new attempt after a miss.
+
+It is a program, not a policy: it sees the simulation's state. Its commands are joints and the opening of the hand, one a control step.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from stable_data.robot.clearance import HeldObject
+from stable_data.robot.grasp_trial import CLOSE_SECONDS, CONTROL_SECONDS, GraspFinder, GraspOutcome, ReachableGrasp
+from stable_data.robot.motion import plan_path, timed, tool_line
+from stable_data.robot.world import RobotWorld
+from stable_data.rotations import rotation_matrix
+from stable_data.scene import TABLE, FloatArray
+
+SPEED, SLOW = 1.2, 0.6
+"""Speeds of the joints, radians a second: free, and near objects."""
+
+_ATTEMPTS = 3  # at a grasp
+_TRIED = 4  # grasps that are simulated before one is chosen
+_ABOVE = 0.10  # of a place, before the object is lowered, metres
+_RELEASE = 0.003  # height above its support at which an object is released, metres
+_YAWS = 8  # that are tried for a placed object, beside the wanted one
+_PLACES = 24  # poses of a placed object that are tried
+_RETREAT = 0.10  # back along the approach after a release, metres
+_WAIT_SECONDS = 0.6  # at the end, until everything is at rest
+_IN_HAND = 0.004  # how deep a held object may touch its support at the place, metres
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Command:
+    """What the arm shall do in one control step.
+
+    Attributes:
+        joints: Commanded at the end of the step, (J,), radians.
+        opening: Of the hand, metres; 0 closes with force.
+    """
+
+    joints: FloatArray
+    opening: float
+
+
+class ExpertFailure(StrEnum):
+    """Why the expert gave up."""
+
+    NO_GRASP = "no_grasp"
+    NO_PATH = "no_path"
+    NO_PLACE = "no_place"
+    LOST = "lost"
+    MISSED = "missed"
+
+
+class ExpertError(Exception):
+    """The expert gave up.
+
+    Args:
+        reason: Why.
+        detail: About what: an instance, and what is in the way.
+    """
+
+    def __init__(self, reason: ExpertFailure, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
+        self.reason, self.detail = reason, detail
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A pose where an object can be put down.
+
+    Attributes:
+        position: Centre of its box, (3,), metres, frame of the scene.
+        yaw: Radians.
+        on: What it will touch there: an instance or ``table``.
+        dropped: Whether it is released there without being lowered onto its support, as into a container.
+    """
+
+    position: FloatArray
+    yaw: float
+    on: str = TABLE
+    dropped: bool = False
+
+
+class Expert:
+    """Carries out picks and places.
+
+    The methods yield commands; the caller executes each before it asks for the next one.
+
+    Args:
+        finder: Grasps of the scene.
+        world: The simulation that executes the commands.
+        seed: Seed of paths and choices.
+    """
+
+    def __init__(self, finder: GraspFinder, world: RobotWorld, seed: int = 0) -> None:
+        self._finder, self._world, self._seed = finder, world, seed
+        self._arm, self._clearance, self._built = finder.arm, finder.clearance, finder.built
+        self._held: tuple[HeldObject, ReachableGrasp] | None = None
+
+    def pick(self, instance: str) -> Iterator[Command]:
+        """Grasps an object and lifts it.
+
+        Raises:
+            ExpertError: There is no grasp, no way to it, or all attempts missed.
+        """
+        failed: list[ReachableGrasp] = []
+        reason, detail = ExpertFailure.NO_GRASP, instance
+        for _ in range(_ATTEMPTS):
+            grasp = self._choose(instance, failed)
+            if grasp is None:
+                break
+            path = self._path_to(grasp.before, grasp.opening)
+            if path is None:
+                failed.append(grasp)
+                reason, detail = ExpertFailure.NO_PATH, f"to {instance}"
+                continue
+            yield from self._follow(path, grasp.opening, SPEED)
+            yield from self._follow(grasp.approach, grasp.opening, SLOW)
+            yield from self._wait(CLOSE_SECONDS, 0.0)
+            if instance in self._world.contacts().gripped:
+                yield from self._follow(self._finder.lift(grasp), 0.0, SLOW)
+                if instance in self._world.contacts().gripped:
+                    self._held = self._in_hand(instance), grasp
+                    return
+            failed.append(grasp)
+            reason, detail = ExpertFailure.MISSED, instance
+            yield from self._wait(CLOSE_SECONDS, self._built.robot.hand.max_opening)
+            yield from self._rise(self._built.robot.hand.max_opening)
+        raise ExpertError(reason, detail)
+
+    def place(self, instance: str, places: Sequence[Place]) -> Iterator[Command]:
+        """Puts the held object at the first place that the arm reaches without touching anything else, and lets it go.
+
+        Args:
+            instance: The held object.
+            places: Poses, best first.
+
+        Raises:
+            ExpertError: The object is not held, or no place is reached.
+        """
+        if self._held is None or instance not in self._world.contacts().gripped:
+            raise ExpertError(ExpertFailure.LOST, instance)
+        held = self._in_hand(instance)
+        self._clearance.look(self._world)
+        self._clearance.hold(held)
+        try:
+            found = self._reachable_place(held, places)
+            if found is None:
+                raise ExpertError(ExpertFailure.NO_PLACE, instance)
+            path, lowering = found
+            yield from self._follow(path, 0.0, SPEED)
+            yield from self._follow(lowering, 0.0, SLOW)
+        finally:
+            self._clearance.hold(None)
+        if instance not in self._world.contacts().gripped:
+            raise ExpertError(ExpertFailure.LOST, instance)
+        yield from self._wait(CLOSE_SECONDS, self._built.robot.hand.max_opening)
+        self._held = None
+        yield from self._rise(self._built.robot.hand.max_opening)
+
+    def rest(self) -> Iterator[Command]:
+        """Waits until everything is at rest."""
+        yield from self._wait(_WAIT_SECONDS, 0.0 if self._held is not None else self._built.robot.hand.max_opening)
+
+    def _choose(self, instance: str, failed: Sequence[ReachableGrasp]) -> ReachableGrasp | None:
+        """The best grasp that holds in a trial; the best one at all if none does."""
+        survey = self._finder.survey(self._world, instance)
+        new = [g for g in survey.reachable if not any(_is_same(g, old) for old in failed)]
+        state = self._world.snapshot()
+        try:
+            for grasp in new[:_TRIED]:
+                outcome = self._finder.try_grasp(self._world, grasp)
+                self._world.restore(state)
+                if outcome is GraspOutcome.HELD:
+                    return grasp
+        finally:
+            self._world.restore(state)
+        return new[0] if new else None
+
+    def _path_to(self, joints: FloatArray, opening: float) -> FloatArray | None:
+        self._clearance.look(self._world)
+        self._clearance.hold(None)
+        start = self._world.commanded_joints
+        return plan_path(self._arm, self._clearance, start, joints, opening, seed=self._seed)
+
+    def _reachable_place(self, held: HeldObject, places: Sequence[Place]) -> tuple[FloatArray, FloatArray] | None:
+        """A path above a place, and the path down to it."""
+        start = self._world.commanded_joints
+        for place in self._with_yaws(places):
+            turn = self._built.mount.rotation.T @ rotation_matrix((0.0, 0.0, np.sin(place.yaw / 2), np.cos(place.yaw / 2)))
+            tool_turn = turn @ held.rotation.T
+            target = self._built.mount.to_base(place.position + np.array([0.0, 0.0, _RELEASE]))
+            position = target - tool_turn @ held.position
+            above = position + np.array([0.0, 0.0, 0.02 if place.dropped else _ABOVE])
+            solved = self._arm.solve(np.stack([above]), tool_turn[None], start if not place.dropped else None)
+            if not solved.found[0]:
+                continue
+            over = solved.joints[0]
+            if self._clearance.hits(over, 0.0) is not None:
+                continue
+            lowering = tool_line(self._arm, over, position, tool_turn)
+            allowed = frozenset({place.on})
+            if lowering is None or not self._clearance.free_path(lowering, 0.0, allowed=allowed, allowed_depth=_IN_HAND):
+                continue
+            path = plan_path(self._arm, self._clearance, start, over, 0.0, seed=self._seed)
+            if path is not None:
+                return path, lowering
+        return None
+
+    def _with_yaws(self, places: Sequence[Place]) -> Iterator[Place]:
+        """Each place with its own yaw, then the first ones with others."""
+        yield from places[:_PLACES]
+        for place in places[: _PLACES // 4]:
+            for k in range(1, _YAWS):
+                yield Place(place.position, place.yaw + 2 * np.pi * k / _YAWS, place.on, place.dropped)
+
+    def _in_hand(self, instance: str) -> HeldObject:
+        """Where an object is in the hand now."""
+        pose = self._world.object_poses[self._built.names.index(instance)]
+        x, y, z, w = pose[3:].tolist()
+        turn = np.array(self._world.data.site_xmat[self._built.tool]).reshape(3, 3)
+        return HeldObject(instance, turn.T @ (pose[:3] - self._world.tool_position), turn.T @ rotation_matrix((x, y, z, w)))
+
+    def _follow(self, path: FloatArray, opening: float, speed: float) -> Iterator[Command]:
+        for joints in timed(path, speed, CONTROL_SECONDS):
+            yield Command(joints, opening)
+
+    def _wait(self, seconds: float, opening: float) -> Iterator[Command]:
+        joints = self._world.commanded_joints
+        for _ in range(max(1, round(seconds / CONTROL_SECONDS))):
+            yield Command(joints, opening)
+
+    def _rise(self, opening: float) -> Iterator[Command]:
+        """Moves the hand back along its approach, or as far as the arm can."""
+        joints = self._world.commanded_joints
+        position, rotation = (found[0] for found in self._arm.poses(joints[None]))
+        for share in (1.0, 0.6, 0.3):
+            path = tool_line(self._arm, joints, position - share * _RETREAT * rotation[:, 2], rotation, spacing=0.02)
+            if path is not None:
+                yield from self._follow(path, opening, SLOW)
+                return
+
+
+def _is_same(one: ReachableGrasp, other: ReachableGrasp) -> bool:
+    return bool(np.linalg.norm(one.position - other.position) < 0.01 and (one.rotation[:, 2] @ other.rotation[:, 2]) > 0.95)

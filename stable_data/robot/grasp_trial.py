@@ -1,0 +1,277 @@
+"""Which grasps of an object the arm can reach without touching anything, and which of them hold when they are tried in the scene."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TypeAlias
+
+import numpy as np
+
+from stable_data.robot.assembly import RobotModel
+from stable_data.robot.clearance import Clearance
+from stable_data.robot.grasps import PRESHAPE, Grasps, PointPairs, grasps_at, opposite_pairs
+from stable_data.robot.kinematics import Arm
+from stable_data.robot.motion import timed, tool_line
+from stable_data.robot.world import RobotWorld
+from stable_data.rotations import rotation_matrix
+from stable_data.scene import FloatArray
+
+PRE_GRASP = 0.10
+"""Distance of the pre-grasp from the grasp, back along the approach, metres."""
+
+LIFT = 0.10
+"""How far an object is lifted in a trial, metres."""
+
+CONTROL_SECONDS = 0.05
+"""Time between two commands to the arm."""
+
+CLOSE_SECONDS = 0.4
+"""How long the hand is given to close or to open."""
+
+_HOLD_SECONDS = 0.3
+_SPEED = 1.0  # of a joint, radians a second
+_LIFTED_SHARE = 0.6  # an object is held if it came up by this share of the lift
+_SLIP = 0.03  # how far a held object may move in the hand, metres
+_DISTURBED = 0.05  # how far a trial may move another object, metres
+_TARGET_DEPTH = (
+    0.004  # how deep the open hand may be in the convex parts of the object, which fill its hollows a little, metres
+)
+
+_Option: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+
+
+class GraspOutcome(StrEnum):
+    """What became of a grasp."""
+
+    HELD = "held"
+    OUT_OF_REACH = "out_of_reach"
+    BLOCKED = "blocked"
+    NOT_TRIED = "not_tried"
+    MISSED = "missed"
+    SLIPPED = "slipped"
+    DISTURBED = "disturbed"
+    DIVERGED = "diverged"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReachableGrasp:
+    """A grasp that the arm reaches without touching anything.
+
+    Attributes:
+        instance: The object.
+        position: Origin of the tool frame at the grasp, (3,), metres, frame of the base.
+        rotation: (3, 3).
+        width: Of the object between the fingers, metres.
+        opening: Of the hand on the way there, metres.
+        before: Joints of the pre-grasp, (J,).
+        approach: Configurations from the pre-grasp to the grasp, (T, J).
+        score: See :class:`~stable_data.robot.grasps.Grasps`.
+    """
+
+    instance: str
+    position: FloatArray
+    rotation: FloatArray
+    width: float
+    opening: float
+    before: FloatArray
+    approach: FloatArray
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class GraspSurvey:
+    """What is known of the grasps of an object.
+
+    Attributes:
+        instance: The object.
+        num_candidates: Poses of the hand that its mesh offers.
+        reachable: Those that the arm reaches freely, best first.
+        blocked_by: Names of what is in the way of the others, with how often each is.
+        num_out_of_reach: Candidates that the arm cannot reach at all.
+    """
+
+    instance: str
+    num_candidates: int
+    reachable: tuple[ReachableGrasp, ...]
+    blocked_by: dict[str, int]
+    num_out_of_reach: int
+
+    @property
+    def reason(self) -> str | None:
+        """Why the object cannot be grasped, one word with a detail; None if a grasp is reachable."""
+        if self.reachable:
+            return None
+        if not self.num_candidates:
+            return "too_wide"
+        if self.blocked_by and sum(self.blocked_by.values()) >= self.num_out_of_reach:
+            most = max(self.blocked_by, key=lambda name: (self.blocked_by[name], name))
+            return f"blocked by {most}"
+        return "out_of_reach"
+
+
+class GraspFinder:
+    """Finds and tries grasps in a scene.
+
+    Args:
+        built: The scene with the robot.
+        arm: The kinematics of the robot.
+        clearance: Checks of the scene; None makes one.
+    """
+
+    def __init__(self, built: RobotModel, arm: Arm, clearance: Clearance | None = None) -> None:
+        self.built, self.arm, self.clearance = built, arm, clearance or Clearance(built)
+        self._pairs: dict[str, PointPairs] = {}
+
+    def survey(self, world: RobotWorld, instance: str, *, limit: int = 48) -> GraspSurvey:
+        """Finds the grasps of an object where it is now that the arm reaches without touching anything.
+
+        Args:
+            world: The simulation.
+            instance: The object.
+            limit: How many candidates are looked at.
+        """
+        built = self.built
+        candidates = self.candidates(world, instance, limit)
+        if not len(candidates):
+            return GraspSurvey(instance, 0, (), {}, 0)
+        turn = built.mount.rotation.T
+        positions = built.mount.to_base(candidates.positions)
+        rotations = turn @ candidates.rotations
+        solved = [self._solve(positions, rotations @ flip) for flip in (np.eye(3), np.diag([-1.0, -1.0, 1.0]))]
+        self.clearance.look(world)
+        self.clearance.hold(None)
+        found, blocked, unreached = [], dict[str, int](), 0
+        for k in range(len(candidates)):
+            options = [option for s in solved if (option := s[k]) is not None]
+            hit, grasp = self._first_free(options, candidates, k, positions[k], instance)
+            if grasp is not None:
+                found.append(grasp)
+            elif hit is not None:
+                blocked[hit] = blocked.get(hit, 0) + 1
+            else:
+                unreached += 1
+        return GraspSurvey(instance, len(candidates), tuple(found), blocked, unreached)
+
+    def _first_free(
+        self, options: Sequence[_Option], candidates: Grasps, k: int, position: FloatArray, instance: str
+    ) -> tuple[str | None, ReachableGrasp | None]:
+        """The first way to a grasp on which nothing is touched; else what is in the way, or None if the arm cannot go there."""
+        hand, width, hit = self.built.robot.hand, float(candidates.widths[k]), None
+        for before, at, rotation in sorted(options, key=lambda option: float(abs(option[0] - self.arm.home).sum())):
+            for opening in (hand.max_opening, min(hand.max_opening, width + PRESHAPE)):
+                hit, path = self._free_approach(before, at, position, rotation, opening, instance)
+                if path is not None:
+                    score = float(candidates.scores[k])
+                    return None, ReachableGrasp(instance, position, rotation, width, opening, before, path, score)
+        return hit, None
+
+    def candidates(self, world: RobotWorld, instance: str, limit: int) -> Grasps:
+        """The grasps that the mesh of an object offers where it is now, in the frame of the scene."""
+        index = self.built.names.index(instance)
+        if instance not in self._pairs:
+            self._pairs[instance] = opposite_pairs(self.built.geometry.shapes[index], self.built.robot.hand)
+        pose = world.object_poses[index]
+        x, y, z, w = pose[3:].tolist()
+        towards = pose[:3] - self.built.mount.position
+        towards[2] = 0.0
+        length = np.linalg.norm(towards)
+        return grasps_at(
+            self._pairs[instance],
+            pose[:3],
+            rotation_matrix((x, y, z, w)),
+            self.built.robot.hand,
+            towards=towards / length if length > 1e-6 else None,
+            limit=limit,
+        )
+
+    def _solve(self, positions: FloatArray, rotations: FloatArray) -> list[_Option | None]:
+        """Joints of the pre-grasp and of the grasp, and the rotation, of each candidate; None where the arm cannot reach."""
+        before = self.arm.solve(positions - PRE_GRASP * rotations[:, :, 2], rotations)
+        at = self.arm.solve(positions, rotations, before.joints, starts=0)
+        rows = zip(before.found & at.found, before.joints, at.joints, rotations, strict=True)
+        return [(one, other, rotation) if is_found else None for is_found, one, other, rotation in rows]
+
+    def _free_approach(
+        self, before: FloatArray, at: FloatArray, position: FloatArray, rotation: FloatArray, opening: float, instance: str
+    ) -> tuple[str | None, FloatArray | None]:
+        """What is in the way of a grasp, or the path to it."""
+        own = frozenset({instance})
+        for joints in (at, before):  # the cheap checks first
+            hit = self.clearance.hits(joints, opening, allowed=own, allowed_depth=_TARGET_DEPTH)
+            if hit is not None:
+                return hit, None
+        path = tool_line(self.arm, before, position, rotation, spacing=0.02)
+        if path is None:
+            return None, None
+        for joints in path:
+            hit = self.clearance.hits(joints, opening, allowed=own, allowed_depth=_TARGET_DEPTH)
+            if hit is not None:
+                return hit, None
+        return None, path
+
+    def try_grasp(self, world: RobotWorld, grasp: ReachableGrasp) -> GraspOutcome:
+        """Simulates a grasp in the scene: approach, close, lift, hold. The simulation is left as it then is."""
+        index = self.built.names.index(grasp.instance)
+        start = world.object_poses
+        world.place_arm(grasp.before, grasp.opening)
+        for joints in timed(grasp.approach, _SPEED, CONTROL_SECONDS):
+            world.advance(joints, grasp.opening, CONTROL_SECONDS)
+        world.advance(grasp.approach[-1], 0.0, CLOSE_SECONDS)
+        if world.has_diverged:
+            return GraspOutcome.DIVERGED
+        if grasp.instance not in world.contacts().gripped:
+            return GraspOutcome.MISSED
+        in_hand = world.object_poses[index, :3] - world.tool_position
+        for joints in timed(self.lift(grasp), _SPEED, CONTROL_SECONDS):
+            world.advance(joints, 0.0, CONTROL_SECONDS)
+        world.advance(world.commanded_joints, 0.0, _HOLD_SECONDS)
+        if world.has_diverged:
+            return GraspOutcome.DIVERGED
+        end = world.object_poses
+        moved = np.linalg.norm(end[:, :3] - start[:, :3], axis=1)
+        came_up = end[index, 2] - start[index, 2]
+        slip = np.linalg.norm(end[index, :3] - world.tool_position - in_hand)
+        contacts = world.contacts()
+        if grasp.instance not in contacts.gripped or came_up < _LIFTED_SHARE * LIFT or slip > _SLIP:
+            return GraspOutcome.SLIPPED
+        riders = _carried(contacts.supports, grasp.instance)
+        others = [k for k, name in enumerate(self.built.names) if name != grasp.instance and name not in riders]
+        if others and moved[others].max() > _DISTURBED:
+            return GraspOutcome.DISTURBED
+        return GraspOutcome.HELD
+
+    def lift(self, grasp: ReachableGrasp, height: float = LIFT) -> FloatArray:
+        """Configurations that lift the tool straight up from a grasp, (T, J), as far as the arm can follow."""
+        at = grasp.approach[-1]
+        for share in (1.0, 0.75, 0.5):
+            path = tool_line(self.arm, at, grasp.position + np.array([0.0, 0.0, share * height]), grasp.rotation, spacing=0.02)
+            if path is not None:
+                return path
+        return grasp.approach[::-1]
+
+    def trials(self, world: RobotWorld, survey: GraspSurvey, tries: int) -> Iterator[tuple[ReachableGrasp, GraspOutcome]]:
+        """Tries the best grasps of a survey one after the other, each in the scene as it is now, and restores the scene.
+
+        Args:
+            world: The simulation.
+            survey: The grasps.
+            tries: How many are tried at most.
+        """
+        state = world.snapshot()
+        for grasp in survey.reachable[:tries]:
+            outcome = self.try_grasp(world, grasp)
+            world.restore(state)
+            yield grasp, outcome
+
+
+def _carried(supports: Mapping[str, tuple[str, ...]], carrier: str) -> frozenset[str]:
+    """Everything that rests on an object, directly or through others."""
+    found: set[str] = set()
+    open_ = [carrier]
+    while open_:
+        below = open_.pop()
+        for name, carriers in supports.items():
+            if below in carriers and name not in found:
+                found.add(name)
+                open_.append(name)
+    return frozenset(found)

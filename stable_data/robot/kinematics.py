@@ -1,0 +1,222 @@
+"""Kinematics of an arm, for many configurations at once: forward, Jacobian, inverse by damped least squares.
+
+Frame of all poses: the robot's base. A pose is a position and a rotation matrix of the tool frame.
+"""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from stable_data.robot.robots import Robot, robot_spec
+from stable_data.rotations import rotation_matrix, wxyz
+from stable_data.scene import FloatArray
+
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+
+POSITION_TOLERANCE = 1e-3
+"""Largest error of a solution, metres."""
+
+ROTATION_TOLERANCE = 1e-2
+"""Largest error of a solution, radians."""
+
+_DAMPING = 0.03
+_MAX_STEP = 0.35  # radians of a joint in one iteration
+_ITERATIONS = 60
+_MARGIN = 0.02  # distance from the limits of the joints, radians
+_STARTS = 6  # further starts for poses that the first one does not reach
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solutions:
+    """Configurations that bring the tool to poses.
+
+    Attributes:
+        joints: (K, J) float64, radians.
+        position_errors: (K,) metres.
+        rotation_errors: (K,) radians.
+    """
+
+    joints: FloatArray
+    position_errors: FloatArray
+    rotation_errors: FloatArray
+
+    @property
+    def found(self) -> BoolArray:
+        """Which poses are reached, (K,) bool."""
+        return (self.position_errors <= POSITION_TOLERANCE) & (self.rotation_errors <= ROTATION_TOLERANCE)
+
+
+class Arm:
+    """The chain of joints from the base of a robot to its tool frame.
+
+    Args:
+        robot: The robot.
+
+    Attributes:
+        low: Lower limits of the joints, (J,) float64, radians, with a small margin.
+        high: Upper limits.
+        home: The joints at the start of an episode, (J,) float64.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        spec = robot_spec(robot)
+        site = spec.body(robot.hand.body).add_site(name="tool", pos=list(robot.hand.position), quat=wxyz(robot.hand.quat_xyzw))
+        model = spec.compile()
+        chain: list[int] = []
+        body = int(model.site(site.name).bodyid[0])
+        while body:
+            chain.insert(0, body)
+            body = int(model.body_parentid[body])
+        number = {int(model.joint(name).id): k for k, name in enumerate(robot.joints)}
+        self._links: list[tuple[FloatArray, FloatArray, int | None, FloatArray, FloatArray]] = []
+        for body in chain:
+            joint = int(model.body_jntadr[body]) if model.body_jntnum[body] else None
+            is_arm = joint is not None and joint in number
+            self._links.append(
+                (
+                    np.array(model.body_pos[body]),
+                    _matrix(model.body_quat[body]),
+                    number[joint] if is_arm and joint is not None else None,
+                    np.array(model.jnt_axis[joint]) if is_arm else np.zeros(3),
+                    np.array(model.jnt_pos[joint]) if is_arm else np.zeros(3),
+                )
+            )
+        self._tool = np.array(robot.hand.position), rotation_matrix(robot.hand.quat_xyzw)
+        ranges = np.array([model.joint(name).range for name in robot.joints])
+        self.low, self.high = ranges[:, 0] + _MARGIN, ranges[:, 1] - _MARGIN
+        self.home = np.clip(np.array(robot.home), self.low, self.high)
+
+    def poses(self, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Computes the pose of the tool.
+
+        Args:
+            joints: (K, J) float64, radians.
+
+        Returns:
+            Positions (K, 3) and rotation matrices (K, 3, 3).
+        """
+        position, rotation, _, _ = self._forward(joints)
+        return position, rotation
+
+    def _forward(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Pose of the tool, and axis and anchor of each joint, (K, J, 3)."""
+        count = len(joints)
+        position, rotation = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
+        axes, anchors = np.zeros((count, joints.shape[1], 3)), np.zeros((count, joints.shape[1], 3))
+        for offset, turn, joint, axis, anchor in self._links:
+            position = position + rotation @ offset
+            rotation = rotation @ turn
+            if joint is None:
+                continue
+            axes[:, joint], anchors[:, joint] = rotation @ axis, position + rotation @ anchor
+            turned = rotation @ _turns(axis, joints[:, joint])
+            position = anchors[:, joint] - turned @ anchor
+            rotation = turned
+        offset, turn = self._tool
+        return position + rotation @ offset, rotation @ turn, axes, anchors
+
+    def jacobian(self, joints: FloatArray) -> FloatArray:
+        """Derivative of the tool's position and rotation by the joints, (K, 6, J): metres and radians a radian."""
+        position, _, axes, anchors = self._forward(joints)
+        return _jacobian(position, axes, anchors)
+
+    def solve(
+        self,
+        positions: FloatArray,
+        rotations: FloatArray,
+        start: FloatArray | None = None,
+        *,
+        seed: int = 0,
+        starts: int = _STARTS,
+    ) -> Solutions:
+        """Finds joints that bring the tool to poses.
+
+        Args:
+            positions: (K, 3) float64, metres.
+            rotations: Rotation matrices, (K, 3, 3).
+            start: Joints from which the search starts, (J,) or (K, J); None: the home position, turned towards each pose.
+            seed: Seed of further starts.
+            starts: How many further starts are tried for poses that are not reached.
+
+        Returns:
+            A solution for each pose; where none was found, the nearest one.
+        """
+        begin = self._facing(positions) if start is None else np.broadcast_to(start, (len(positions), len(self.low)))
+        best = self._descend(positions, rotations, np.array(begin, np.float64))
+        rng = np.random.default_rng(seed)
+        for _ in range(starts):
+            open_ = np.flatnonzero(~best.found)
+            if not len(open_):
+                break
+            noise = rng.uniform(-0.9, 0.9, (len(open_), len(self.low)))
+            again = np.clip(self._facing(positions[open_]) + noise, self.low, self.high)
+            tried = self._descend(positions[open_], rotations[open_], again)
+            better = tried.position_errors + 0.1 * tried.rotation_errors < (
+                best.position_errors[open_] + 0.1 * best.rotation_errors[open_]
+            )
+            rows = open_[better]
+            best.joints[rows] = tried.joints[better]
+            best.position_errors[rows] = tried.position_errors[better]
+            best.rotation_errors[rows] = tried.rotation_errors[better]
+        return best
+
+    def track(self, position: FloatArray, rotation: FloatArray, joints: FloatArray, *, iterations: int = 4) -> FloatArray:
+        """Follows a pose that moves little: the joints (J,) nearest to the present ones that bring the tool there, or near it."""
+        found = self._descend(position[None], rotation[None], joints[None].copy(), iterations)
+        return np.asarray(found.joints[0])
+
+    def _facing(self, positions: FloatArray) -> FloatArray:
+        """The home position with the first joint turned towards each position, (K, J)."""
+        joints = np.tile(self.home, (len(positions), 1))
+        tool, _ = self.poses(self.home[None])
+        joints[:, 0] += np.arctan2(positions[:, 1], positions[:, 0]) - np.arctan2(tool[0, 1], tool[0, 0])
+        return np.asarray(np.clip(joints, self.low, self.high))
+
+    def _descend(
+        self, positions: FloatArray, rotations: FloatArray, joints: FloatArray, iterations: int = _ITERATIONS
+    ) -> Solutions:
+        active = np.arange(len(joints))
+        move, turn = np.full(len(joints), np.inf), np.full(len(joints), np.inf)
+        for left in range(iterations, -1, -1):
+            position, rotation, axes, anchors = self._forward(joints[active])
+            away, twist = positions[active] - position, _rotation_vectors(rotations[active] @ rotation.transpose(0, 2, 1))
+            move[active], turn[active] = np.linalg.norm(away, axis=1), np.linalg.norm(twist, axis=1)
+            # Well within the tolerances, so that a solution is not at their edge.
+            open_ = (move[active] > 0.1 * POSITION_TOLERANCE) | (turn[active] > 0.1 * ROTATION_TOLERANCE)
+            active = active[open_]
+            if not len(active) or not left:
+                break
+            jacobian = _jacobian(position, axes, anchors)[open_]
+            error = np.concatenate([away, twist], axis=1)[open_]
+            square = jacobian @ jacobian.transpose(0, 2, 1)
+            damping = _DAMPING**2 * np.minimum(1.0, np.linalg.norm(error, axis=1) * 10)[:, None, None] * np.eye(
+                6
+            ) + 1e-8 * np.eye(6)
+            step = (jacobian.transpose(0, 2, 1) @ np.linalg.solve(square + damping, error[:, :, None]))[:, :, 0]
+            step *= np.minimum(1.0, _MAX_STEP / np.maximum(abs(step).max(axis=1), 1e-9))[:, None]
+            joints[active] = np.clip(joints[active] + step, self.low, self.high)
+        return Solutions(joints, move, turn)
+
+
+def _jacobian(position: FloatArray, axes: FloatArray, anchors: FloatArray) -> FloatArray:
+    return np.concatenate([np.cross(axes, position[:, None] - anchors), axes], axis=2).transpose(0, 2, 1)
+
+
+def _turns(axis: FloatArray, angles: FloatArray) -> FloatArray:
+    """Rotation matrices about a unit axis, (K, 3, 3): Rodrigues' formula."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sin, cos = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
+    return np.asarray(np.eye(3) + sin * cross + (1 - cos) * (cross @ cross))
+
+
+def _rotation_vectors(matrices: FloatArray) -> FloatArray:
+    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
+
+
+def _matrix(quat_wxyz: FloatArray) -> FloatArray:
+    w, x, y, z = quat_wxyz.tolist()
+    return rotation_matrix((x, y, z, w))

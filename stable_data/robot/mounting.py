@@ -1,0 +1,156 @@
+"""Where a robot stands: behind an edge of the table, on the height of its top, looking inwards."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stable_data.errors import ConfigError
+from stable_data.json_text import quote_value
+from stable_data.robot.robots import Robot
+from stable_data.rotations import rotate_xy
+from stable_data.scene import FloatArray, Scene, Tabletop
+
+AUTO = "auto"
+"""The setting by which the place follows from the scene."""
+
+EDGES = ("front", "left", "right", "back")
+"""The edges of the table."""
+
+_CHOSEN = EDGES[:3]  # behind the back edge there often is a wall
+
+_GAP = 0.02  # between the base and the table, metres
+_STEP = 0.1  # distance of the places along an edge that are compared, metres
+_COMFORT = 0.8  # share of the reach that is better than the rest
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Pose of a robot's base in the frame of the scene; its x axis points over the table.
+
+    Attributes:
+        x: Metres.
+        y: Metres.
+        z: Metres.
+        yaw: Radians.
+        edge: The edge of the table behind which it stands.
+    """
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    edge: str
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Scene from base, (3, 3)."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    @property
+    def position(self) -> FloatArray:
+        """Of the base, (3,)."""
+        return np.array([self.x, self.y, self.z])
+
+    def to_base(self, points: FloatArray) -> FloatArray:
+        """Converts points (..., 3) from the frame of the scene to that of the base."""
+        return np.asarray((points - self.position) @ self.rotation)
+
+    def to_scene(self, points: FloatArray) -> FloatArray:
+        """Converts points (..., 3) from the frame of the base to that of the scene."""
+        return np.asarray(points @ self.rotation.T + self.position)
+
+
+def mount_at(robot: Robot, table: Tabletop, edge: str, share: float = 0.5) -> Mount:
+    """Returns the mount behind an edge.
+
+    Args:
+        robot: The robot.
+        table: The table.
+        edge: One of EDGES.
+        share: Place along the edge, from 0 (its left or front end) to 1.
+
+    Raises:
+        ConfigError: There is no such edge, or the share is not from 0 to 1 (``setting_invalid``).
+    """
+    if edge not in EDGES or not 0 <= share <= 1:
+        raise ConfigError(
+            f"mount is {quote_value(f'{edge}:{share:g}')}, expected auto or one of {', '.join(EDGES)}, "
+            "with a share from 0 to 1 after a colon if not in the middle",
+            "setting_invalid",
+        )
+    (width, depth), away = table.size_xy, robot.base_front + _GAP
+    x, y, yaw = {
+        "front": (share * width, -away, math.pi / 2),
+        "back": (share * width, depth + away, -math.pi / 2),
+        "left": (-away, share * depth, 0.0),
+        "right": (width + away, share * depth, math.pi),
+    }[edge]
+    return Mount(x, y, 0.0, yaw, edge)
+
+
+def mount_of(robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[str] = ()) -> Mount:
+    """Returns the mount that a setting asks for.
+
+    Args:
+        robot: The robot.
+        scene: The scene.
+        setting: ``auto`` (:func:`best_mount`), an edge, or an edge and a share of its length, such as ``front:0.25``.
+        wanted: See :func:`best_mount`.
+
+    Raises:
+        ConfigError: The setting is none of these (``setting_invalid``).
+    """
+    if setting == AUTO:
+        return best_mount(robot, scene, wanted)
+    edge, _, share = setting.partition(":")
+    try:
+        return mount_at(robot, scene.table, edge, float(share or 0.5))
+    except ValueError as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"mount is {quote_value(setting)}, expected a number after the colon", "setting_invalid") from error
+
+
+def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
+    """Returns the mount from which most of the wanted objects, and then most of all, are in reach.
+
+    Args:
+        robot: The robot.
+        scene: The scene.
+        wanted: Instances that have to be in reach; none: the task objects of the scene.
+
+    Returns:
+        The first one of the best, in the order front, left, right, and from the middle of an edge to its ends.
+    """
+    names = frozenset(wanted) or frozenset(() if scene.task is None else scene.task.task_objects)
+    objects = scene.movable
+    centres = np.array([o.position[:2] for o in objects], np.float64).reshape(-1, 2)
+    is_wanted = np.array([o.instance in names for o in objects], bool)
+    best, best_score = mount_at(robot, scene.table, EDGES[0]), (-1.0, -1.0, -1.0)
+    for edge in _CHOSEN:
+        length = scene.table.size_xy[0 if edge in ("front", "back") else 1]
+        for share in _shares(length):
+            mount = mount_at(robot, scene.table, edge, share)
+            in_reach, is_easy = _in_reach(robot, mount, centres)
+            score = (float((in_reach & is_wanted).sum()), float((is_easy & is_wanted).sum()), float(is_easy.sum()))
+            if score > best_score:
+                best, best_score = mount, score
+    return best
+
+
+def _shares(length: float) -> Sequence[float]:
+    """Places along an edge, the middle first."""
+    count = max(0, int((length / 2 - _STEP) / _STEP))
+    steps = [k * _STEP / length for k in range(1, count + 1)]
+    return [0.5, *(0.5 + sign * step for step in steps for sign in (-1, 1))]
+
+
+def _in_reach(robot: Robot, mount: Mount, centres: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Which places (N, 2) a robot can reach by their distance, and which easily."""
+    local = rotate_xy(centres - mount.position[:2], -mount.yaw)
+    distance = np.linalg.norm(local, axis=1)
+    in_reach = (distance >= robot.too_near) & (distance <= robot.reach)
+    return in_reach, in_reach & (distance <= _COMFORT * robot.reach)
