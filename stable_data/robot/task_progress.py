@@ -1,14 +1,13 @@
 """How far a robot has come with its task: the state of the simulation as the goal's conditions see it."""
 
-import numpy as np
-
 from stable_data.robot.world import RobotWorld
 from stable_data.scene import FloatArray
 from stable_data.tasks.checking import GoalChecker, SceneState
+from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal, Step, StepAction
-from stable_data.tasks.placing import target_poses
+from stable_data.tasks.placing import TargetPose, target_poses
 
-_RESTING = 0.02  # an object is at rest below this speed, metres a second
+_STEADY = 3  # looks in a row at which a goal must be fulfilled, so that a passing moment does not count
 
 
 class TaskProgress:
@@ -16,47 +15,61 @@ class TaskProgress:
 
     Args:
         goal: The goal.
+        geometry: The scene at the start.
         world: The simulation, at its start.
+
+    Attributes:
+        goal: The goal.
+        state: The state of the scene at the last look.
     """
 
-    def __init__(self, goal: Goal, world: RobotWorld) -> None:
-        self.goal, self._world = goal, world
-        self._checker = GoalChecker(goal, world.built.geometry)
+    def __init__(self, goal: Goal, geometry: TaskGeometry, world: RobotWorld) -> None:
+        self.goal, self._geometry, self._world = goal, geometry, world
+        self._checker = GoalChecker(goal, geometry)
         self.reset()
 
     def reset(self) -> None:
         """Starts anew from the present state of the simulation."""
         self.state = scene_state(self._world)
         self._places: dict[int, FloatArray | None] = {}
+        self._fulfilled = 0
 
     def update(self) -> tuple[float, bool]:
-        """Looks at the simulation; returns the reward and whether the goal is fulfilled."""
+        """Looks at the simulation; returns the reward, and whether the goal is fulfilled and was so at the last looks too."""
         self.state = scene_state(self._world)
-        is_success = self._checker.is_success(self.state)
-        return (1.0 if is_success else self._checker.reward(self.state)), is_success
+        self._fulfilled = self._fulfilled + 1 if self._checker.is_success(self.state) else 0
+        return self._checker.reward(self.state), self._fulfilled >= _STEADY
 
-    @property
-    def step(self) -> tuple[int, Step] | None:
-        """The step of the task that comes next, and its number; None if all are done."""
-        number = self._checker.num_steps_done(self.state)
-        return (number, self.goal.steps[number]) if number < len(self.goal.steps) else None
+    def unfulfilled(self) -> tuple[str, ...]:
+        """The conditions of the goal that do not hold, in words."""
+        held = self._checker.conditions(self.state)
+        return tuple(str(c) for c, is_held in zip(self.goal.conditions, held, strict=True) if not is_held)
+
+    def is_done(self, number: int) -> bool:
+        """Whether a step of the goal is done."""
+        return self._checker.steps_done(self.state)[number]
+
+    def places(self, step: Step) -> tuple[TargetPose, ...]:
+        """Poses at which a step can put its subject now, best first."""
+        return tuple(target_poses(step, self._geometry, self.state))
 
     def now(self) -> tuple[str | None, str | None, FloatArray | None]:
         """What the next step acts on, the object that it relates this to, and where it shall be put, (3,), metres."""
-        found = self.step
-        if found is None:
+        done = self._checker.steps_done(self.state)
+        number = next((k for k, is_done in enumerate(done) if not is_done), None)
+        if number is None:
             return None, None, None
-        number, step = found
-        # A pick is followed by the place of the same object: the policy may know from the start where it goes.
-        then = self.goal.steps[number + 1] if number + 1 < len(self.goal.steps) else None
-        placing, at = (step, number) if step.action is not StepAction.PICK else (then, number + 1)
-        if placing is None or placing.subject != step.subject:
-            return step.subject, None, None
+        step, at = self.goal.steps[number], number
+        if step.action is StepAction.PICK:  # whoever picks may know where it goes
+            at = number + 1
+            if at == len(self.goal.steps) or self.goal.steps[at].subject != step.subject:
+                return step.subject, None, None
+        placing = self.goal.steps[at]
         if at not in self._places:
-            poses = target_poses(placing, self._world.built.geometry, self.state)
-            self._places[at] = None if not poses else np.asarray(poses[0].position, np.float64)
+            poses = self.places(placing)
+            self._places[at] = poses[0].position if poses else None
         names = self._world.built.names
-        target = next((c.target for c in placing.conditions if c.target in names), None)
+        target = next((name for c in placing.conditions for name in c.targets if name in names), None)
         return step.subject, target, self._places[at]
 
 
@@ -68,6 +81,7 @@ def scene_state(world: RobotWorld) -> SceneState:
         quats_xyzw=poses[:, 3:],
         touching=contacts.supports,
         held=contacts.held,
-        is_moving=bool(world.object_speeds.max(initial=0.0) > _RESTING),
+        grasped=contacts.gripped,
+        max_speed=float(world.object_speeds.max(initial=0.0)),
         gripper_position=world.tool_position,
     )

@@ -1,0 +1,134 @@
+"""Settings of the demonstrate job: the robot, what it sees, and how episodes vary."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar
+
+from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
+from pipelines.execution.shard_size import shard_size
+from stable_data.errors import ConfigError
+from stable_data.json_text import quote_value
+from stable_data.robot.assembly import CAMERAS
+from stable_data.robot.control import CONTROLS
+from stable_data.robot.env import RobotOptions
+from stable_data.robot.randomization import RandomizationOptions
+from stable_data.robot.robots import described_robot
+
+_PARTS, _FEWEST, _MOST = 16, 1, 16  # shards of a small job, scenes of a shard
+
+
+@dataclass(frozen=True, slots=True)
+class VariationSettings(Settings):
+    """What is varied from episode to episode, by its seed; 0 varies nothing."""
+
+    light: Share = 0.0
+    """Largest change of the brightness of the lights, as a share, and of their direction."""
+
+    colours: Share = 0.0
+    """Largest change of each colour, as a share."""
+
+    friction: Share = 0.0
+    """Largest change of the friction of each object, as a share."""
+
+    mass: Share = 0.0
+    """Largest change of the mass of each object, as a share."""
+
+    cameras: NonNegative = 0.0
+    """Metres; standard deviation of the positions of the cameras. Their directions vary by a tenth of it in radians."""
+
+    start: NonNegative = 0.02
+    """Radians; standard deviation of the joints at the start."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemonstrateSettings(Settings):
+    """Settings of the demonstrate job, from ``--set key=value`` or the table ``[demonstrate]`` of a TOML file."""
+
+    section: ClassVar[str] = "demonstrate"
+
+    robot: str = "panda"
+    """The robot: ``panda``, ``panda_2f85``, ``so101`` or ``simple``; ``stable-data robots`` lists them."""
+
+    mount: str = "auto"
+    """Where the robot stands: ``auto``, an edge of the table (``front``, ``left``, ``right``, ``back``), or an edge and a share of its
+    length, such as ``front:0.25``.
+    """
+
+    control: str = "ee_delta"
+    """What an action commands beside the opening of the hand: ``ee_delta``, ``ee``, ``joint_delta`` or ``joint``."""
+
+    cameras: frozenset[str] = frozenset()
+    """Cameras whose pictures are recorded: ``wrist``, ``front``, ``top``."""
+
+    image_width: PositiveCount = 128
+    """Pixels of a picture along a row."""
+
+    image_height: PositiveCount = 128
+    """Pixels of a picture along a column."""
+
+    episodes: PositiveCount = 1
+    """Episodes of each scene; their seeds differ."""
+
+    max_steps: PositiveCount = 400
+    """Longest episode, actions."""
+
+    noise: Share = 0.0
+    """Standard deviation of what is added to each action, as a share of the largest action: the expert corrects it, so that policies
+    see how to come back.
+    """
+
+    variation: VariationSettings = field(default_factory=VariationSettings)
+    """What is varied from episode to episode."""
+
+    settled: bool = False
+    """Whether objects start where they settled (table ``settled``) instead of at their poses in the scene."""
+
+    seed: int = 0
+    """Seed of all choices; an episode's seed follows from it and from the episode's name."""
+
+    scenes_per_shard: Count = 0
+    """Scenes of a shard. 0: by the number of scenes."""
+
+    num_pictures: Count = 24
+    """Episodes that the report shows."""
+
+    seconds_per_item: Positive = 300.0
+    """Seconds; an episode that takes longer is a failure. Not enforced without worker processes."""
+
+    def check(self) -> None:
+        """Refuses names that do not exist.
+
+        Raises:
+            ConfigError: See above (``setting_invalid``).
+        """
+        described_robot(self.robot)
+        if self.control not in CONTROLS:
+            raise ConfigError(
+                f"setting demonstrate.control is {quote_value(self.control)}, expected one of {', '.join(CONTROLS)}",
+                "setting_invalid",
+            )
+        if strange := sorted(self.cameras - set(CAMERAS)):
+            raise ConfigError(
+                f"setting demonstrate.cameras has {quote_value(strange[0])}, expected some of {', '.join(CAMERAS)}",
+                "setting_invalid",
+            )
+
+    def shaping(self) -> dict[str, Any]:
+        """The settings that shape rows; a run is resumed only if they are equal."""
+        aside = ("num_pictures", "seconds_per_item")
+        return {k: sorted(v) if isinstance(v, frozenset) else v for k, v in asdict(self).items() if k not in aside}
+
+    def options(self) -> RobotOptions:
+        """The robot as the environment takes it."""
+        return RobotOptions(
+            robot=self.robot,
+            mount=self.mount,
+            control=self.control,
+            cameras=tuple(name for name in CAMERAS if name in self.cameras),
+            image_size=(self.image_width, self.image_height),
+            max_steps=self.max_steps,
+            randomization=RandomizationOptions(**asdict(self.variation)),
+        )
+
+    def shard_size(self, num_scenes: int) -> int:
+        """Scenes of a shard."""
+        return self.scenes_per_shard or shard_size(num_scenes, parts=_PARTS, fewest=_FEWEST, most=_MOST)
