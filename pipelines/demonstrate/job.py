@@ -54,7 +54,9 @@ class DemonstrateJob(ShardJob):
         RunScenes(self.folder, SceneSelection(settled=settings.settled))  # refuses what is missing
         if not self._scene_ids:
             condition = f" where {where}" if where else ""
-            raise ConfigError(f"{scenes}: has no scenes{condition}, expected some; choose another run or condition", "source_empty")
+            raise ConfigError(
+                f"{scenes}: has no scenes{condition}, expected some; choose another run or condition", "source_empty"
+            )
 
     @cached_property
     def _scene_ids(self) -> Sequence[str]:

@@ -195,7 +195,13 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             self.world.reset()  # so that what is observed is finite
             return self._observation(), 0.0, True, False, self._info(is_success=False)
         reward, is_success = self.progress.update()
-        return self._observation(), reward, is_success, self._num_steps >= self.options.max_steps, self._info(is_success=is_success)
+        return (
+            self._observation(),
+            reward,
+            is_success,
+            self._num_steps >= self.options.max_steps,
+            self._info(is_success=is_success),
+        )
 
     def render(self) -> Picture | None:
         """The scene from the front, (H, W, 3) uint8; None without a render mode.

@@ -118,7 +118,10 @@ class Randomizer:
                 quat = np.array(model.cam_quat[k])
                 mujoco.mju_quatIntegrate(quat, 0.1 * options.cameras * turned, 1.0)
                 model.cam_quat[k] = quat
-                document.setdefault("cameras", {})[camera] = {"moved": moved.round(4).tolist(), "turned": turned.round(4).tolist()}
+                document.setdefault("cameras", {})[camera] = {
+                    "moved": moved.round(4).tolist(),
+                    "turned": turned.round(4).tolist(),
+                }
         if options.start:
             document["start"] = start.round(5).tolist()
         return Drawn(start, document)

@@ -19,9 +19,7 @@ DIVERGED, NOT_FULFILLED, TOO_LONG = "diverged", "not_fulfilled", "too_long"
 """Why an episode failed in which the expert did not give up."""
 
 
-def record_episode(
-    env: RobotEnv, *, number: int, seed: int, split: str | None = None, noise: float = 0.0
-) -> Episode:
+def record_episode(env: RobotEnv, *, number: int, seed: int, split: str | None = None, noise: float = 0.0) -> Episode:
     """Lets the expert carry out the task of an environment once.
 
     Args:
@@ -159,5 +157,3 @@ def replayed_poses(env: RobotEnv, episode: Episode) -> np.ndarray[Any, np.dtype[
         env.step(action)
         poses.append(env.world.object_poses)
     return np.array(poses)
-
-
