@@ -1,12 +1,12 @@
 """The geometry that goals need: the scene at its start, the shapes of its objects, and which of them are containers."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from stable_data.geometry.shape import Shape
 from stable_data.rotations import heading, quat_product, rotate_xy, rotation_matrix, yaw_quat
@@ -14,6 +14,19 @@ from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject
 
 if TYPE_CHECKING:
     from stable_data.simulation.scene_geometry import SceneGeometry
+
+
+_MOST_VERTICES = 400
+
+
+@lru_cache(maxsize=1)
+def _directions() -> FloatArray:
+    """Directions all around, the axes among them, (D, 3) float64, unit."""
+    k = np.arange(600) + 0.5
+    z, turn = 1 - k / 300, np.pi * (1 + math.sqrt(5)) * k
+    around = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+    flat = np.linspace(0, 2 * np.pi, 48, endpoint=False)  # outlines matter most
+    return np.concatenate([np.eye(3), -np.eye(3), np.stack([np.cos(flat), np.sin(flat), 0 * flat], axis=1), around])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,13 +70,14 @@ class TaskGeometry:
         return {o.instance: k for k, o in enumerate(self.scene.objects)}
 
     def hull(self, row: int) -> FloatArray:
-        """Vertices of an object's convex hull, (V, 3) float64, metres, yaw frame at the start, centred on its box."""
+        """Vertices on an object's convex hull, (V, 3) float64, metres, yaw frame at the start, centred on its box.
+
+        Of many, those that are farthest in some direction remain: a ball loses 0.3 % of its radius between two of them.
+        """
         if row not in self._hulls:
             vertices = self.shapes[row].vertices
-            try:
-                vertices = vertices[ConvexHull(vertices).vertices]
-            except QhullError:  # flat
-                vertices = np.unique(vertices, axis=0)
+            if len(vertices) > _MOST_VERTICES:
+                vertices = vertices[np.unique((vertices @ _directions().T).argmax(axis=0))]
             self._hulls[row] = vertices
         return self._hulls[row]
 

@@ -118,6 +118,8 @@ def _kind_of_one(c: Condition, categories: Mapping[str, str]) -> GoalKind:
         return GoalKind.STACK if categories.get(c.subject) == categories.get(c.target) else GoalKind.PLACE_ON
     if c.kind is K.AT and c.target in categories:
         return GoalKind.SWAP
+    if c.kind is K.APART and c.target not in categories:
+        return GoalKind.MOVE
     kinds: dict[ConditionKind, GoalKind] = {
         K.HELD: GoalKind.PICK,
         K.ON: GoalKind.CLEAR,
