@@ -114,6 +114,12 @@ def mount_of(robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[s
         raise ConfigError(f"mount is {quote_value(setting)}, expected a number after the colon", "setting_invalid") from error
 
 
+def mount_setting(mount: Mount, table: Tabletop) -> str:
+    """Returns the setting that gives a mount again, such as ``front:0.25``; the share has four digits."""
+    along, length = (mount.x, table.size_xy[0]) if mount.edge in ("front", "back") else (mount.y, table.size_xy[1])
+    return f"{mount.edge}:{along / length:.4g}"
+
+
 def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
     """Returns the mount from which most of the wanted objects, and then most of all, are in reach.
 
