@@ -355,6 +355,23 @@ class ConditionPredicates:
         """How far an object was lifted since the start, metres."""
         return view.item(name).bottom - self.first.item(name).bottom
 
+    # --- the start ---
+
+    def holds_at_start(self, condition: Condition) -> bool:
+        """Whether a condition holds at the start."""
+        return self.holds(condition, self.first)
+
+    def contents_at_start(self, condition: Condition) -> list[str]:
+        """The objects that are in or on the subject of a condition ``empty`` at the start."""
+        return self.contents(condition, self.first)
+
+    def staying(self, condition: Condition) -> frozenset[str]:
+        """The members of a group that stay: the ends of an even row, and the first of those that come together."""
+        if condition.kind is ConditionKind.EVEN:
+            ordered = sorted(condition.subjects, key=lambda name: self.first.item(name).position[0])
+            return frozenset((ordered[0], ordered[-1]))
+        return frozenset(condition.subjects[:1]) if condition.kind is ConditionKind.TOGETHER else frozenset()
+
     # --- predicates ---
 
     def _is_lifted(self, c: Condition, view: StateView) -> bool:

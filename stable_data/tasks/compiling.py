@@ -82,7 +82,7 @@ def goal_from_conditions(conditions: Sequence[Condition], geometry: TaskGeometry
             f"{scene.scene_id}: the goal {words!r} holds at the start, expected a task to do; leave the task out",
             "goal_true_at_start",
         )
-    planner = StepPlanner(supports, lambda c: predicates.contents(c, predicates.first))
+    planner = StepPlanner(supports, predicates)
     return Goal(checker.goal.kind, tuple(conditions), planner.plan(conditions))
 
 
