@@ -117,6 +117,8 @@ class _Goal:
         ]
         if near:
             return min(near)[1]
+        if (word in self._text) != (opposite in self._text):  # "put the clock in front of it"
+            return word in self._text
         first = [min((s for s, _ in self._reading.objects[k].mentions), default=0) for k in (r.subject, r.target)]
         return first[0] <= first[1]
 

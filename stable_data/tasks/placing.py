@@ -25,7 +25,7 @@ from stable_data.tasks.checking import (
     StateView,
     yaw_facing,
 )
-from stable_data.tasks.geometry import TaskGeometry
+from stable_data.tasks.geometry import TaskGeometry, outline_of
 from stable_data.tasks.goal import Step
 from stable_data.tasks.regions import DIRECTIONS, EDGES, REGIONS, region_bounds
 
@@ -489,7 +489,7 @@ class _Search:
         """The highest point of the base below an object at a spot, metres; of a container, within reach of its opening."""
         middle = (outline.max(axis=0) + outline.min(axis=0)) / 2
         share = 0.7 if self._is_into() else 0.95  # what is farther out may lean on a wall
-        below = shapely.convex_hull(shapely.multipoints(spot + middle + share * (outline - middle)))
+        below = outline_of(spot + middle + share * (outline - middle))
         points, top = self._surface, self.view.item(self.base).top
         low, high = shapely.bounds(below).reshape(2, 2)
         points = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
@@ -512,7 +512,7 @@ class _Search:
 
 def _placed(outline: FloatArray, spots: FloatArray) -> FloatArray:
     """The convex outline of points (P, 2) moved to each spot (M, 2), as (M,) polygons."""
-    hull = shapely.get_coordinates(shapely.convex_hull(shapely.multipoints(outline)))
+    hull = shapely.get_coordinates(outline_of(outline))
     return np.asarray(shapely.polygons(hull[None] + spots[:, None]) if len(hull) >= 4 else shapely.points(spots))
 
 
