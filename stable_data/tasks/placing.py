@@ -25,7 +25,7 @@ from stable_data.tasks.checking import (
     StateView,
     yaw_facing,
 )
-from stable_data.tasks.geometry import TaskGeometry
+from stable_data.tasks.geometry import TaskGeometry, outline_of
 from stable_data.tasks.goal import Step
 from stable_data.tasks.regions import DIRECTIONS, EDGES, REGIONS, region_bounds
 
@@ -425,32 +425,53 @@ class _Search:
         return np.asarray(spots[np.argsort(gaps, kind="stable")])
 
     def _spots_in_row(self, c: Condition) -> FloatArray:
-        """The centre of one member in a row along x that is free of all other objects at the start, (M, 2); empty if none is."""
-        ordered = next((other.subjects for other in self.wanted if other.kind is K.ORDERED), c.subjects)
-        widths = [max(self.predicates.first.item(n).size[:2]) for n in ordered]
-        starts = np.cumsum([0.0, *[w + _ROW_GAP for w in widths]])
-        centres = starts[:-1] + np.array(widths) / 2
-        length, half = float(starts[-1] - _ROW_GAP), max(widths) / 2
+        """The centre of one member in a row that is free of all other objects, (M, 2); empty if there is no such row.
+
+        A row along x is preferred to one along y, which has no order from left to right.
+        """
+        order = next((other.subjects for other in self.wanted if other.kind is K.ORDERED), None)
+        for axis in (0, 1) if order is None else (0,):
+            found = self._row_along(axis, order or c.subjects)
+            if len(found):
+                return found
+        return np.zeros((0, 2))
+
+    def _row_along(self, axis: int, ordered: Sequence[str]) -> FloatArray:
+        first = self.predicates.first
+        sizes = np.array([np.ptp(first.posed(n).points, axis=0) for n in ordered])
+        starts = np.cumsum([0.0, *(sizes[:, axis] + _ROW_GAP)])
+        centres = starts[:-1] + sizes[:, axis] / 2
+        length, half = float(starts[-1] - _ROW_GAP), float(sizes[:, 1 - axis].max()) / 2
         # Other objects are where they are now, so that a second row leaves out the first one; members where they were.
         others = [self.view.outline(n) for n in self.geometry.rows if n not in ordered]
         zone = self.geometry.scene.table.restricted_zone
         others += [] if zone is None else [shapely.box(zone[0], zone[2], zone[1], zone[3])]
-        area = np.array([[0.0, half], [self.size[0] - length, self.size[1] - half]])
-        corners = _grid(area, _STEP)
-        x, y = corners[:, 0], corners[:, 1]
-        rows = shapely.box(x, y - half, x + length, y + half)
+        high = np.array(self.size)
+        high[axis] -= length
+        high[1 - axis] -= half
+        low = np.zeros(2)
+        low[1 - axis] = half
+        corners = _grid(np.array([low, high]), _STEP)
+        if not len(corners):
+            return corners
+        reach = np.full(2, half)
+        reach[axis] = 0.0
+        far = reach.copy()
+        far[axis] = length
+        rows = shapely.box(*(corners - reach).T, *(corners + far).T)
         nearest = np.full(len(rows), np.inf)
         for obstacle in others:
             nearest = np.minimum(nearest, shapely.distance(rows, obstacle))
         # Rows over places where members stand come last: these could have to be moved twice.
         taken = np.zeros(len(rows))
         for n in ordered:
-            taken += shapely.distance(rows, self.predicates.first.outline(n)) < CLEARANCE
-        cost = 10.0 * taken + y - 10.0 * np.minimum(nearest, ROOMY) + np.where(nearest >= CLEARANCE, 0.0, np.inf)
-        if not len(cost) or not np.isfinite(cost.min()):
+            taken += shapely.distance(rows, first.outline(n)) < CLEARANCE
+        cost = 10.0 * taken + corners[:, 1] - 10.0 * np.minimum(nearest, ROOMY) + np.where(nearest >= CLEARANCE, 0.0, np.inf)
+        if not np.isfinite(cost.min()):
             return np.zeros((0, 2))
-        best = corners[int(cost.argmin())]
-        return np.array([(float(best[0]) + float(centres[ordered.index(self.name)]), float(best[1]))])
+        spot = corners[int(cost.argmin())]
+        spot[axis] += centres[list(ordered).index(self.name)]
+        return np.asarray(spot[None])
 
     # --- heights ---
 
@@ -468,7 +489,7 @@ class _Search:
         """The highest point of the base below an object at a spot, metres; of a container, within reach of its opening."""
         middle = (outline.max(axis=0) + outline.min(axis=0)) / 2
         share = 0.7 if self._is_into() else 0.95  # what is farther out may lean on a wall
-        below = shapely.convex_hull(shapely.multipoints(spot + middle + share * (outline - middle)))
+        below = outline_of(spot + middle + share * (outline - middle))
         points, top = self._surface, self.view.item(self.base).top
         low, high = shapely.bounds(below).reshape(2, 2)
         points = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
@@ -491,7 +512,7 @@ class _Search:
 
 def _placed(outline: FloatArray, spots: FloatArray) -> FloatArray:
     """The convex outline of points (P, 2) moved to each spot (M, 2), as (M,) polygons."""
-    hull = shapely.get_coordinates(shapely.convex_hull(shapely.multipoints(outline)))
+    hull = shapely.get_coordinates(outline_of(outline))
     return np.asarray(shapely.polygons(hull[None] + spots[:, None]) if len(hull) >= 4 else shapely.points(spots))
 
 
