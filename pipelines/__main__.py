@@ -9,6 +9,7 @@ import typer
 
 from pipelines.demonstrate.commands import demonstrate
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
+from pipelines.reach.commands import reach
 from pipelines.retired import CommandGroup
 from pipelines.scene_files import commands as scene_files
 from pipelines.supports.commands import supports
@@ -471,6 +472,7 @@ def show_settings(
 app.command("repair")(scene_files.repair)
 app.command("import-scenes")(scene_files.import_scenes)
 app.command("supports")(supports)
+app.command("reach", epilog=SETTINGS_HINT.format("reach"))(reach)
 app.command("demonstrate", epilog=SETTINGS_HINT.format("demonstrate"))(demonstrate)
 
 

@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
 
+from stable_data.robot.episodes import episode_row
+
 from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows
 from stable_data.content_id import content_id
 from stable_data.errors import StableDataError
 from stable_data.robot.env import RobotEnv
-from stable_data.robot.episodes import episode_row
 from stable_data.robot.recording import record_episode
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder

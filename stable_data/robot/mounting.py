@@ -103,15 +103,30 @@ def mount_of(robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[s
     Raises:
         ConfigError: The setting is none of these (``setting_invalid``).
     """
+    place = parse_mount(setting)
+    return best_mount(robot, scene, wanted) if place is None else mount_at(robot, scene.table, *place)
+
+
+def parse_mount(setting: str) -> tuple[str, float] | None:
+    """Returns the edge and the share of its length of a setting; None for ``auto``.
+
+    Raises:
+        ConfigError: The setting is none (``setting_invalid``).
+    """
     if setting == AUTO:
-        return best_mount(robot, scene, wanted)
-    edge, _, share = setting.partition(":")
+        return None
+    edge, _, number = setting.partition(":")
     try:
-        return mount_at(robot, scene.table, edge, float(share or 0.5))
-    except ValueError as error:
-        if isinstance(error, ConfigError):
-            raise
-        raise ConfigError(f"mount is {quote_value(setting)}, expected a number after the colon", "setting_invalid") from error
+        share = float(number or 0.5)
+    except ValueError:
+        share = math.nan
+    if edge not in EDGES or not 0 <= share <= 1:
+        raise ConfigError(
+            f"mount is {quote_value(setting)}, expected auto or one of {', '.join(EDGES)}, "
+            "with a share from 0 to 1 after a colon if not in the middle",
+            "setting_invalid",
+        )
+    return edge, share
 
 
 def mount_setting(mount: Mount, table: Tabletop) -> str:

@@ -33,6 +33,9 @@ from stable_data.tasks.placing import TargetPose, placed_state, target_poses
 START_COLLIDES = "robot_start_collides"
 """Code of a scene in which the robot touches something where it starts."""
 
+REASON_SEPARATOR = " | "
+"""Between the reasons of a task."""
+
 _OVER = 0.05  # height of the tool above the top of a target, metres
 _TOOL_YAWS = 4  # that are tried there
 _SETTLE_SECONDS = 0.3  # after an object was put at its place
@@ -114,7 +117,7 @@ class SceneReach:
         task_kind: Kind of the goal; None if it is not known.
         task_reachable: Whether all that the task picks up, and all places and targets, are reachable; None if the goal is not known.
         task_graspable: Whether also a grasp of each object that the task picks up held; None if nothing was tried.
-        task_reason: Why not, in one line: ``code: details``, joined by ``; ``; None if nothing is wrong.
+        task_reason: Why not, in one line: ``code: details``, joined by ``REASON_SEPARATOR``; None if nothing is wrong.
         objects: The objects that were looked at.
         grasps: The grasps that were tried.
     """
@@ -242,12 +245,12 @@ def _verdict(found: SceneReach, faults: Collection[str]) -> SceneReach:
     graspable: bool | None = reachable and all(o.graspable is not False for o in picked)
     if graspable and any(o.graspable is None for o in picked):
         graspable = None
-    reasons = [f"{_at_front(o.reason, o.instance)}" for o in needed if o.reason is not None]
+    reasons = [_at_front(o.reason, o.instance) for o in needed if o.reason is not None]
     return replace(
         found,
         task_reachable=reachable,
         task_graspable=graspable,
-        task_reason="; ".join(dict.fromkeys([*reasons, *faults])) or None,
+        task_reason=REASON_SEPARATOR.join(dict.fromkeys([*reasons, *faults])) or None,
     )
 
 
