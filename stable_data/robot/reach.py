@@ -352,7 +352,7 @@ class _Survey:
         """The first of some points, (K, 3), frame of the scene, to which the open hand comes, pointing down; or what is in the way."""
         finder = self._finder
         yaws = np.arange(_TOOL_YAWS) * np.pi / _TOOL_YAWS
-        down = Rotation.from_euler("z", yaws).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+        down = Rotation.from_euler("z", yaws[:, None]).as_matrix() @ np.diag([1.0, -1.0, -1.0])
         positions = np.repeat(finder.built.mount.to_base(points), _TOOL_YAWS, axis=0)
         solved = finder.arm.solve(positions, np.tile(down, (len(points), 1, 1)))
         finder.clearance.look(self._world)

@@ -327,8 +327,8 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column(
                 "position",
                 _numbers,
-                "origin of the tool frame, between the finger tips, at the grasp, in the frame of the scene as the earlier steps of the task "
-                "leave it",
+                "origin of the tool frame, between the finger tips, at the grasp, in the frame of the scene; the objects are where the earlier "
+                "steps of the task leave them",
                 "m",
             ),
             _column(
@@ -344,8 +344,7 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column(
                 "outcome",
                 _text,
-                "outcome of the simulated trial: held (lifted and still in the hand), missed, slipped, disturbed (another object moved), or "
-                "diverged",
+                "outcome of the simulated trial: held (lifted, still in the hand), missed, slipped, disturbed (another object moved), diverged",
             ),
         ]
     ),
