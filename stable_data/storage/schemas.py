@@ -327,8 +327,8 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column(
                 "position",
                 _numbers,
-                "origin of the tool frame, between the finger tips, at the grasp, in the frame of the scene; the objects are where the earlier "
-                "steps of the task leave them",
+                "origin of the tool frame, between the finger tips, at the grasp, in the frame of the scene; the objects are "
+                "where the earlier steps of the task leave them",
                 "m",
             ),
             _column(
@@ -344,7 +344,8 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column(
                 "outcome",
                 _text,
-                "outcome of the simulated trial: held (lifted, still in the hand), missed, slipped, disturbed (another object moved), diverged",
+                "outcome of the simulated trial: held (lifted, still in the hand), missed, slipped, disturbed (another object "
+                "moved) or diverged",
             ),
         ]
     ),
