@@ -17,6 +17,7 @@ from pipelines.sources.carried_tables import CARRIED_TABLES, carry_tables
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
+from stable_data.robot.robots import robot_named
 from stable_data.simulation.run_reader import RunScenes
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
@@ -37,13 +38,14 @@ class ReachJob(ShardJob):
         settings: The job's settings.
 
     Raises:
-        ConfigError: The run lacks a table, or has no scenes.
+        ConfigError: The run lacks a table, or has no scenes; or the files of the robot are missing (``robot_missing``).
     """
 
     name = "reach"
     settings: ReachSettings
 
     def __init__(self, scenes: str, settings: ReachSettings) -> None:
+        robot_named(settings.robot)
         self.settings, self.source = settings, RunFolder(scenes)
         self.run = str(self.source.root if self.source.is_local else self.source.uri)
         self.dataset = Path(self.source.root).name

@@ -7,7 +7,7 @@ from models.settings import Count, Positive, Settings
 from pipelines.execution.shard_size import shard_size
 from stable_data.robot.mounting import AUTO, parse_mount
 from stable_data.robot.reach import ReachOptions
-from stable_data.robot.robots import robot_named
+from stable_data.robot.robots import described_robot
 
 _PARTS, _FEWEST, _MOST = 16, 1, 32  # shards of a small job, scenes of a shard
 
@@ -42,9 +42,9 @@ class ReachSettings(Settings):
         """Refuses robots and mounts that do not exist.
 
         Raises:
-            ConfigError: See above (``setting_invalid``), or the robot's package is missing (``robot_missing``).
+            ConfigError: See above (``setting_invalid``).
         """
-        robot_named(self.robot)
+        described_robot(self.robot)
         parse_mount(self.mount)
 
     def shaping(self) -> dict[str, Any]:
