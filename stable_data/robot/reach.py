@@ -39,7 +39,7 @@ REASON_SEPARATOR = " | "
 _OVER = 0.05  # height of the tool above the top of a target, metres
 _TOOL_YAWS = 4  # that are tried there
 _SETTLE_SECONDS = 0.3  # after an object was put at its place
-_MOST_PLACES = 8  # of a step
+_MOST_PLACES = 24  # of a step
 
 
 class ReachRole(StrEnum):
