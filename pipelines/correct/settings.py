@@ -78,7 +78,7 @@ class CorrectorJobSettings(Settings):
     ``front:0.25``.
     """
 
-    grasp_tries: Count = 4
+    grasp_tries: Count = 3
     """Grasps of each object that are tried in simulation; 0 tries none, so that ``task_graspable`` is unknown."""
 
     @property
@@ -117,7 +117,7 @@ class CorrectorJobSettings(Settings):
             parse_mount(self.mount)
         if condition is not None:
             for column, key in reach_columns_not_filled(condition.columns, self.robot, self.grasp_tries).items():
-                what = "robot is empty; set it to panda" if key == "robot" else "grasp_tries is 0; set it to 4"
+                what = "robot is empty; set it to panda" if key == "robot" else "grasp_tries is 0; set it to 3"
                 raise ConfigError(
                     f"setting {section}.accept is {condition.text!r}, but nothing fills the column {column}: {what}, or change accept",
                     "config_invalid",

@@ -26,7 +26,7 @@ class ReachSettings(Settings):
     ``front:0.25``.
     """
 
-    grasp_tries: Count = 4
+    grasp_tries: Count = 3
     """Grasps of each object that are tried in simulation; 0 tries none, so that ``task_graspable`` is unknown."""
 
     all_objects: bool = False

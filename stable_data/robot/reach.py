@@ -143,7 +143,7 @@ class ReachOptions:
     """
 
     mount: str = AUTO
-    tries: int = 4
+    tries: int = 3
     all_objects: bool = False
 
 

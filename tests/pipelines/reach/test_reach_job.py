@@ -128,7 +128,7 @@ def test_a_missing_package_is_said_at_the_start(tables: Path, monkeypatch: pytes
     ("changed", "says"),
     [
         ({"accept": "clean and task_reachable"}, "nothing fills the column task_reachable: robot is empty; set it to panda"),
-        ({"accept": "task_graspable", "robot": "simple", "grasp_tries": 0}, "grasp_tries is 0; set it to 4"),
+        ({"accept": "task_graspable", "robot": "simple", "grasp_tries": 0}, "grasp_tries is 0; set it to 3"),
         ({"robot": "simple", "mount": "front:2"}, "with a share from 0 to 1"),
     ],
 )

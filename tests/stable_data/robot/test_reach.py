@@ -173,6 +173,6 @@ def test_a_survey_becomes_rows_that_conditions_select(geometry: SceneGeometry) -
 
 
 def test_the_default_survey_is_of_the_scene_as_it_is() -> None:
-    assert ReachOptions() == ReachOptions("auto", 4, False)
+    assert ReachOptions() == ReachOptions("auto", 3, False)
     with pytest.raises(ConfigError, match="expected auto or one of front"):
         reach.mount_of(SIMPLE, laid_table(), "above")

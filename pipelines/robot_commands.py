@@ -1,4 +1,4 @@
-"""The command line of the reach job."""
+"""The command lines of the jobs about robots."""
 
 import json
 from pathlib import Path
