@@ -29,6 +29,7 @@ from stable_data.tasks.compiling import compile_goal
 from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal, Step, StepAction
 from stable_data.tasks.placing import TargetPose, placed_state, target_poses
+from stable_data.tasks.sentences import not_checkable
 
 START_COLLIDES = "robot_start_collides"
 """Code of a scene in which the robot touches something where it starts."""
@@ -115,7 +116,8 @@ class SceneReach:
         robot: Name of the robot.
         mount: Where it stands, as a setting that gives the same place again; None if it could not be put there.
         task_kind: Kind of the goal; None if it is not known.
-        task_reachable: Whether all that the task picks up, and all places and targets, are reachable; None if the goal is not known.
+        task_reachable: Whether a grasp of each object that the task picks up and a place for it are reachable; None if the goal is not
+            known.
         task_graspable: Whether also a grasp of each object that the task picks up held; None if nothing was tried.
         task_reason: Why not, in one line: ``code: details``, joined by ``REASON_SEPARATOR``; None if nothing is wrong.
         objects: The objects that were looked at.
@@ -173,8 +175,10 @@ def survey_reach(
     goal, unknown = None, None
     try:
         goal = compile_goal(task)
+        if not goal.steps:
+            raise not_checkable(str(goal), "no step leads to it")
     except GoalError as error:
-        unknown = f"{error.code}: {one_line(str(error).removeprefix(f'{geometry.scene.scene_id}: '))}"
+        goal, unknown = None, f"{error.code}: {one_line(str(error).removeprefix(f'{geometry.scene.scene_id}: '))}"
     subjects, targets = needed_objects(geometry, goal)
     scene, kind = geometry.scene, None if goal is None else str(goal.kind)
     mount = mount_of(robot, scene, options.mount, {*subjects, *targets})
@@ -239,13 +243,14 @@ def _verdict(found: SceneReach, faults: Collection[str]) -> SceneReach:
         found: The survey of a scene with a goal.
         faults: Why places of the steps are not reached.
     """
-    needed = [o for o in found.objects if o.role is not ReachRole.OTHER]
-    picked = [o for o in needed if o.role is ReachRole.GRASP]
-    reachable = not faults and all(o.reachable for o in needed)
+    picked = [
+        o for o in found.objects if o.role is ReachRole.GRASP
+    ]  # where a target matters, a place on or in it is out of reach
+    reachable = not faults and all(o.reachable for o in picked)
     graspable: bool | None = reachable and all(o.graspable is not False for o in picked)
     if graspable and any(o.graspable is None for o in picked):
         graspable = None
-    reasons = [_at_front(o.reason, o.instance) for o in needed if o.reason is not None]
+    reasons = [_at_front(o.reason, o.instance) for o in picked if o.reason is not None]
     return replace(
         found,
         task_reachable=reachable,

@@ -171,7 +171,7 @@ def _reach_columns() -> list[pa.Field]:
         _column(
             REACHABLE,
             _truth,
-            verdict.format("a grasp of each object that the task picks up, and each place and target from above", ""),
+            verdict.format("a grasp of each object that the task picks up, and from above a place for it", ""),
         ),
         _column(
             GRASPABLE,

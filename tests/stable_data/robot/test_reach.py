@@ -8,8 +8,8 @@ import pytest
 from stable_data.condition import Condition, ConditionKind
 from stable_data.errors import ConfigError
 from stable_data.metrics.reach_columns import REACH_COLUMNS
-from stable_data.robot import reach
-from stable_data.robot.grasp_trial import GraspOutcome
+from stable_data.robot.grasp_trial import GraspFinder, GraspOutcome
+from stable_data.robot.mounting import mount_of
 from stable_data.robot.reach import ReachOptions, ReachRole, SceneReach, survey_reach
 from stable_data.robot.reach_rows import grasp_rows, reach_columns
 from stable_data.robot.robots import ROBOTS
@@ -56,6 +56,9 @@ def test_a_can_that_shall_be_held_is_reached_and_held(geometry: SceneGeometry) -
     assert (can.instance, can.role, can.reachable, can.graspable) == (CAN, ReachRole.GRASP, True, True)
     assert can.num_tried == len(found.grasps) == 2
     assert can.num_grasps == sum(grasp.outcome is GraspOutcome.HELD for grasp in found.grasps) > 0
+    assert can.num_reachable is not None
+    assert can.num_out_of_reach is not None
+    assert can.blocked_by is not None
     assert can.num_candidates == can.num_reachable + can.num_out_of_reach + sum(can.blocked_by.values())
 
 
@@ -143,7 +146,7 @@ def test_a_mount_is_stated_as_a_setting_that_gives_it_again(geometry: SceneGeome
 
 
 def test_trials_that_fail_are_kept_with_their_outcome(geometry: SceneGeometry, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reach.GraspFinder, "try_grasp", lambda *_: GraspOutcome.SLIPPED)
+    monkeypatch.setattr(GraspFinder, "try_grasp", lambda *_: GraspOutcome.SLIPPED)
     found = surveyed(geometry, Condition(CAN, K.HELD), tries=3)
     assert (found.task_reachable, found.task_graspable) == (True, False)
     assert found.task_reason == f"slipped: {CAN}, held in 0 of 3 trials"
@@ -175,4 +178,4 @@ def test_a_survey_becomes_rows_that_conditions_select(geometry: SceneGeometry) -
 def test_the_default_survey_is_of_the_scene_as_it_is() -> None:
     assert ReachOptions() == ReachOptions("auto", 3, False)
     with pytest.raises(ConfigError, match="expected auto or one of front"):
-        reach.mount_of(SIMPLE, laid_table(), "above")
+        mount_of(SIMPLE, laid_table(), "above")
