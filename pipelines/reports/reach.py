@@ -7,7 +7,7 @@ import polars as pl
 
 from pipelines.reports.html import bars, table
 from stable_data.metrics.reach_columns import REACH_COLUMNS
-from stable_data.robot.reach import REASON_SEPARATOR
+from stable_data.robot.reach import reason_codes
 from stable_data.storage.run_folder import RunFolder
 
 OK = "ok"
@@ -34,15 +34,10 @@ def reach_figures(folder: RunFolder, tables: Sequence[str]) -> Iterable[str]:
             ("task graspable", _share([row["task_graspable"] for row in rows])),
         ],
     )
-    reasons = [code for row in rows for code in dict.fromkeys(codes_of(row["task_reason"])) or [OK]]
+    reasons = [code for row in rows for code in dict.fromkeys(reason_codes(row["task_reason"])) or [OK]]
     found = Counter((one["role"], (one["reason"] or OK).partition(":")[0]) for row in rows for one in row["reach"])
     yield '<div class="grid">' + bars("Tasks by reason", pl.Series(reasons, dtype=pl.String)) + "</div>"
     yield table(("object is", "reason", "objects"), [(role, reason, str(n)) for (role, reason), n in sorted(found.items())])
-
-
-def codes_of(reason: str | None) -> list[str]:
-    """Returns the codes of a ``task_reason``."""
-    return [] if reason is None else [part.partition(":")[0] for part in reason.split(REASON_SEPARATOR)]
 
 
 def _share(values: Sequence[bool | None]) -> str:

@@ -18,7 +18,8 @@ AUTO = "auto"
 EDGES = ("front", "left", "right", "back")
 """The edges of the table."""
 
-_CHOSEN = EDGES[:3]  # behind the back edge there often is a wall
+CHOSEN_EDGES = EDGES[:3]
+"""The edges of which ``auto`` chooses: behind the back edge there often is a wall."""
 
 _GAP = 0.02  # between the base and the table, metres
 _STEP = 0.1  # distance of the places along an edge that are compared, metres
@@ -151,7 +152,7 @@ def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
     centres = np.array([o.position[:2] for o in objects], np.float64).reshape(-1, 2)
     is_wanted = np.array([o.instance in names for o in objects], bool)
     best, best_score = mount_at(robot, scene.table, EDGES[0]), (-1.0, -1.0, -1.0)
-    for edge in _CHOSEN:
+    for edge in CHOSEN_EDGES:
         length = scene.table.size_xy[0 if edge in ("front", "back") else 1]
         for share in _shares(length):
             mount = mount_at(robot, scene.table, edge, share)

@@ -5,7 +5,7 @@ the step wants it, so that later steps find the scene as it then is. Unknown is 
 """
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
@@ -17,12 +17,12 @@ from stable_data.errors import GoalError, MeshError
 from stable_data.robot.assembly import assemble
 from stable_data.robot.grasp_trial import GraspFinder, GraspOutcome, ReachableGrasp
 from stable_data.robot.kinematics import Arm
-from stable_data.robot.mounting import AUTO, mount_of, mount_setting
+from stable_data.robot.mounting import AUTO, CHOSEN_EDGES, Mount, mount_of, mount_setting
 from stable_data.robot.robots import Robot
 from stable_data.robot.task_progress import scene_state
 from stable_data.robot.world import RobotWorld
 from stable_data.rotations import quat_of, wxyz
-from stable_data.scene import FloatArray, QuatXyzw, Vec3
+from stable_data.scene import FloatArray, QuatXyzw, Scene, Vec3
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.tasks.checking import SceneState, start_state
 from stable_data.tasks.compiling import compile_goal
@@ -36,6 +36,8 @@ START_COLLIDES = "robot_start_collides"
 
 REASON_SEPARATOR = " | "
 """Between the reasons of a task."""
+
+_OF_NO_MOUNT = frozenset({"too_wide", "no_free_place"})  # reasons that are the same from every place
 
 _OVER = 0.05  # height of the tool above the top of a target, metres
 _TOOL_YAWS = 4  # that are tried there
@@ -139,7 +141,8 @@ class ReachOptions:
     """What is looked at.
 
     Attributes:
-        mount: Where the robot stands, see :func:`~stable_data.robot.mounting.mount_of`.
+        mount: Where the robot stands, see :func:`~stable_data.robot.mounting.mount_of`. If the task is not reachable from the place of
+            ``auto``, the middles of the edges are tried too.
         tries: Grasps of an object that are tried at most; 0 tries none.
         all_objects: Whether objects that the task does not need are looked at too.
     """
@@ -180,11 +183,53 @@ def survey_reach(
     except GoalError as error:
         goal, unknown = None, f"{error.code}: {one_line(str(error).removeprefix(f'{geometry.scene.scene_id}: '))}"
     subjects, targets = needed_objects(geometry, goal)
-    scene, kind = geometry.scene, None if goal is None else str(goal.kind)
-    mount = mount_of(robot, scene, options.mount, {*subjects, *targets})
-    setting = mount_setting(mount, scene.table)
-    mount = mount_of(robot, scene, setting)  # rounded as it is stated
-    nothing = SceneReach(robot.name, setting, kind, None, None, unknown)
+    scene = geometry.scene
+    first = mount_of(robot, scene, options.mount, {*subjects, *targets})
+    best: SceneReach | None = None
+    for mount in (first, *(_other_mounts(robot, scene, first) if options.mount == AUTO and goal is not None else ())):
+        found = _survey_from(mount, robot, task, geometry, options, goal, unknown)
+        if best is None or found.task_reachable:
+            best = found
+        if found.task_reachable or not _depends_on_mount(found):
+            break
+    assert best is not None  # there is a first mount
+    return best
+
+
+def _other_mounts(robot: Robot, scene: Scene, first: Mount) -> Iterator[Mount]:
+    """Places to try where the first one does not do: the middles of the edges."""
+    middles = (mount_of(robot, scene, edge) for edge in CHOSEN_EDGES)
+    return (mount for mount in middles if mount != first)
+
+
+def _depends_on_mount(found: SceneReach) -> bool:
+    """Whether a task that is not reachable could be so from another place: nothing is wrong with its objects and places themselves."""
+    return found.task_reason is not None and not _OF_NO_MOUNT.intersection(reason_codes(found.task_reason))
+
+
+def _survey_from(
+    mount: Mount,
+    robot: Robot,
+    task: TaskGeometry,
+    geometry: SceneGeometry,
+    options: ReachOptions,
+    goal: Goal | None,
+    unknown: str | None,
+) -> SceneReach:
+    """The survey from one place.
+
+    Args:
+        mount: The place.
+        robot: The robot.
+        task: The scene for its task.
+        geometry: The scene.
+        options: What is looked at.
+        goal: The goal, if it is known.
+        unknown: Why it is not.
+    """
+    setting = mount_setting(mount, geometry.scene.table)
+    mount = mount_of(robot, geometry.scene, setting)  # rounded as it is stated
+    nothing = SceneReach(robot.name, setting, None if goal is None else str(goal.kind), None, None, unknown)
     try:
         built = assemble(geometry, robot, mount)
     except MeshError as error:
@@ -192,13 +237,11 @@ def survey_reach(
     finder = GraspFinder(built, arm_of(robot))
     hit = finder.clearance.hits(finder.arm.home, robot.hand.max_opening)
     if hit is not None:
-        return replace(
-            nothing,
-            task_reachable=None if goal is None else False,
-            task_graspable=None if goal is None else False,
-            task_reason=f"{START_COLLIDES}: {robot.name} touches {hit} where it starts, at {setting}",
-        )
+        verdict = None if goal is None else False
+        reason = f"{START_COLLIDES}: {robot.name} touches {hit} where it starts, at {setting}"
+        return replace(nothing, task_reachable=verdict, task_graspable=verdict, task_reason=reason)
     survey = _Survey(task, finder, options.tries)
+    subjects, targets = needed_objects(geometry, goal)
     faults = [] if goal is None else survey.steps(goal)
     for name in subjects:
         survey.object(name, ReachRole.GRASP if goal is not None else ReachRole.OTHER)
@@ -207,10 +250,8 @@ def survey_reach(
     if options.all_objects:
         for o in geometry.scene.movable:
             survey.object(o.instance, ReachRole.OTHER)
-    found = tuple(survey.found.values())
-    if goal is None:
-        return replace(nothing, objects=found, grasps=tuple(survey.tried))
-    return _verdict(replace(nothing, objects=found, grasps=tuple(survey.tried)), faults)
+    found = replace(nothing, objects=tuple(survey.found.values()), grasps=tuple(survey.tried))
+    return found if goal is None else _verdict(found, faults)
 
 
 def needed_objects(geometry: SceneGeometry, goal: Goal | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -223,6 +264,11 @@ def needed_objects(geometry: SceneGeometry, goal: Goal | None) -> tuple[tuple[st
     names = {o.instance for o in geometry.scene.objects}
     targets = dict.fromkeys(t for step in goal.steps for c in step.conditions for t in c.targets)
     return tuple(subjects), tuple(t for t in targets if t in names and t not in subjects)
+
+
+def reason_codes(reason: str | None) -> list[str]:
+    """Returns the codes of a task's reason."""
+    return [] if reason is None else [part.partition(":")[0] for part in reason.split(REASON_SEPARATOR)]
 
 
 def one_line(text: str) -> str:

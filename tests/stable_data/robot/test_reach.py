@@ -145,6 +145,20 @@ def test_a_mount_is_stated_as_a_setting_that_gives_it_again(geometry: SceneGeome
     assert again == found
 
 
+def test_another_place_is_tried_where_the_nearest_one_to_the_objects_does_not_do(geometry: SceneGeometry) -> None:
+    """From the place near the cube the right edge is out of reach, from the middle both are in reach."""
+    wide = with_objects(geometry, block("cube_0", 0.12, 0.1, SMALL), size=(1.4, 0.4))
+    goal = Condition("cube_0", K.AT, "right_edge")
+    near = surveyed(wide, goal, tries=0, mount="front:0.4286")
+    assert near.task_reason == "place_out_of_reach: cube_0, cube_0 at right_edge"
+    assert mount_of(SIMPLE, wide.scene, "auto", ("cube_0",)) == mount_of(SIMPLE, wide.scene, f"front:{0.6 / 1.4}")
+    found = surveyed(wide, goal, tries=0, mount="auto")
+    assert (found.task_reachable, found.mount) == (True, "front:0.5")
+    far = with_objects(geometry, block("cube_0", 0.12, 0.1, SMALL), size=(3.0, 0.4))
+    nowhere = surveyed(far, goal, tries=0, mount="auto")
+    assert (nowhere.task_reachable, nowhere.mount) == (False, surveyed(far, goal, tries=0, mount=nowhere.mount or "").mount)
+
+
 def test_trials_that_fail_are_kept_with_their_outcome(geometry: SceneGeometry, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(GraspFinder, "try_grasp", lambda *_: GraspOutcome.SLIPPED)
     found = surveyed(geometry, Condition(CAN, K.HELD), tries=3)
