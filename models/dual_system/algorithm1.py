@@ -6,7 +6,7 @@ three and is independent of other scenes: :func:`models.dual_system.batching.run
 answers their requests in batches.
 """
 
-from collections.abc import Callable, Collection, Generator, Mapping, Set
+from collections.abc import Generator, Mapping, Set
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -37,9 +37,6 @@ from stable_data.scene_graph.relations import cell_of, relations_of, scene_graph
 
 Corrects: TypeAlias = Literal["each", "end", "never"]
 """When scenes are corrected: after each stage (the paper), once after all stages, or never (its ablations)."""
-
-OutOfReach: TypeAlias = Callable[[Scene], Collection[str]]
-"""Returns the task objects of a scene that a robot cannot reach."""
 
 _CARRYING = frozenset({RelationKind.ON, RelationKind.IN})
 
@@ -107,11 +104,7 @@ def covered_share(scene: Scene) -> float:
 
 
 def dual_system(
-    task: LayoutTask,
-    seed: int,
-    settings: LoopSettings = _PAPER,
-    interpret: InstructionInterpreter | None = None,
-    out_of_reach: OutOfReach | None = None,
+    task: LayoutTask, seed: int, settings: LoopSettings = _PAPER, interpret: InstructionInterpreter | None = None
 ) -> Loop:
     """Runs Algorithm 1 (the paper's appendix) for one scene.
 
@@ -120,8 +113,6 @@ def dual_system(
         seed: Seed of all random choices of the scene.
         settings: How the two systems alternate.
         interpret: Interprets the instruction, or None: the task info then has no relations.
-        out_of_reach: Finds the task objects that a robot cannot reach; an attempt with such objects is repeated, as one that misses
-            relations is. None: no robot.
 
     Yields:
         The next request.
@@ -129,7 +120,7 @@ def dual_system(
     Returns:
         The scene, and all attempts.
     """
-    state, system = GenerationState(task), _StageLoop(seed, settings, interpret, out_of_reach)
+    state, system = GenerationState(task), _StageLoop(seed, settings, interpret)
     for number, wanted in enumerate(settings.schedule):
         if settings.is_full(state.scene):
             state.warn("table_full", f"stage {wanted} is left out: the objects cover the allowed share of the table")
@@ -158,7 +149,6 @@ class _StageLoop:
     seed: int
     settings: LoopSettings
     interpret: InstructionInterpreter | None
-    out_of_reach: OutOfReach | None = None
 
     def stage(
         self, state: GenerationState, wanted: Wanted, *, is_last: bool, round_: int = 0
@@ -172,7 +162,7 @@ class _StageLoop:
         for attempt in range(round_ * self.settings.tries, (round_ + 1) * self.settings.tries):
             turn, candidate = yield from self._attempt(state, wanted, attempt, is_last)
             state.turns.append(turn)
-            if candidate is not None and (best is None or candidate.faults <= best.faults):
+            if candidate is not None and (best is None or candidate.num_missing <= best.num_missing):
                 best = replace(candidate, turn=len(state.turns) - 1)
             # A failure without rejected replies is caused by the question or the engine, so another attempt cannot help.
             if not turn.rejected or (not turn.proposal.refused and turn.proposal.failure):
@@ -189,7 +179,7 @@ class _StageLoop:
                     return
                 # Each is as the last one, so that the scene is whole whenever no more is added.
                 candidate = yield from self.stage(state, wanted, is_last=True, round_=number)
-                if candidate is not None and candidate.faults <= state.faults:
+                if candidate is not None and candidate.num_missing <= state.num_missing:
                     state.accept(candidate)
             if len(state.scene.movable) <= before:
                 return
@@ -234,7 +224,7 @@ class _StageLoop:
         if not before.movable:
             scene = attach_task_info(scene, task.instruction, proposed, self.interpret)
         supports = state.supports | _proposed_supports(replace(before, objects=(*before.movable, *proposed)), names)
-        candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing, num_far=state.num_far)
+        candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing)
 
         # Correct all objects so far.
         if self.settings.corrects != "each" or not (found or is_last):
@@ -246,15 +236,10 @@ class _StageLoop:
         if done.certified is None:
             return replace(turn, rejected=done.reason, code=str(done.status)), None
         missing = self._num_missing(task, done)
-        far = () if self.out_of_reach is None else self.out_of_reach(done.certified)
-        candidate = replace(
-            candidate, scene=done.certified, correction=done, is_at_rest=is_last, num_missing=missing, num_far=len(far)
-        )
+        candidate = replace(candidate, scene=done.certified, correction=done, is_at_rest=is_last, num_missing=missing)
         if missing > state.num_missing:
             reason = f"{missing} relations of the instruction do not hold"
             turn = replace(turn, rejected=reason, code="relation_lost")
-        elif len(far) > state.num_far:
-            turn = replace(turn, rejected=f"{', '.join(far)} out of the robot's reach", code="out_of_reach")
         return turn, candidate
 
     def _corrected(

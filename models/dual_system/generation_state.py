@@ -25,7 +25,6 @@ class StageCandidate:
         supports: Subject -> relation of every object that was proposed on or in another one.
         notices: Notices of the retrieval.
         num_missing: Number of relations of the instruction that do not hold in the scene.
-        num_far: Number of task objects that the robot cannot reach; 0 without a robot.
         correction: The correction of the scene, or None if it was not corrected.
         is_at_rest: Whether the physics engine has checked the scene.
         turn: Index of the attempt among all turns.
@@ -39,12 +38,6 @@ class StageCandidate:
     correction: Correction | None = None
     is_at_rest: bool = False
     turn: int = -1
-    num_far: int = 0
-
-    @property
-    def faults(self) -> tuple[int, int]:
-        """The relations that do not hold, and then the objects out of reach: the attempt with the least is the best."""
-        return self.num_missing, self.num_far
 
 
 @dataclass(slots=True, eq=False)
@@ -62,7 +55,6 @@ class GenerationState:
         is_at_rest: Whether the physics engine has checked ``scene``.
         supports: As in :class:`StageCandidate`, of all accepted stages.
         num_missing: As in :class:`StageCandidate`.
-        num_far: As in :class:`StageCandidate`.
     """
 
     task: LayoutTask
@@ -75,16 +67,10 @@ class GenerationState:
     is_at_rest: bool = False
     supports: dict[str, Relation] = field(default_factory=dict)
     num_missing: int = 0
-    num_far: int = 0
 
     def __post_init__(self) -> None:
         """Sets both scenes to an empty table."""
         self.scene = self.start = self.task.empty_scene
-
-    @property
-    def faults(self) -> tuple[int, int]:
-        """As in :class:`StageCandidate`."""
-        return self.num_missing, self.num_far
 
     @property
     def instances(self) -> frozenset[str]:
@@ -98,7 +84,7 @@ class GenerationState:
         # The name of an object that an earlier correction dropped may be that of another object now.
         earlier = (o for o in self.start.objects if o.instance in self.instances)
         self.start = replace(self.start, objects=(*earlier, *candidate.found))
-        self.scene, self.num_missing, self.num_far = candidate.scene, candidate.num_missing, candidate.num_far
+        self.scene, self.num_missing = candidate.scene, candidate.num_missing
         self.supports = {name: r for name, r in candidate.supports.items() if name in self.instances}
         if candidate.correction is not None:
             self.correction, self.is_at_rest = candidate.correction, candidate.is_at_rest

@@ -73,9 +73,6 @@ class GenerateSettings(CorrectorJobSettings):
     all.
     """
 
-    keep_in_reach: bool = True
-    """Whether a stage is proposed again, up to ``tries`` times, if task objects are too far from the robot, where there is one."""
-
     keep_settled: bool = False
     """Whether the poses after the physics simulation are kept, in the table ``settled``."""
 

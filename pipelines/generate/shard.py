@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import ray
 
-from models.dual_system.algorithm1 import OutOfReach, dual_system
+from models.dual_system.algorithm1 import dual_system
 from models.dual_system.batching import QueueCounts, run_batched
 from models.dual_system.requests import GenerationResult, Turn
 from models.physics_corrector.certify import CertifyOptions
@@ -67,8 +67,6 @@ from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.random_seeds import named_seed
-from stable_data.robot.mounting import far_task_objects
-from stable_data.robot.robots import described_robot
 from stable_data.scene import Scene
 from stable_data.simulation.settling import SettleResult
 from stable_data.storage import schemas
@@ -207,13 +205,13 @@ class GenerateWork(ShardStep[Task]):
         """Generates scenes concurrently; after an unexpected error one by one, so that it costs one scene only."""
 
         def made(some: Sequence[LayoutTask], watch: Callable[[QueueCounts], None] | None = None) -> list[GenerationResult]:
-            loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.interpret, far) for t in some]
+            loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.interpret) for t in some]
             return run_batched(loops, opened.answers, watch)
 
         def watch(queues: QueueCounts) -> None:
             tell(propose=queues.reasoner, correct=queues.corrector, judge=queues.made)
 
-        settings, seed, far = self.settings.loop, self.settings.seed, self._out_of_reach()
+        settings, seed = self.settings.loop, self.settings.seed
         try:
             for number, found in enumerate(made(tasks, watch)):
                 tell(judge=len(tasks) - number)
@@ -234,13 +232,6 @@ class GenerateWork(ShardStep[Task]):
                         task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message)
                     )
                 yield found
-
-    def _out_of_reach(self) -> OutOfReach | None:
-        """Finds the task objects that the job's robot cannot reach; None without a robot."""
-        settings = self.settings
-        if not (settings.robot and settings.keep_in_reach):
-            return None
-        return partial(far_task_objects, described_robot(settings.robot), setting=settings.mount)
 
     def _certified(self, asked: CertificationRequest, *, process: IsolatedProcess | None) -> Correction:
         """Certifies one scene, in a separate process if workers died while they processed its shard."""

@@ -163,25 +163,6 @@ def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
     return best
 
 
-def far_task_objects(robot: Robot, scene: Scene, setting: str = AUTO) -> tuple[str, ...]:
-    """Returns the task objects of a scene whose centres are too far from a robot, or too near to it, to be reached.
-
-    Args:
-        robot: The robot; its files need not be there.
-        scene: The scene.
-        setting: Where it stands, see :func:`mount_of`.
-
-    Raises:
-        ConfigError: The setting is not valid.
-    """
-    names = frozenset(() if scene.task is None else scene.task.task_objects)
-    objects = [o for o in scene.movable if o.instance in names]
-    if not objects:
-        return ()
-    in_reach, _ = _in_reach(robot, mount_of(robot, scene, setting), np.array([o.position[:2] for o in objects]))
-    return tuple(o.instance for o, is_near in zip(objects, in_reach.tolist(), strict=True) if not is_near)
-
-
 def _shares(length: float) -> Sequence[float]:
     """Places along an edge, the middle first."""
     count = max(0, int((length / 2 - _STEP) / _STEP))

@@ -401,28 +401,6 @@ def test_what_is_pushed_out_of_its_corner_is_asked_for_again() -> None:
     ]
 
 
-def test_of_tries_out_of_reach_the_one_counts_with_the_fewest_such_objects() -> None:
-    """A robot reaches the left half; the replies put two things, one, and two things into the right half."""
-    layouts = [[said("cube_0", x, 20), said("ball_0", y, 50)] for x, y in ((80, 70), (80, 20), (80, 60))]
-    replies = iter(layouts)
-
-    def stages(question: ProposalRequest) -> Proposal:
-        found = next(replies) if question.question.wanted is Stage.TASK else []
-        return Proposal(LayoutReply(tuple(found)), tries=1)
-
-    def far(scene: Scene) -> list[str]:
-        assert scene.task is not None
-        return [o.instance for o in scene.objects if o.position[0] > 0.5 and o.instance in scene.task.task_objects]
-
-    task = LayoutTask("scene", "Lift the cube.", TABLE)
-    (made,) = run_batched([dual_system(task, 7, LoopSettings(tries=3), out_of_reach=far)], Answers(stages))
-    assert [turn.code for turn in made.turns if turn.wanted is Stage.TASK] == ["out_of_reach", "", "out_of_reach"]
-    assert made.turns[0].rejected == "cube_0, ball_0 out of the robot's reach"
-    assert made.scene is not None
-    assert made.scene["ball_0"].position[0] < 0.5
-    assert len(made.turns) == 5  # the later stages are not repeated for what the first one left out of reach
-
-
 def test_an_open_schedule_adds_background_until_the_density() -> None:
     """Each background stage of each round puts one more cube of 10 cm on a table of 1 m × 0.8 m."""
     places = iter(range(100))

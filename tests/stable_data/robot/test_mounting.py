@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError
-from stable_data.robot.mounting import EDGES, best_mount, far_task_objects, mount_at, mount_of, mount_setting
+from stable_data.robot.mounting import EDGES, best_mount, mount_at, mount_of, mount_setting
 from stable_data.robot.robots import ROBOTS
 from stable_data.scene import Scene, Tabletop
 from tests.stable_data.robot.tables import CAN, TABLE, laid_table
@@ -67,13 +67,3 @@ def test_a_mount_is_stated_to_a_ten_thousandth_of_its_edge(edge: str, share: flo
     again = mount_of(ROBOT, laid_table(), mount_setting(mount, TABLE))
     assert again.edge == edge
     assert np.hypot(again.x - mount.x, again.y - mount.y) <= 1e-4 * max(TABLE.size_xy)
-
-
-def test_task_objects_outside_the_ring_of_reach_are_far() -> None:
-    scene = laid_table()
-    assert far_task_objects(ROBOT, scene, "front") == ()
-    can = replace(scene.objects[0], position=(0.4, 2.0, 0.05))
-    deep = replace(scene, table=Tabletop("desk", (1.0, 2.5)), objects=(can, *scene.objects[1:]))
-    assert far_task_objects(ROBOT, deep, "front") == (CAN,)
-    assert far_task_objects(ROBOT, deep) == ()  # from a side it is near
-    assert far_task_objects(ROBOT, replace(deep, task=None), "front") == ()
