@@ -1,0 +1,1 @@
+"""A robot at the table: its model, tasks, grasps, demonstrations."""
