@@ -20,6 +20,7 @@ FloatArray32: TypeAlias = npt.NDArray[np.float32]
 _CAMERA = re.compile(r"[A-Za-z0-9_-]+")
 _PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 _RGB = b"\x08\x02"  # bit depth 8, colour type RGB
+_MAX_SIDE = 4096  # pixels
 _UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 
 
@@ -219,6 +220,8 @@ class Episode:
             return
         height, width = map(int, self.image_size)
         object.__setattr__(self, "image_size", (height, width))
+        if not (1 <= height <= _MAX_SIDE and 1 <= width <= _MAX_SIDE):
+            raise self._invalid(f"image_size is {(height, width)}", f"1 to {_MAX_SIDE} pixels a side")
         head = _PNG_START + width.to_bytes(4, "big") + height.to_bytes(4, "big") + _RGB
         for camera, files in self.pictures.items():
             if not _CAMERA.fullmatch(camera):

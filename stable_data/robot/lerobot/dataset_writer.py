@@ -135,12 +135,7 @@ def write_lerobot(
             if progress is not None:
                 progress(writer.num_episodes)
         if writer is None:
-            more = (
-                f"; {num_failed} failed episodes pass, add --failures to export them"
-                if num_failed
-                else "; change the selection"
-            )
-            raise ConfigError(f"{run.uri}: no successful episode is selected, expected at least one{more}", "episode_unknown")
+            raise _nothing_selected(run, choice, num_failed)
         writer.close()
         aside.replace(out)
         return LeRobotResult(writer.num_episodes, writer.num_frames, writer.num_tasks, num_failed)
@@ -150,6 +145,12 @@ def write_lerobot(
         if writer is not None:
             writer.discard()
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def _nothing_selected(run: RunFolder, choice: EpisodeSelection, num_failed: int) -> ConfigError:
+    what = "episode" if choice.with_failures else "successful episode"
+    do = f"add --failures to export the {num_failed} failed ones" if num_failed else "change the selection"
+    return ConfigError(f"{run.uri}: no {what} is selected, expected at least one; {do}", "episode_unknown")
 
 
 def _limited(episodes: Iterator[Episode], limit: int | None) -> Iterator[Episode]:
