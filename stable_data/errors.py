@@ -36,6 +36,13 @@ class ConfigError(StableDataError):
     """A configuration, folder or command that cannot be started."""
 
 
+class GoalError(StableDataError):
+    """A goal that cannot be compiled, reached or read.
+
+    Codes: ``no_task``, ``goal_not_checkable``, ``goal_unresolved``, ``goal_true_at_start``, ``no_free_place``, ``goal_invalid``.
+    """
+
+
 class MissingColumnsWarning(UserWarning):
     """Warns that a run was made before some columns of its tables existed."""
 

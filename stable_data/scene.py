@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from stable_data.condition import Condition
 from stable_data.errors import SceneError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
@@ -218,6 +219,7 @@ class TaskInfo:
         relations: Relations that the instruction entails for the initial scene.
         origin: ``file``, ``template`` or ``model``.
         source: The content of the file, so that writing loses nothing. Not compared.
+        conditions: Conditions that hold when the task is done, between instances; none if they are not known.
     """
 
     environment: str
@@ -229,6 +231,7 @@ class TaskInfo:
     relations: tuple[Relation, ...] = ()
     origin: str = "file"
     source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
+    conditions: tuple[Condition, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

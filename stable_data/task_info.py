@@ -1,6 +1,6 @@
 """The task info of a scene as JSON: its keys, its validation, and its conversion to :class:`TaskInfo`.
 
-The keys are MesaTask's, with ``task_objects``, ``relations`` and ``origin`` added. A file of a dataset is read leniently
+The keys are MesaTask's, with ``task_objects``, ``relations``, ``conditions`` and ``origin`` added. A file of a dataset is read leniently
 (:func:`parse_task_info`): the instruction is enough. An answer of a model must be complete (:func:`validate_task_info`).
 """
 
@@ -8,7 +8,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from stable_data.errors import SceneError
+from stable_data.condition import Condition, ConditionKind, condition_of
+from stable_data.errors import GoalError, SceneError
 from stable_data.json_text import ReadLog, are_finite, is_unicode, numbers, quote_value
 from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, TaskInfo
 
@@ -51,9 +52,24 @@ TASK_INFO_SCHEMA: dict[str, Any] = {
                 "properties": {"subject": _TEXT, "kind": {"enum": [str(k) for k in RelationKind]}, "target": _TEXT},
             },
         },
+        "conditions": {
+            "type": "array",
+            "description": "what holds when the task is done, between instances",
+            "items": {
+                "type": "object",
+                "required": ["subject", "kind", "target"],
+                "properties": {
+                    "subject": _TEXT,
+                    "kind": {"enum": [str(k) for k in ConditionKind]},
+                    "target": _TEXT,
+                    "distance": {"type": ["number", "null"], "description": "metres"},
+                    "is_negated": {"type": ["boolean", "null"]},
+                },
+            },
+        },
     },
 }
-"""JSON Schema of a complete task info: MesaTask's keys plus ``task_objects`` and ``relations``."""
+"""JSON Schema of a complete task info: MesaTask's keys plus ``task_objects``, ``relations`` and ``conditions``."""
 
 
 def validate_task_info(data: Mapping[str, Any]) -> None:
@@ -90,13 +106,13 @@ def _invalid(key: str, found: Any, expected: str) -> SceneError:
 def task_info_of(data: Mapping[str, Any], origin: str = "file") -> TaskInfo:
     """Parses the complete content of a ``task_info.json``; ``origin`` is one of ORIGINS.
 
-    Its task objects and relations are omitted: they must be resolved in the scene.
+    Its task objects, relations and conditions are omitted: they must be resolved in the scene.
 
     Raises:
         SceneError: See :func:`validate_task_info`.
     """
     validate_task_info(data)
-    known = {key: value for key, value in data.items() if key not in ("task_objects", "relations")}
+    known = {key: value for key, value in data.items() if key not in ("task_objects", "relations", "conditions")}
     return replace(parse_task_info(known, ReadLog("task info")), origin=origin, source=data)
 
 
@@ -121,7 +137,9 @@ def parse_task_info(document: Mapping[str, Any], log: ReadLog, what: str = "task
         raise log.error("task_info_invalid", f"{what} has Environment {quote_value(environment)}, expected a sentence")
     lists = {field: _texts(document, key, log, what) for field, key in {**LISTS, "task_objects": "task_objects"}.items()}
     relations = relations_in(document, log, what)
-    return TaskInfo(environment, task, **lists, relations=relations, origin=origin_in(document), source=document)
+    conditions = conditions_in(document, log, what)
+    origin = origin_in(document)
+    return TaskInfo(environment, task, **lists, relations=relations, conditions=conditions, origin=origin, source=document)
 
 
 def _are_texts(value: object) -> bool:
@@ -158,6 +176,21 @@ def relations_in(document: Mapping[str, Any], log: ReadLog, what: str = "task in
             raise log.error("task_info_invalid", f"{what} has relation {quote_value(entry)}, expected [subject, kind, target]")
         relations.append(Relation(parts[0], RelationKind(parts[1]), parts[2]))
     return tuple(relations)
+
+
+def conditions_in(document: Mapping[str, Any], log: ReadLog, what: str = "task info") -> tuple[Condition, ...]:
+    """Reads the conditions of a document.
+
+    Raises:
+        SceneError: ``task_info_invalid``: a condition has another form.
+    """
+    entries = document.get("conditions")
+    if entries is None:
+        return ()
+    try:
+        return tuple(map(condition_of, entries if isinstance(entries, list) else [entries]))
+    except GoalError as error:
+        raise log.error("task_info_invalid", f"{what}: {error}") from error
 
 
 def origin_in(document: Mapping[str, Any]) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.atomic_files import write_file_atomically
+from stable_data.condition import condition_document
 from stable_data.export.props import PlacedProp, placed_props
 from stable_data.scene import QuatXyzw, Vec3
 from stable_data.simulation.mujoco_model import CAMERAS
@@ -43,6 +44,7 @@ def scene_facts(geometry: SceneGeometry) -> dict[str, Any]:
             "goal": list(task.goal),
             "action_sequence": list(task.action_sequence),
             "task_objects": list(task.task_objects),
+            "conditions": [condition_document(c) for c in task.conditions],
         }
     for view, position, quat_xyzw in camera_poses(geometry):
         facts["cameras"].append(

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 
+from stable_data.instructions.ends import End
 from stable_data.instructions.kind import MAX_LISTED, Finder, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of
@@ -112,6 +113,7 @@ KINDS = (
         ),
         ("{x} {x:is} in {y}.",),
         ("Pick({x}); PlaceOn({y})",),
+        ends=(End("x", "in", "y"),),
     ),
     TaskKind(
         "put_away",
@@ -126,6 +128,7 @@ KINDS = (
         ("{x} {x:is} in {y}.",),
         ("Pick({x}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("x", "in", "y"),),
     ),
     TaskKind(
         "take_out",
@@ -141,6 +144,10 @@ KINDS = (
         ("{x} {x:is} on the table.", "{x} {x:is} not in {y}."),
         ("Pick({x}); PlaceAt(Table)",),
         (("x", None, "y"),),
+        ends=(
+            End("x", "on", "table"),
+            End("x", "in", "y", is_negated=True),
+        ),
     ),
     TaskKind(
         "transfer",
@@ -155,6 +162,10 @@ KINDS = (
         ("{x} {x:is} in {z}.", "{x} {x:is} not in {y}."),
         ("Pick({x}); PlaceOn({z})",),
         (("x", None, "y"),),
+        ends=(
+            End("x", "in", "z"),
+            End("x", "in", "y", is_negated=True),
+        ),
     ),
     TaskKind(
         "gather",
@@ -168,6 +179,7 @@ KINDS = (
         ("{xs} are in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "gather_kind",
@@ -182,6 +194,7 @@ KINDS = (
         ("{xs} are in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "share_out",
@@ -194,6 +207,10 @@ KINDS = (
         ("{x} {x:is} in {y}.", "{z} {z:is} in {w}."),
         ("Pick({x}); PlaceOn({y}); Pick({z}); PlaceOn({w})",),
         theme="tidy",
+        ends=(
+            End("x", "in", "y"),
+            End("z", "in", "w"),
+        ),
     ),
     TaskKind(
         "empty",
@@ -207,6 +224,10 @@ KINDS = (
         ("{xs} are on the table.", "Nothing is in {y}."),
         ("Pick({xs}); PlaceAt(Table)",),
         (("xs", None, "y"),),
+        ends=(
+            End("xs", "on", "table"),
+            End("y", "empty", "in"),
+        ),
     ),
     TaskKind(
         "empty_all",
@@ -220,6 +241,7 @@ KINDS = (
         ("Nothing is in {y}.",),
         ("Pick({xs}); PlaceAt(Table)",),
         (("xs", None, "y"),),
+        ends=(End("y", "empty", "in"),),
     ),
     TaskKind(
         "move_contents",
@@ -232,6 +254,10 @@ KINDS = (
         ("Nothing is in {y}.", "What was in {y} is now in {z}."),
         ("Pick({xs}); PlaceOn({z})",),
         (("xs", None, "y"),),
+        ends=(
+            End("xs", "in", "z"),
+            End("y", "empty", "in"),
+        ),
     ),
     TaskKind(
         "replace_in",
@@ -245,6 +271,10 @@ KINDS = (
         ("{x} {x:is} on the table.", "{z} {z:is} in {y}."),
         ("Pick({x}); PlaceAt(Table); Pick({z}); PlaceOn({y})",),
         (("x", None, "y"),),
+        ends=(
+            End("x", "on", "table"),
+            End("z", "in", "y"),
+        ),
     ),
     TaskKind(
         "load_and_bring",
@@ -256,6 +286,10 @@ KINDS = (
         ),
         ("{x} {x:is} in {y}.", "{y} {y:is} at the front edge."),
         ("Pick({x}); PlaceOn({y}); Pick({y}); PlaceAt(front edge)",),
+        ends=(
+            End("x", "in", "y"),
+            End("y", "at", "front_edge"),
+        ),
     ),
     TaskKind(
         "load_and_centre",
@@ -267,6 +301,10 @@ KINDS = (
         ),
         ("{x} {x:is} in {y}.", "{y} {y:is} in the middle of the table."),
         ("Pick({x}); PlaceOn({y}); Pick({y}); PlaceAt(middle)",),
+        ends=(
+            End("x", "in", "y"),
+            End("y", "at", "middle_middle"),
+        ),
     ),
     TaskKind(
         "unload_and_hand_over",

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stable_data.condition import Condition, ConditionKind
 from stable_data.errors import SceneError
 from stable_data.instructions import containing, dining, picking, placing, sorting, stacking, tidying, using
 from stable_data.instructions.kind import TaskDraft, TaskKind
@@ -121,6 +122,7 @@ def _task_info(draft: TaskDraft, scene: Scene, text: str = "") -> TaskInfo:
         task_objects=tuple(name for name in objects if name in draft.objects),
         relations=draft.relations,
         origin="template",
+        conditions=draft.conditions,
     )
 
 
@@ -132,5 +134,11 @@ def _fallback(scene: Scene, steady: list[str], namer: ObjectNamer) -> TaskDraft:
     words = next((name.words for name in names if name.anchor is None), f"one {noun}" if noun != "object" else "the object")
     goal = f"{words} {'are' if is_plural(noun) else 'is'} held above the table"
     return TaskDraft(
-        f"pick up {words}", (goal,), (f"Pick({type_name(best.category) or 'Object'})",), (best.instance,), (noun,), ()
+        f"pick up {words}",
+        (goal,),
+        (f"Pick({type_name(best.category) or 'Object'})",),
+        (best.instance,),
+        (noun,),
+        (),
+        conditions=(Condition(best.instance, ConditionKind.HELD),),
     )

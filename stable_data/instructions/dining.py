@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterator
 
 from stable_data.instructions.containing import some_into
+from stable_data.instructions.ends import End
 from stable_data.instructions.kind import MAX_LISTED, Finder, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of
@@ -123,6 +124,12 @@ KINDS = (
         ("{y} {y:is} left of {x}.", "{z} {z:is} right of {x}."),
         ("Pick({y}); PlaceAt(left of {x}); Pick({z}); PlaceAt(right of {x})",),
         theme="meal",
+        ends=(
+            End("y", "left of", "x"),
+            End("y", "beside", "x"),
+            End("z", "right of", "x"),
+            End("z", "beside", "x"),
+        ),
     ),
     TaskKind(
         "set_place_with_drink",
@@ -135,6 +142,14 @@ KINDS = (
         ("{y} {y:is} left of {x}.", "{z} {z:is} right of {x}.", "{w} {w:is} behind {x}."),
         ("Pick({y}); PlaceAt(left of {x}); Pick({z}); PlaceAt(right of {x}); Pick({w}); PlaceAt(behind {x})",),
         theme="meal",
+        ends=(
+            End("y", "left of", "x"),
+            End("y", "beside", "x"),
+            End("z", "right of", "x"),
+            End("z", "beside", "x"),
+            End("w", "behind", "x"),
+            End("w", "beside", "x"),
+        ),
     ),
     TaskKind(
         "lay_cutlery",
@@ -147,6 +162,10 @@ KINDS = (
         ("{y} {y:is} {side} {x}.",),
         ("Pick({y}); PlaceAt({side} {x})",),
         theme="meal",
+        ends=(
+            End("y", "{side}", "x"),
+            End("y", "beside", "x"),
+        ),
     ),
     TaskKind(
         "set_soup",
@@ -159,6 +178,10 @@ KINDS = (
         ("{y} {y:is} right of {x}.",),
         ("Pick({y}); PlaceAt(right of {x})",),
         theme="meal",
+        ends=(
+            End("y", "right of", "x"),
+            End("y", "beside", "x"),
+        ),
     ),
     TaskKind(
         "set_drink",
@@ -171,6 +194,10 @@ KINDS = (
         ("{y} {y:is} behind {x}.",),
         ("Pick({y}); PlaceAt(behind {x})",),
         theme="meal",
+        ends=(
+            End("y", "behind", "x"),
+            End("y", "beside", "x"),
+        ),
     ),
     TaskKind(
         "set_for_several",
@@ -196,6 +223,7 @@ KINDS = (
         ("{x} {x:is} on {y}.",),
         ("Pick({x}); PlaceOn({y})",),
         theme="meal",
+        ends=(End("x", "on", "y"),),
     ),
     TaskKind(
         "clear_table",
@@ -209,6 +237,7 @@ KINDS = (
         ("{xs} are in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="after_meal",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "clear_to_back",
@@ -221,6 +250,7 @@ KINDS = (
         ("{xs} are at the back of the table.",),
         ("Pick({xs}); PlaceAt(back)",),
         theme="after_meal",
+        ends=(End("xs", "at", "back"),),
     ),
     TaskKind(
         "clear_kind",
@@ -233,6 +263,7 @@ KINDS = (
         ("{xs} are at the back of the table.",),
         ("Pick({xs}); PlaceAt(back)",),
         theme="after_meal",
+        ends=(End("xs", "at", "back"),),
     ),
     TaskKind(
         "collect_cutlery",
@@ -245,6 +276,7 @@ KINDS = (
         ("All the cutlery is in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="after_meal",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "pour",
@@ -282,6 +314,7 @@ KINDS = (
         ("{x} {x:is} on {y}.",),
         ("Pick({x}); PlaceOn({y})",),
         theme="cook",
+        ends=(End("x", "on", "y"),),
     ),
     TaskKind(
         "prepare_to_cut_with_knife",
@@ -294,5 +327,10 @@ KINDS = (
         ("{x} {x:is} on {y}.", "{z} {z:is} right of {y}."),
         ("Pick({x}); PlaceOn({y}); Pick({z}); PlaceAt(right of {y})",),
         theme="cook",
+        ends=(
+            End("x", "on", "y"),
+            End("z", "right of", "y"),
+            End("z", "beside", "y"),
+        ),
     ),
 )

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from stable_data.condition import Condition
+from stable_data.instructions.ends import End
 from stable_data.instructions.naming import WEIGHTS, Distinction, ObjectName, ObjectNamer, holds_relation
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.paraphrase import reword
@@ -53,6 +55,7 @@ class TaskKind:
         links: Relations that the words state: first role, kind, second role. The kind is None (in or on), a
             :class:`RelationKind`, or a key of the roles whose value is one.
         theme: The topic of the reasons that the request may give (see ``paraphrase``).
+        ends: What ``goal`` states as conditions; none if no state of the scene shows that the task is done.
     """
 
     name: str
@@ -62,6 +65,7 @@ class TaskKind:
     actions: tuple[str, ...]
     links: tuple[tuple[str, str | None, str], ...] = ()
     theme: str = ""
+    ends: tuple[End, ...] = ()
 
     def draft(self, context: TaskContext, namer: ObjectNamer) -> "TaskDraft | None":
         """Returns a task of this kind, or None if none was found in the scene."""
@@ -85,6 +89,7 @@ class TaskDraft:
         nouns: The nouns of the objects.
         relations: The relations that the words state about the initial scene.
         theme: See :class:`TaskKind`.
+        conditions: What ``goal`` states as conditions; none if not all of it can be.
     """
 
     text: str
@@ -94,6 +99,7 @@ class TaskDraft:
     nouns: tuple[str, ...]
     relations: tuple[Relation, ...]
     theme: str = ""
+    conditions: tuple[Condition, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,6 +233,7 @@ def _draft_of(
         tuple(dict.fromkeys(nouns)),
         tuple(sorted(relations)),
         kind.theme,
+        tuple(dict.fromkeys(c for end in kind.ends for c in end.filled(by_role, words))),
     )
 
 

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 
+from stable_data.instructions.ends import End
 from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import OPPOSITE, SIDES, TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of
@@ -106,6 +107,7 @@ KINDS = (
         ),
         ("{x} {x:is} held above the table.",),
         ("Pick({x})",),
+        ends=(End("x", "held"),),
     ),
     TaskKind(
         "show",
@@ -148,6 +150,7 @@ KINDS = (
         ),
         ("{x} {x:is} within reach at the front edge.",),
         ("Pick({x}); PlaceAt(front edge)",),
+        ends=(End("x", "at", "front_edge"),),
     ),
     TaskKind(
         "corner",
@@ -161,6 +164,7 @@ KINDS = (
         ),
         ("{x} {x:is} in the {corner} corner.",),
         ("Pick({x}); PlaceAt({corner})",),
+        ends=(End("x", "at", "{corner}"),),
     ),
     TaskKind(
         "centre",
@@ -173,6 +177,7 @@ KINDS = (
         ),
         ("{x} {x:is} in the middle of the table.",),
         ("Pick({x}); PlaceAt(middle)",),
+        ends=(End("x", "at", "middle_middle"),),
     ),
     TaskKind(
         "part",
@@ -185,6 +190,7 @@ KINDS = (
         ),
         ("{x} {x:is} at the {part} of the table.",),
         ("Pick({x}); PlaceAt({part})",),
+        ends=(End("x", "at", "{part}"),),
     ),
     TaskKind(
         "away_from_edge",
@@ -197,6 +203,7 @@ KINDS = (
         ),
         ("{x} {x:is} well away from the {edge} edge.",),
         ("Push({x}, {inwards}, 8)",),
+        ends=(End("x", "apart", "{edge}_edge"),),
     ),
     TaskKind(
         "push",
@@ -210,6 +217,7 @@ KINDS = (
         ),
         ("{x} {x:is} {cm} cm farther {towards} than before.",),
         ("Push({x}, {direction}, {cm})",),
+        ends=(End("x", "moved", "{direction}", "{cm}"),),
     ),
     TaskKind(
         "turn_to_front",
@@ -222,6 +230,7 @@ KINDS = (
         ),
         ("{x} face{x:s} the front edge.",),
         ("Pick({x}); PlaceAt(same place, facing front)",),
+        ends=(End("x", "facing", "front"),),
     ),
     TaskKind(
         "turn_to",
@@ -234,6 +243,7 @@ KINDS = (
         ),
         ("{x} face{x:s} {y}.",),
         ("Pick({x}); PlaceAt(same place, facing {y})",),
+        ends=(End("x", "facing", "y"),),
     ),
     TaskKind(
         "stand_up",
@@ -247,5 +257,6 @@ KINDS = (
         ("{x} stand{x:s} upright.",),
         ("Pick({x}); PlaceAt(same place, upright)",),
         theme="tidy",
+        ends=(End("x", "upright"),),
     ),
 )

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from stable_data.instructions.ends import End
 from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.naming import SIDE_WORDS, holds_relation
 from stable_data.instructions.picking import DIRECTION
@@ -105,6 +106,7 @@ KINDS = (
         ),
         ("{x} {x:is} {side} {y}.",),
         ("Pick({x}); PlaceAt({at} {y})",),
+        ends=(End("x", "{at}", "y"),),
     ),
     TaskKind(
         "close_to_side",
@@ -116,6 +118,10 @@ KINDS = (
         ),
         ("{x} {x:is} {side} {y}, close to {y:it}.",),
         ("Pick({x}); PlaceAt({at} {y})",),
+        ends=(
+            End("x", "{at}", "y"),
+            End("x", "beside", "y"),
+        ),
     ),
     TaskKind(
         "next_to",
@@ -129,6 +135,7 @@ KINDS = (
         ),
         ("{x} {x:is} next to {y}.",),
         ("Pick({x}); PlaceAt(next to {y})",),
+        ends=(End("x", "beside", "y"),),
     ),
     TaskKind(
         "between",
@@ -142,6 +149,7 @@ KINDS = (
         ),
         ("{x} {x:is} between {y} and {z}.",),
         ("Pick({x}); PlaceAt(between {y} and {z})",),
+        ends=(End("x", "between", "y, z"),),
     ),
     TaskKind(
         "swap",
@@ -155,6 +163,10 @@ KINDS = (
         ),
         ("{x} {x:is} where {y} {y:was}.", "{y} {y:is} where {x} {x:was}."),
         ("Pick({x}); PlaceAt(free spot); Pick({y}); PlaceAt(former {x}); Pick({x}); PlaceAt(former {y})",),
+        ends=(
+            End("x", "at", "y"),
+            End("y", "at", "x"),
+        ),
     ),
     TaskKind(
         "away_from",
@@ -168,6 +180,7 @@ KINDS = (
         ("There is a clear gap between {x} and {y}.",),
         ("Pick({x}); PlaceAt(away from {y})",),
         theme="room",
+        ends=(End("x", "apart", "y"),),
     ),
     TaskKind(
         "make_room",
@@ -182,6 +195,7 @@ KINDS = (
         ("Push({x}, {direction}, {cm})",),
         (("x", RelationKind.IN_FRONT_OF, "y"),),
         theme="room",
+        ends=(End("x", "moved", "{direction}", "{cm}"),),
     ),
     TaskKind(
         "cross_over",
@@ -193,5 +207,6 @@ KINDS = (
         ("{x} {x:is} {side} {y}.",),
         ("Pick({x}); PlaceAt({at} {y})",),
         (("x", "link", "y"),),
+        ends=(End("x", "{at}", "y"),),
     ),
 )

@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from stable_data.condition import NAME_SEPARATOR
+from stable_data.instructions.ends import End
 from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import SIDES, TaskContext
 from stable_data.scene import FloatArray, RelationKind
@@ -56,7 +58,7 @@ def _by_size(s: TaskContext) -> Iterator[Roles]:
         small = [n for _, n in sorted(zip(volume, xs, strict=True))]
         at_x = [s.objects[n].position[0] for n in small]
         if clear and not _is_row(s, xs) and at_x not in (sorted(at_x), sorted(at_x, reverse=True)):
-            yield {"xs": xs}
+            yield {"xs": xs, "order": NAME_SEPARATOR.join(small)}
 
 
 def _by_height(s: TaskContext) -> Iterator[Roles]:
@@ -65,7 +67,7 @@ def _by_height(s: TaskContext) -> Iterator[Roles]:
         clear = all(s.objects[b].size[2] > _CLEARLY * s.objects[a].size[2] for a, b in itertools.pairwise(ordered))
         at_x = [s.objects[n].position[0] for n in ordered]
         if clear and at_x not in (sorted(at_x), sorted(at_x, reverse=True)):
-            yield {"xs": xs}
+            yield {"xs": xs, "order": NAME_SEPARATOR.join(ordered)}
 
 
 def _crowded(s: TaskContext) -> Iterator[Roles]:
@@ -137,6 +139,7 @@ KINDS = (
         ),
         ("{xs} stand in one row.",),
         ("Pick({xs}); PlaceAt(row)",),
+        ends=(End("xs", "in a row"),),
     ),
     TaskKind(
         "line_up_kind",
@@ -150,6 +153,7 @@ KINDS = (
         ("{xs} stand in one row.",),
         ("Pick({xs}); PlaceAt(row)",),
         theme="tidy",
+        ends=(End("xs", "in a row"),),
     ),
     TaskKind(
         "order_by_size",
@@ -162,6 +166,10 @@ KINDS = (
         ),
         ("{xs} stand in one row, the smallest on the left.",),
         ("Pick({xs}); PlaceAt(row)",),
+        ends=(
+            End("xs", "in a row"),
+            End("{order}", "ordered"),
+        ),
     ),
     TaskKind(
         "order_by_height",
@@ -173,6 +181,10 @@ KINDS = (
         ),
         ("{xs} stand in one row, the tallest on the right.",),
         ("Pick({xs}); PlaceAt(row)",),
+        ends=(
+            End("xs", "in a row"),
+            End("{order}", "ordered"),
+        ),
     ),
     TaskKind(
         "space_out",
@@ -186,6 +198,7 @@ KINDS = (
         ("{xs} are equally spaced from left to right.",),
         ("Pick({xs}); PlaceAt(evenly spaced)",),
         theme="tidy",
+        ends=(End("xs", "evenly spaced"),),
     ),
     TaskKind(
         "group",
@@ -200,6 +213,7 @@ KINDS = (
         ("{xs} stand close together.",),
         ("Pick({xs}); PlaceAt(one place)",),
         theme="tidy",
+        ends=(End("xs", "together"),),
     ),
     TaskKind(
         "sort_into_rows",
@@ -213,6 +227,10 @@ KINDS = (
         ("{xs} stand in one row.", "{zs} stand in another row."),
         ("Pick({xs}); PlaceAt(first row)", "Pick({zs}); PlaceAt(second row)"),
         theme="tidy",
+        ends=(
+            End("xs", "in a row"),
+            End("zs", "in a row"),
+        ),
     ),
     TaskKind(
         "sort_to_sides",
@@ -225,6 +243,10 @@ KINDS = (
         ("{xs} are on the left half of the table.", "{zs} are on the right half of the table."),
         ("Pick({xs}); PlaceAt(left)", "Pick({zs}); PlaceAt(right)"),
         theme="tidy",
+        ends=(
+            End("xs", "at", "left_half"),
+            End("zs", "at", "right_half"),
+        ),
     ),
     TaskKind(
         "sort_into_containers",
@@ -237,6 +259,10 @@ KINDS = (
         ("{xs} are in {y}.", "{zs} are in {w}."),
         ("Pick({xs}); PlaceOn({y})", "Pick({zs}); PlaceOn({w})"),
         theme="tidy",
+        ends=(
+            End("xs", "in", "y"),
+            End("zs", "in", "w"),
+        ),
     ),
     TaskKind(
         "both_to_side",
@@ -248,5 +274,6 @@ KINDS = (
         ),
         ("{xs} are at the {direction} side of the table.",),
         ("Pick({xs}); PlaceAt({direction} side)",),
+        ends=(End("xs", "at", "{direction}"),),
     ),
 )

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 
+from stable_data.instructions.ends import End
 from stable_data.instructions.kind import MAX_LISTED, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 from stable_data.instructions.wording.vocabulary import classes_of
@@ -98,6 +99,7 @@ KINDS = (
         ),
         ("{x} {x:is} on {y}.",),
         ("Pick({x}); PlaceOn({y})",),
+        ends=(End("x", "on", "y"),),
     ),
     TaskKind(
         "stack",
@@ -111,6 +113,7 @@ KINDS = (
         ("{x} {x:is} on {y}.",),
         ("Pick({x}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("x", "on", "y"),),
     ),
     TaskKind(
         "pile_up",
@@ -124,6 +127,7 @@ KINDS = (
         ("{xs} are stacked on {x}.",),
         ("Pick({xs}); PlaceOn({x})",),
         theme="tidy",
+        ends=(End("xs", "on", "x", is_chain=True),),
     ),
     TaskKind(
         "take_off",
@@ -138,6 +142,10 @@ KINDS = (
         ("{x} {x:is} on the table.", "{x} {x:is} not on {y}."),
         ("Pick({x}); PlaceAt(Table)",),
         (("x", None, "y"),),
+        ends=(
+            End("x", "on", "table"),
+            End("x", "on", "y", is_negated=True),
+        ),
     ),
     TaskKind(
         "restack",
@@ -151,6 +159,10 @@ KINDS = (
         ("{x} {x:is} on {z}.", "{x} {x:is} not on {y}."),
         ("Pick({x}); PlaceOn({z})",),
         (("x", None, "y"),),
+        ends=(
+            End("x", "on", "z"),
+            End("x", "on", "y", is_negated=True),
+        ),
     ),
     TaskKind(
         "reverse_stack",
@@ -163,6 +175,7 @@ KINDS = (
         ("{y} {y:is} on {x}.",),
         ("Pick({x}); PlaceAt(Table); Pick({y}); PlaceOn({x})",),
         (("x", None, "y"),),
+        ends=(End("y", "on", "x"),),
     ),
     TaskKind(
         "clear_off",
@@ -177,6 +190,10 @@ KINDS = (
         ("Pick({xs}); PlaceAt(Table)",),
         (("xs", None, "y"),),
         theme="tidy",
+        ends=(
+            End("xs", "on", "table"),
+            End("y", "empty", "on"),
+        ),
     ),
     TaskKind(
         "clear_off_all",
@@ -190,6 +207,7 @@ KINDS = (
         ("Nothing is on {y}.",),
         ("Pick({xs}); PlaceAt(Table)",),
         (("xs", None, "y"),),
+        ends=(End("y", "empty", "on"),),
     ),
     TaskKind(
         "replace_on",
@@ -203,6 +221,10 @@ KINDS = (
         ("{x} {x:is} on the table.", "{z} {z:is} on {y}."),
         ("Pick({x}); PlaceAt(Table); Pick({z}); PlaceOn({y})",),
         (("x", None, "y"),),
+        ends=(
+            End("x", "on", "table"),
+            End("z", "on", "y"),
+        ),
     ),
     TaskKind(
         "cover",
@@ -216,6 +238,7 @@ KINDS = (
         ("{x} {x:is} on {y}.",),
         ("Pick({x}); PlaceOn({y})",),
         theme="cook",
+        ends=(End("x", "on", "y"),),
     ),
     TaskKind(
         "uncover_and_hand_over",

@@ -49,6 +49,7 @@ class MultiStepKind:
             tuple(name for step in done for name in step.objects),
             tuple(noun for step in done for noun in step.nouns),
             tuple(sorted({relation for step in done for relation in step.relations})),
+            conditions=tuple(c for step in done for c in step.conditions) if all(step.conditions for step in done) else (),
         )
 
 

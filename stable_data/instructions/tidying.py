@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from stable_data.instructions.containing import some_into
+from stable_data.instructions.ends import End
 from stable_data.instructions.kind import MAX_LISTED, Finder, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
 
@@ -74,6 +75,7 @@ KINDS = (
         ("{x} {x:is} in {y}.",),
         ("Pick({x}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("x", "in", "y"),),
     ),
     TaskKind(
         "belongs_on",
@@ -86,6 +88,7 @@ KINDS = (
         ("{x} {x:is} on {y}.",),
         ("Pick({x}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("x", "on", "y"),),
     ),
     TaskKind(
         "pens",
@@ -98,6 +101,7 @@ KINDS = (
         ("All the writing things are in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="done",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "fruit",
@@ -111,6 +115,7 @@ KINDS = (
         ("All the fruit is in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "fruit_by_name",
@@ -123,6 +128,7 @@ KINDS = (
         ("{xs} are in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="meal",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "toys",
@@ -135,6 +141,7 @@ KINDS = (
         ("All the toys are in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "toys_by_name",
@@ -147,6 +154,7 @@ KINDS = (
         ("{xs} are in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "cosmetics",
@@ -159,6 +167,7 @@ KINDS = (
         ("All the cosmetics are in {y}.",),
         ("Pick({xs}); PlaceOn({y})",),
         theme="tidy",
+        ends=(End("xs", "in", "y"),),
     ),
     TaskKind(
         "books",
@@ -171,6 +180,7 @@ KINDS = (
         ("All the books form one stack.",),
         ("Pick({xs}); PlaceAt(stack)",),
         theme="done",
+        ends=(End("xs", "on", is_chain=True),),
     ),
     TaskKind(
         "work_space",
@@ -183,5 +193,6 @@ KINDS = (
         ("Nothing stands at the middle of the front edge.",),
         ("Pick({xs}); PlaceAt(elsewhere)",),
         theme="work",
+        ends=(End("xs", "at", "front_middle", is_negated=True),),
     ),
 )

@@ -2,10 +2,11 @@
 
 from typing import Any
 
+from stable_data.condition import condition_document
 from stable_data.errors import SceneError
 from stable_data.json_text import ReadLog, parse_object
 from stable_data.scene import Relation, Tabletop, TaskInfo
-from stable_data.task_info import LISTS, origin_in, parse_task_info, relations_in
+from stable_data.task_info import LISTS, conditions_in, origin_in, parse_task_info, relations_in
 
 TASK_INFO_FILE = "task_info.json"
 
@@ -44,6 +45,9 @@ def write_task_info(task: TaskInfo, table: Tabletop) -> dict[str, Any]:
     if task.relations or "relations" in document:
         same = task.source is not None and relations_in(task.source, ReadLog("")) == task.relations
         fields["relations"] = document["relations"] if same else [_relation_entry(relation) for relation in task.relations]
+    if task.conditions or "conditions" in document:
+        same = task.source is not None and conditions_in(task.source, ReadLog("")) == task.conditions
+        fields["conditions"] = document["conditions"] if same else [condition_document(c) for c in task.conditions]
     if task.origin != origin_in(document):
         fields["origin"] = task.origin
     if task.source is not None:  # a key that the file did not have is added only if it has a value

@@ -12,7 +12,7 @@ The other relations are those of MesaTask and follow from boxes. Overlap is a sh
 """
 
 import itertools
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -214,7 +214,8 @@ def scene_graph(
         )
     for child in carriers:
         if child not in scene.fixed:
-            _link_to_parent(graph, layout, carriers, child, len(contacts.get(child, ())))
+            for link in _links_to_parents(layout, carriers, child, len(contacts.get(child, ()))):
+                graph.add_edge(link.subject, link.target, key=link.kind)
     for one, other in _near_pairs(scene):
         kind = _spatial_relation(scene, layout, one, other)
         is_stacked = other in ancestors(carriers, one) or one in ancestors(carriers, other)
@@ -223,18 +224,32 @@ def scene_graph(
     return graph
 
 
-def _link_to_parent(
-    graph: SceneGraph, layout: _Layout, carriers: Mapping[str, str | None], child: str, num_contacts: int
-) -> None:
+def _links_to_parents(layout: _Layout, carriers: Mapping[str, str | None], child: str, num_contacts: int) -> Iterator[Relation]:
     carrier = carriers[child]
     if carrier is None:
         return
     # A container further down counts: the second ball in a bowl is in the bowl, although it rests on the first.
     container = next((p for p in ancestors(carriers, child) if layout.holds(p, child)), None)
-    graph.add_edge(child, container or carrier, key=RelationKind.IN if container else RelationKind.ON)
+    yield Relation(child, RelationKind.IN if container else RelationKind.ON, container or carrier)
     # The apple on a book in a crate is on the book too; a ball in a heap, which rests on the sides of others, is not.
     if container not in (None, carrier) and layout.depth(child, carrier) <= _TOP and num_contacts <= 1:
-        graph.add_edge(child, carrier, key=RelationKind.ON)
+        yield Relation(child, RelationKind.ON, carrier)
+
+
+def on_in_relations(
+    scene: Scene,
+    contacts: Contacts,
+    footprints: Mapping[str, FloatArray] | None = None,
+    containers: Mapping[str, bool | None] | None = None,
+) -> frozenset[Relation]:
+    """Returns the relations ``on`` and ``in`` of the scene graph alone, which is quick for a few objects.
+
+    The arguments are those of :func:`scene_graph`.
+    """
+    layout = _Layout(scene, footprints, containers)
+    carriers = _carriers(layout, contacts)
+    links = (_links_to_parents(layout, carriers, child, len(contacts.get(child, ()))) for child in carriers)
+    return frozenset(itertools.chain.from_iterable(links))
 
 
 def _near_pairs(scene: Scene) -> list[tuple[str, str]]:
@@ -320,6 +335,12 @@ def is_between(middle: Sequence[float], one: Sequence[float], other: Sequence[fl
     return seen in ({RelationKind.LEFT_OF, RelationKind.RIGHT_OF}, {RelationKind.IN_FRONT_OF, RelationKind.BEHIND})
 
 
+def are_even(positions: Sequence[float]) -> bool:
+    """Returns whether positions along an axis, in increasing order, have equal steps, as the members of a row."""
+    steps = np.diff(positions)
+    return bool(np.abs(steps - steps.mean()).max() <= _EVEN * steps.mean())
+
+
 def cell_of(position: tuple[float, ...], size_xy: tuple[float, float]) -> str:
     """Returns the ninth of the table that a point is in, such as ``back_left``; beyond the edge, the nearest one."""
     column, row = (min(2, max(0, int(3 * p / s))) for p, s in zip(position, size_xy, strict=False))
@@ -363,8 +384,7 @@ def _row_from(ordered: list[SceneObject], first: int, second: int, axis: int) ->
             break  # farther than any even step
         if abs(o.position[1 - axis] - members[0].position[1 - axis]) > _ROW_WIDTH * step:
             continue
-        steps = np.diff([m.position[axis] for m in (*members, o)])
-        if np.abs(steps - steps.mean()).max() <= _EVEN * steps.mean():
+        if are_even([m.position[axis] for m in (*members, o)]):
             members.append(o)
     return tuple(m.instance for m in members)
 

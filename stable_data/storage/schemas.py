@@ -24,6 +24,7 @@ _numbers, _texts = pa.list_(_number), pa.list_(_text)
 _floats, _halves, _integers = pa.list_(pa.float32()), pa.list_(pa.float16()), pa.list_(pa.int32())
 
 RELATION = pa.struct([("subject", _text), ("kind", _text), ("target", _text)])
+CONDITION = pa.struct([("subject", _text), ("kind", _text), ("target", _text), ("distance", _number), ("is_negated", _truth)])
 
 _object_fields = [
     ("instance", _text),
@@ -50,6 +51,7 @@ TASK = pa.struct(
         ("objects_cluster", _texts),
         ("task_objects", _texts),
         ("relations", pa.list_(RELATION)),
+        ("conditions", pa.list_(CONDITION)),
         ("origin", _text),
         ("source_json", _text),
     ]
@@ -577,7 +579,7 @@ def _versioned(name: str, schema: pa.Schema) -> pa.Schema:
 SCHEMAS = {name: _versioned(name, schema) for name, schema in SCHEMAS.items()}
 """Name of a table -> its schema."""
 
-NONE_IF_NULL = frozenset({"fixed", "surface", *FURTHER_COLUMNS})
+NONE_IF_NULL = frozenset({"fixed", "surface", "task.conditions", *FURTHER_COLUMNS})
 """Columns of which null says that there is none, also in runs that are older than they are."""
 
 _TABLETOP = ("table_type", "table_size", "restricted_zone")

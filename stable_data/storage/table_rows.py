@@ -7,6 +7,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from stable_data.condition import condition_document, condition_of
 from stable_data.errors import Notice
 from stable_data.json_text import json_text
 from stable_data.metrics.card import MetricCard
@@ -70,8 +71,12 @@ def task_row(task: TaskInfo | None) -> Row | None:
     """Returns a task info as a value of type TASK."""
     if task is None:
         return None
-    row = {f.name: getattr(task, f.name) for f in TASK if f.name not in ("relations", "source_json")}
-    return row | {"relations": _relation_rows(task.relations), "source_json": _json(task.source)}
+    row = {f.name: getattr(task, f.name) for f in TASK if f.name not in ("relations", "conditions", "source_json")}
+    return row | {
+        "relations": _relation_rows(task.relations),
+        "conditions": [condition_document(c) for c in task.conditions] or None,
+        "source_json": _json(task.source),
+    }
 
 
 def task_from_row(row: Mapping[str, Any] | None) -> TaskInfo | None:
@@ -86,6 +91,7 @@ def task_from_row(row: Mapping[str, Any] | None) -> TaskInfo | None:
         objects_cluster=tuple(row["objects_cluster"]),
         task_objects=tuple(row["task_objects"]),
         relations=_relations(row["relations"]),
+        conditions=tuple(map(condition_of, row.get("conditions") or ())),
         origin=row["origin"],
         source=None if row["source_json"] is None else json.loads(row["source_json"]),
     )

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from stable_data.condition import Condition, ConditionKind
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.card import MetricCard
@@ -39,6 +40,10 @@ _json = st.recursive(
 )
 _source = st.none() | st.dictionaries(_text, _json, max_size=3)
 _relation = st.builds(Relation, _text, st.sampled_from(RelationKind), _text)
+_conditions = st.lists(
+    st.builds(Condition, _text.filter(bool), st.sampled_from(ConditionKind), _text, st.none() | _length, st.booleans()),
+    max_size=2,
+).map(tuple)
 _relations = st.lists(_relation, max_size=3).map(tuple)
 _texts = st.lists(_text, max_size=3).map(tuple)
 
@@ -76,7 +81,8 @@ _scene = st.builds(
     scene_id=_text,
     table=st.builds(Tabletop, _text, st.tuples(_length, _length), st.none() | _zone, st.none() | _length),
     objects=_objects(),
-    task=st.none() | st.builds(TaskInfo, _text, _text, _texts, _texts, _texts, _texts, _relations, _text, _source),
+    task=st.none()
+    | st.builds(TaskInfo, _text, _text, _texts, _texts, _texts, _texts, _relations, _text, _source, conditions=_conditions),
     relations=_relations,
     source=_source,
     fixed=st.frozensets(_text, max_size=2),

@@ -1,0 +1,108 @@
+"""The goal of the task of a scene: conditions on its state, and the steps that a robot takes to fulfil them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from stable_data.condition import Condition, condition_document, condition_of
+from stable_data.errors import GoalError
+
+
+class StepAction(StrEnum):
+    """What a robot does in a step."""
+
+    PICK = "pick"
+    PLACE = "place"
+    PUSH = "push"
+    TURN = "turn"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of a task.
+
+    Attributes:
+        action: ``pick`` grasps and lifts; ``place`` puts a held object down; ``push`` slides one over the table; ``turn`` puts a held
+            object down in another orientation, where it was.
+        subject: The instance that is acted on.
+        conditions: Conditions on it that hold after the step; a ``place`` without any means a free spot on the table.
+    """
+
+    action: StepAction
+    subject: str
+    conditions: tuple[Condition, ...] = ()
+
+    def __str__(self) -> str:
+        """Returns the step in words."""
+        return f"{self.action} {self.subject}" + "".join(f"; {c}" for c in self.conditions)
+
+
+class GoalKind(StrEnum):
+    """Kinds of goals, to group results by."""
+
+    PICK = "pick"
+    PLACE_ON = "place_on"
+    PLACE_IN = "place_in"
+    PLACE_BESIDE = "place_beside"
+    STACK = "stack"
+    SORT = "sort"
+    CLEAR = "clear"
+    MOVE = "move"
+    SWAP = "swap"
+    PUSH = "push"
+    TURN = "turn"
+    SEVERAL = "several"
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """The goal of the task of a scene.
+
+    Attributes:
+        kind: Its kind.
+        conditions: All must hold at the end.
+        steps: What leads there, in order.
+    """
+
+    kind: GoalKind
+    conditions: tuple[Condition, ...]
+    steps: tuple[Step, ...]
+
+    def __str__(self) -> str:
+        """Returns the conditions in words."""
+        return f"{self.kind}: {'; '.join(map(str, self.conditions))}"
+
+
+def goal_document(goal: Goal) -> dict[str, Any]:
+    """Returns a goal as values of JSON."""
+    return {
+        "kind": str(goal.kind),
+        "conditions": [condition_document(c) for c in goal.conditions],
+        "steps": [
+            {"action": str(s.action), "subject": s.subject, "conditions": [condition_document(c) for c in s.conditions]}
+            for s in goal.steps
+        ],
+    }
+
+
+def goal_of(document: Mapping[str, Any]) -> Goal:
+    """Returns the goal of a document that :func:`goal_document` made.
+
+    Raises:
+        GoalError: ``goal_invalid``: it has another form.
+    """
+    try:
+        return Goal(
+            GoalKind(document["kind"]),
+            tuple(map(condition_of, document["conditions"])),
+            tuple(
+                Step(StepAction(s["action"]), str(s["subject"]), tuple(map(condition_of, s["conditions"])))
+                for s in document["steps"]
+            ),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, GoalError):
+            raise
+        message = f"goal is {str(document)[:80]!r}, expected kind, conditions and steps; compile the goal again"
+        raise GoalError(message, "goal_invalid") from error
