@@ -1,7 +1,7 @@
 """Settings of the demonstrate job: the robot, what it sees, and how episodes vary."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
 from pipelines.execution.shard_size import shard_size
@@ -64,6 +64,11 @@ class DemonstrateSettings(Settings):
 
     image_height: PositiveCount = 128
     """Pixels of a picture along a column."""
+
+    task: Literal["scene", "pick"] = "scene"
+    """The task of an episode: that of the ``scene``, or to ``pick`` up an object that is drawn by the episode's seed among those that
+    the robot reaches.
+    """
 
     episodes: PositiveCount = 1
     """Episodes of each scene; their seeds differ."""

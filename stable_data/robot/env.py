@@ -5,7 +5,7 @@
 The objects and their physics are those of the stability verdict; the task is the goal that the scene's task info states.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -34,6 +34,7 @@ from stable_data.simulation.run_reader import RunScenes, SceneSelection, Settled
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder, Uri
 from stable_data.tasks.compiling import compile_goal
+from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal
 
 Observation: TypeAlias = dict[str, Any]
@@ -129,8 +130,9 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise ConfigError(f"render_mode is {render_mode!r}, expected rgb_array or None", "setting_invalid")
         robot = robot_named(options.robot)
         self.scene, self.options, self.render_mode = geometry.scene, options, render_mode
-        self.goal = compile_goal(geometry) if goal is None else goal
-        wanted = {name for step in self.goal.steps for name in (step.subject, *_targets(step))}
+        task = TaskGeometry.of(geometry)
+        self.goal = compile_goal(task) if goal is None else goal
+        wanted = {name for step in self.goal.steps for name in (step.subject, *(t for c in step.conditions for t in c.targets))}
         self.built = assemble(geometry, robot, mount_of(robot, geometry.scene, options.mount, wanted), options.image_size)
         self.arm = Arm(robot)
         self.clearance = Clearance(self.built)
@@ -143,7 +145,7 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             )
         self.world = RobotWorld(self.built)
         self.controller = Controller(robot, self.arm, options.control)
-        self.progress = TaskProgress(self.goal, self.world)
+        self.progress = TaskProgress(self.goal, task, self.world)
         self.drawn: Drawn | None = None
         self._randomizer = Randomizer(self.built, options.randomization)
         self._renderer: Any = None
@@ -294,10 +296,6 @@ def make_robot_env(
         rest = SettledPoses(RunFolder(run)).of(scene.scene_id) if settled else None
         geometry = SceneGeometry.of(scene, store or run_store(run), rest)
     return RobotEnv(geometry, goal, RobotOptions(**options), render_mode)
-
-
-def _targets(step: Any) -> Sequence[str]:
-    return [c.target for c in step.conditions if c.target]
 
 
 gymnasium.register("stable_data/Robot-v0", entry_point="stable_data.robot.env:make_robot_env")

@@ -22,6 +22,7 @@ _CHOSEN = EDGES[:3]  # behind the back edge there often is a wall
 
 _GAP = 0.02  # between the base and the table, metres
 _STEP = 0.1  # distance of the places along an edge that are compared, metres
+_HIGH, _AHEAD, _ASIDE = 0.25, 0.65, 0.2  # of the space of the arm at its start, as shares of the reach
 _COMFORT = 0.8  # share of the reach that is better than the rest
 
 
@@ -123,7 +124,8 @@ def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
         wanted: Instances that have to be in reach; none: the task objects of the scene.
 
     Returns:
-        The first one of the best, in the order front, left, right, and from the middle of an edge to its ends.
+        The first one of the best, in the order front, left, right, and from the middle of an edge to its ends. Places where something
+        high stands where the arm is at its start are left out, if there are others.
     """
     names = frozenset(wanted) or frozenset(() if scene.task is None else scene.task.task_objects)
     objects = scene.movable
@@ -134,11 +136,24 @@ def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
         length = scene.table.size_xy[0 if edge in ("front", "back") else 1]
         for share in _shares(length):
             mount = mount_at(robot, scene.table, edge, share)
+            if _is_blocked(robot, mount, scene):
+                continue
             in_reach, is_easy = _in_reach(robot, mount, centres)
             score = (float((in_reach & is_wanted).sum()), float((is_easy & is_wanted).sum()), float(is_easy.sum()))
             if score > best_score:
                 best, best_score = mount, score
     return best
+
+
+def _is_blocked(robot: Robot, mount: Mount, scene: Scene) -> bool:
+    """Whether something high stands where the arm is at its start."""
+    for o in scene.objects:
+        if o.top > _HIGH * robot.reach:
+            x, y, _ = mount.to_base(np.array(o.position))
+            half = max(o.size[:2]) / 2
+            if -half < x < _AHEAD * robot.reach + half and abs(y) < _ASIDE * robot.reach + half:
+                return True
+    return False
 
 
 def _shares(length: float) -> Sequence[float]:

@@ -1,6 +1,5 @@
 """A robot at a laid table, once for the tests that do not change it."""
 
-
 import pytest
 
 from stable_data.simulation.scene_geometry import SceneGeometry
