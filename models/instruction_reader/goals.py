@@ -42,6 +42,7 @@ _SLIDE = re.compile(
     r"\b(?:push|slide|nudge|shift|move)\b[^.;]*\b(?:to|towards?) the (?P<way>left|right|front|back)\b"
     r"(?! (?:side|edge|corner|half|part|third|end|hand|of|left|right)|-hand)"
 )
+_CORNERS = frozenset({"front_left", "front_right", "back_left", "back_right"})
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?) ?(?:cm|centimet\w+)\b")
 
 
@@ -133,7 +134,9 @@ class _Goal:
                 length = _LENGTH.search(self._text)
                 yield Condition(self._names[k], K.MOVED, slide["way"], float(length[1]) / 100 if length else None)
             elif not any(r.subject == k and r.kind in ("in", "on") for r in self._reading.goal):
-                yield Condition(self._names[k], K.AT, self._region(o.goal_region))
+                region = self._region(o.goal_region)
+                is_corner = "corner" not in self._text or region in _CORNERS
+                yield Condition(self._names[k], K.AT, region) if is_corner else None
 
     def _region(self, cell: str) -> str:
         """The part of the table that the words mean: a reading only has ninths."""
