@@ -11,7 +11,7 @@ from stable_data.tasks.checking import SceneState, start_state
 from stable_data.tasks.compiling import goal_from_conditions
 from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal, StepAction
-from stable_data.tasks.placing import placed_state, target_poses
+from stable_data.tasks.placing import carried_by, placed_state, target_poses
 from tests.scenes import box, cup
 
 TABLE = Tabletop("desk", (1.2, 0.7))
@@ -65,10 +65,13 @@ def moved(state: SceneState, space: TaskGeometry, name: str, position: Sequence[
 
 
 def lifted(state: SceneState, space: TaskGeometry, name: str, height: float = 0.1) -> SceneState:
-    """The state with an object in the gripper."""
-    row = space.rows[name]
-    position = state.positions[row] + np.array((0, 0, height))
-    return replace(moved(state, space, name, position), held=frozenset({name}), gripper_position=position)
+    """The state with an object in the gripper, and what it carries in it."""
+    positions = state.positions.copy()
+    for one in (name, *carried_by(state, name)):
+        positions[space.rows[one], 2] += height
+    touching = {**state.touching, name: ()}
+    gripper = positions[space.rows[name]]
+    return replace(state, positions=positions, touching=touching, held=frozenset({name}), gripper_position=gripper)
 
 
 def states_of(target: Goal, space: TaskGeometry) -> list[SceneState]:
