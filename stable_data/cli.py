@@ -349,6 +349,41 @@ def judge_scenes(
         raise typer.Exit(SOME_FAILED)
 
 
+@app.command("tasks")
+@with_clear_errors
+def compile_tasks(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run with the tables scenes, assets and meshes: folder or URI.")],
+    where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
+    limit: Annotated[int | None, typer.Option(min=0, help="At most this many of the selected scenes.")] = None,
+    examples: Annotated[int, typer.Option(min=0, help="Examples of each kind of goal and of each reason.")] = 1,
+) -> None:
+    """Compile the tasks of a run into goals that can be checked; print how many compile, by kind, and why others do not.
+
+    Status 0: done. 2: could not start, or no scene is selected.
+    """
+    from collections import Counter
+
+    from tqdm import tqdm
+
+    from stable_data.storage.run_folder import RunFolder
+    from stable_data.tasks.run_goals import goals_table, run_goals
+
+    found = list(tqdm(run_goals(RunFolder(run), where, limit), desc="compile", unit="task", disable=None))
+    if not found:
+        raise ConfigError(f"{run}: no scene is selected, expected at least one; change --where or --limit", "scene_unknown")
+    typer.echo(goals_table(found))
+    shown: Counter[str] = Counter()
+    for one in found:
+        key = one.code if one.goal is None else str(one.goal.kind)
+        if shown[key] < examples:
+            shown[key] += 1
+            instruction = "no task" if one.scene.task is None else one.scene.task.task
+            typer.echo(f"\n{one.scene.scene_id}: {instruction}")
+            typer.echo(f"  {one.message}" if one.goal is None else f"  {one.goal}")
+            for step in () if one.goal is None else one.goal.steps:
+                typer.echo(f"    {step}")
+
+
 @app.command()
 @with_clear_errors
 def export(

@@ -222,7 +222,7 @@ class _StageLoop:
             return replace(turn, rejected="the proposal has no objects, expected at least one", code="layout_empty"), None
         scene = replace(before, objects=(*before.objects, *found))
         if not before.movable:
-            scene = attach_task_info(scene, task.instruction, proposed, self.interpret)
+            scene = attach_task_info(scene, task.instruction, proposed, self.interpret, task.reference, task.conditions)
         supports = state.supports | _proposed_supports(replace(before, objects=(*before.movable, *proposed)), names)
         candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing)
 

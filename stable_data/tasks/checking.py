@@ -16,7 +16,7 @@ from stable_data.errors import GoalError
 from stable_data.rotations import yaw_quat
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, SceneObject
 from stable_data.scene_graph.relations import are_even, direction_of, facing_of, is_between, is_held, on_in_relations
-from stable_data.tasks.geometry import PosedObject, TaskGeometry
+from stable_data.tasks.geometry import PosedObject, TaskGeometry, outline_of
 from stable_data.tasks.goal import Goal, Step, StepAction
 from stable_data.tasks.regions import DIRECTIONS, EDGES, NEAR_EDGE, REGIONS, edge_distance, is_in_region, region_bounds
 
@@ -124,7 +124,7 @@ class StateView:
     def outline(self, name: str) -> shapely.Geometry:
         """The convex outline of an object seen from above, metres."""
         if name not in self._outlines:
-            self._outlines[name] = shapely.convex_hull(shapely.multipoints(self.posed(name).points))
+            self._outlines[name] = outline_of(self.posed(name).points)
         return self._outlines[name]
 
     def gap(self, one: str, other: str) -> float:
@@ -144,7 +144,7 @@ class StateView:
             posed = {name: self.posed(name) for name in members}
             scene = Scene("state", self.geometry.scene.table, tuple(p.item for p in posed.values()))
             contacts = {name: tuple(self.state.touching.get(name, ())) for name in members}
-            footprints = {name: p.points for name, p in posed.items()}
+            footprints = {name: shapely.get_coordinates(self.outline(name)) for name in posed}
             self._on_in[key] = on_in_relations(scene, contacts, footprints, self.geometry.containers)
         return self._on_in[key]
 
@@ -212,12 +212,18 @@ class GoalChecker:
         return self._seen[1]
 
     def _steps_done(self, view: StateView) -> list[bool]:
-        done = [self._is_done(step, view) for step in self.goal.steps]
-        # What was placed was picked before.
-        for k in range(len(done) - 1, -1, -1):
-            if done[k]:
-                earlier = (j for j in range(k) if self.goal.steps[j].subject == self.goal.steps[k].subject)
-                done = [True if j in set(earlier) else is_done for j, is_done in enumerate(done)]
+        """Whether each step is done. A placed object was picked before; one that is picked again was placed before."""
+        steps = self.goal.steps
+        done = [self._is_done(step, view) for step in steps]
+        for k, step in enumerate(steps):
+            if not done[k]:
+                continue
+            earlier = [j for j in range(k) if steps[j].subject == step.subject]
+            if step.action is StepAction.PICK and earlier and not all(done[j] for j in range(k) if j not in earlier):
+                done[k] = False
+                continue
+            for j in earlier:
+                done[j] = True
         return done
 
     def _is_done(self, step: Step, view: StateView) -> bool:
@@ -354,6 +360,23 @@ class ConditionPredicates:
     def lift(self, name: str, view: StateView) -> float:
         """How far an object was lifted since the start, metres."""
         return view.item(name).bottom - self.first.item(name).bottom
+
+    # --- the start ---
+
+    def holds_at_start(self, condition: Condition) -> bool:
+        """Whether a condition holds at the start."""
+        return self.holds(condition, self.first)
+
+    def contents_at_start(self, condition: Condition) -> list[str]:
+        """The objects that are in or on the subject of a condition ``empty`` at the start."""
+        return self.contents(condition, self.first)
+
+    def staying(self, condition: Condition) -> frozenset[str]:
+        """The members of a group that stay: the ends of an even row, and the first of those that come together."""
+        if condition.kind is ConditionKind.EVEN:
+            ordered = sorted(condition.subjects, key=lambda name: self.first.item(name).position[0])
+            return frozenset((ordered[0], ordered[-1]))
+        return frozenset(condition.subjects[:1]) if condition.kind is ConditionKind.TOGETHER else frozenset()
 
     # --- predicates ---
 

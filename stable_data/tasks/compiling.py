@@ -25,8 +25,9 @@ def compile_goal(geometry: TaskGeometry) -> Goal:
         geometry: The scene at the start of the task, with the supports of its objects, and its geometry.
 
     Raises:
-        GoalError: ``no_task``; ``goal_not_checkable``: no state of the scene shows whether the goal is reached, or a container holds
-            nothing; ``goal_unresolved``: an instance is missing or ambiguous; ``goal_true_at_start``.
+        GoalError: ``no_task``; ``no_goal``: the task info states none; ``goal_not_checkable``: no state of the scene shows whether the
+            goal is reached, or a container holds nothing; ``goal_unresolved``: an instance is missing or ambiguous;
+            ``goal_true_at_start``.
     """
     scene = geometry.scene
     if scene.task is None:
@@ -47,13 +48,14 @@ def stated_conditions(scene: Scene, containers: Mapping[str, bool | None]) -> tu
         containers: Whether objects can be put into an object; None or missing if it is not known.
 
     Raises:
-        GoalError: ``no_task``, ``goal_not_checkable`` or ``goal_unresolved``.
+        GoalError: ``no_task``, ``no_goal``, ``goal_not_checkable`` or ``goal_unresolved``.
     """
     task = scene.task
     if task is None or not (task.goal or task.action_sequence):
         raise GoalError(
-            f"{scene.scene_id}: the task info states no goal and no actions, expected conditions, goal sentences or actions",
-            "goal_not_checkable" if task is not None else "no_task",
+            f"{scene.scene_id}: the task info states no goal, expected conditions, goal sentences or actions; an instruction that also "
+            "asks for what cannot be checked has none",
+            "no_goal" if task is not None else "no_task",
         )
     contacts = {o.instance: (o.support,) for o in scene.objects if o.support is not None}
     graph = scene_graph(scene, contacts, containers=containers)
@@ -82,7 +84,7 @@ def goal_from_conditions(conditions: Sequence[Condition], geometry: TaskGeometry
             f"{scene.scene_id}: the goal {words!r} holds at the start, expected a task to do; leave the task out",
             "goal_true_at_start",
         )
-    planner = StepPlanner(supports, lambda c: predicates.contents(c, predicates.first))
+    planner = StepPlanner(supports, predicates)
     return Goal(checker.goal.kind, tuple(conditions), planner.plan(conditions))
 
 

@@ -1,19 +1,34 @@
 """The geometry that goals need: the scene at its start, the shapes of its objects, and which of them are containers."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+import shapely
 
+from stable_data.assets.annotation import AssetAnnotation
 from stable_data.geometry.shape import Shape
 from stable_data.rotations import heading, quat_product, rotate_xy, rotation_matrix, yaw_quat
 from stable_data.scene import FloatArray, QuatXyzw, Scene, SceneObject
 
 if TYPE_CHECKING:
     from stable_data.simulation.scene_geometry import SceneGeometry
+
+
+_MOST_VERTICES = 400
+
+
+@lru_cache(maxsize=1)
+def _directions() -> FloatArray:
+    """Directions all around, the axes among them, (D, 3) float64, unit."""
+    k = np.arange(600) + 0.5
+    z, turn = 1 - k / 300, np.pi * (1 + math.sqrt(5)) * k
+    around = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+    flat = np.linspace(0, 2 * np.pi, 48, endpoint=False)  # outlines matter most
+    return np.concatenate([np.eye(3), -np.eye(3), np.stack([np.cos(flat), np.sin(flat), 0 * flat], axis=1), around])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,9 +62,7 @@ class TaskGeometry:
     @classmethod
     def of(cls, geometry: "SceneGeometry") -> "TaskGeometry":
         """The geometry of a scene of a run, with the annotations of its assets."""
-        known = {asset_id: annotation.is_container for asset_id, annotation in geometry.annotations.items()}
-        containers = {o.instance: known.get(o.asset_id or "") for o in geometry.scene.objects}
-        return cls(geometry.scene, geometry.shapes, containers)
+        return cls(geometry.scene, geometry.shapes, known_containers(geometry.scene, geometry.annotations))
 
     @cached_property
     def rows(self) -> Mapping[str, int]:
@@ -57,13 +70,14 @@ class TaskGeometry:
         return {o.instance: k for k, o in enumerate(self.scene.objects)}
 
     def hull(self, row: int) -> FloatArray:
-        """Vertices of an object's convex hull, (V, 3) float64, metres, yaw frame at the start, centred on its box."""
+        """Vertices on an object's convex hull, (V, 3) float64, metres, yaw frame at the start, centred on its box.
+
+        Of many, those that are farthest in some direction remain: a ball loses 0.3 % of its radius between two of them.
+        """
         if row not in self._hulls:
             vertices = self.shapes[row].vertices
-            try:
-                vertices = vertices[ConvexHull(vertices).vertices]
-            except QhullError:  # flat
-                vertices = np.unique(vertices, axis=0)
+            if len(vertices) > _MOST_VERTICES:
+                vertices = vertices[np.unique((vertices @ _directions().T).argmax(axis=0))]
             self._hulls[row] = vertices
         return self._hulls[row]
 
@@ -97,3 +111,14 @@ class TaskGeometry:
         """The rotation of the body that stands an object on its base, with a yaw in radians."""
         x, y, z, w = self.scene.objects[row].tilt_quat_xyzw
         return quat_product(yaw_quat(yaw), (-x, -y, -z, w))
+
+
+def outline_of(points: FloatArray) -> shapely.Geometry:
+    """The convex outline of points (P, 2), metres."""
+    return shapely.convex_hull(shapely.linestrings(points))  # a line is built ten times faster than points
+
+
+def known_containers(scene: Scene, annotations: Mapping[str, AssetAnnotation]) -> dict[str, bool | None]:
+    """Which objects of a scene are containers, by the annotations of their assets; None if that is not known."""
+    found = {o.instance: annotations.get(o.asset_id or "") for o in scene.objects}
+    return {name: None if annotation is None else annotation.is_container for name, annotation in found.items()}

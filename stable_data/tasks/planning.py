@@ -1,6 +1,7 @@
 """Plans the steps that fulfil the conditions of a goal, in order, and finds the kind of the goal."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
 
 from stable_data.condition import GROUP_KINDS, SIDE_KINDS, Condition, ConditionKind
 from stable_data.scene import TABLE
@@ -14,16 +15,32 @@ _TURNS = frozenset({K.FACING, K.UPRIGHT})
 _ARRANGED = frozenset({K.IN_A_ROW, K.ORDERED, K.EVEN, K.TOGETHER})
 
 
+class StartFacts(Protocol):
+    """What the planner asks about the start."""
+
+    def holds_at_start(self, condition: Condition) -> bool:
+        """Whether a condition holds at the start."""
+        ...
+
+    def contents_at_start(self, condition: Condition) -> Sequence[str]:
+        """What is in or on the subject of a condition ``empty`` at the start."""
+        ...
+
+    def staying(self, condition: Condition) -> frozenset[str]:
+        """The members of a group that stay where they are, because the others are put in order about them."""
+        ...
+
+
 class StepPlanner:
     """Plans steps for conditions.
 
     Args:
         supports: The support of each object at the start.
-        contents: Finds what is in or on the subject of a condition ``empty`` at the start.
+        facts: Answers about the start.
     """
 
-    def __init__(self, supports: Mapping[str, str | None], contents: Callable[[Condition], Sequence[str]]) -> None:
-        self._supports, self._contents = dict(supports), contents
+    def __init__(self, supports: Mapping[str, str | None], facts: StartFacts) -> None:
+        self._supports, self._facts = dict(supports), facts
         self._steps: list[Step] = []
         self._waiting: dict[str, list[Condition]] = {}
 
@@ -43,12 +60,15 @@ class StepPlanner:
             if c.kind is K.HELD:
                 continue
             if c.kind is K.EMPTY:
-                for name in self._contents(c):
+                for name in self._facts.contents_at_start(c):
                     found.setdefault(name, [])
                 continue
+            staying = self._facts.staying(c) if c.kind in GROUP_KINDS else frozenset()
             for name in c.subjects if c.kind in GROUP_KINDS else (c.subject,):
-                found.setdefault(name, []).append(c)
-        return found
+                if name not in staying:
+                    found.setdefault(name, []).append(c)
+        done = [name for name, stated in found.items() if stated and all(map(self._facts.holds_at_start, stated))]
+        return {name: stated for name, stated in found.items() if name not in done}
 
     def _place(self, name: str, trail: tuple[str, ...]) -> None:
         """Adds the steps of one object, after what must be out of its way."""
@@ -118,6 +138,8 @@ def _kind_of_one(c: Condition, categories: Mapping[str, str]) -> GoalKind:
         return GoalKind.STACK if categories.get(c.subject) == categories.get(c.target) else GoalKind.PLACE_ON
     if c.kind is K.AT and c.target in categories:
         return GoalKind.SWAP
+    if c.kind is K.APART and c.target not in categories:
+        return GoalKind.MOVE
     kinds: dict[ConditionKind, GoalKind] = {
         K.HELD: GoalKind.PICK,
         K.ON: GoalKind.CLEAR,

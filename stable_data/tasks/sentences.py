@@ -3,6 +3,7 @@
 MesaTask's task infos have no other goal. The sentences of :mod:`stable_data.instructions` have the same forms.
 """
 
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 
@@ -11,7 +12,7 @@ from stable_data.errors import GoalError
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.wording.vocabulary import answers_to
 from stable_data.instructions.wording.words import category_words, singular, type_words
-from stable_data.scene import TABLE, Scene, TaskInfo
+from stable_data.scene import TABLE, RelationKind, Scene, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph
 from stable_data.tasks.regions import DIRECTIONS
 
@@ -28,6 +29,7 @@ _SIDES = {
     "behind": K.BEHIND,
 }
 _BE = r"(?:is|are|stands?|lies?|sits?|rests?)(?: now)?"
+_HOW = r"inside|in(?! front of)|on top of|on"
 _SIDE = r"(?:to the |on the )?(?P<side>left|right)(?: side)? of|(?P<other_side>in front of|behind)"
 _TOWARDS = {"front edge": "front", "back edge": "back", "left edge": "left", "right edge": "right"}
 
@@ -44,7 +46,7 @@ class ObjectResolver:
     """
 
     def __init__(self, scene: Scene, graph: SceneGraph, task_objects: Sequence[str]) -> None:
-        self._scene, self._objects = scene, {o.instance: o for o in scene.objects}
+        self._scene, self._graph, self._objects = scene, graph, {o.instance: o for o in scene.objects}
         self._wanted = [name for name in task_objects if name in self._objects]
         self._names: dict[str, set[str]] = {}
         namer = ObjectNamer(scene, graph)
@@ -79,6 +81,15 @@ class ObjectResolver:
         if len(found) == 1:
             return found[0]
         raise self._error(words, f"means {len(found)} objects ({', '.join(found)}), expected one")
+
+    def by_size(self, names: Sequence[str], *, is_height: bool) -> list[str]:
+        """Instances by their volume or their height, the smallest first."""
+        sizes = {name: self._objects[name].size for name in names}
+        return sorted(names, key=lambda name: sizes[name][2] if is_height else math.prod(sizes[name]))
+
+    def contents(self, name: str, kind: ConditionKind) -> list[str]:
+        """The objects that are in or on an instance at the start."""
+        return [o for o in self._objects if self._graph.has_edge(o, name, key=RelationKind(str(kind)))]
 
     def _alike(self, words: str) -> tuple[str, ...]:
         lower = " ".join(words.lower().split())
@@ -269,7 +280,20 @@ class GoalSentences:
         yield Condition(NAME_SEPARATOR.join(names), kind)
 
     def _row(self, m: re.Match[str]) -> Iterator[Condition]:
-        return self._group(K.IN_A_ROW, m["a"])
+        yield from self._group(K.IN_A_ROW, m["a"])
+        if m["what"]:
+            is_height = m["what"] in ("lowest", "shortest", "tallest")
+            least_is_left = (m["what"] in ("largest", "tallest")) == (m["end"] == "right")
+            names = self._resolver.by_size(self._resolver.several(m["a"]), is_height=is_height)
+            yield Condition(NAME_SEPARATOR.join(names if least_is_left else names[::-1]), K.ORDERED)
+
+    def _contents(self, m: re.Match[str]) -> Iterator[Condition]:
+        kinds = [K.IN if m[how].startswith("in") else K.ON for how in ("how", "there")]
+        target = self._resolver.one(m["c"])
+        names = self._resolver.contents(self._resolver.one(m["b"]), kinds[0])
+        if not names:
+            raise not_checkable(m[0], "nothing is there at the start")
+        return (Condition(name, kinds[1], target) for name in names)
 
     def _even(self, m: re.Match[str]) -> Iterator[Condition]:
         return self._group(K.EVEN, m["a"])
@@ -354,18 +378,23 @@ _FORMS: tuple[tuple[re.Pattern[str], Handler], ...] = (
         _S._moved,
     ),
     _form(r"there is a clear gap between (?P<a>.+)", _S._apart),
-    _form(rf"(?P<a>.+?) {_BE} (?:not|no longer) (?P<how>inside|in|on(?: top of)?) (?P<b>.+)", _S._not_in_or_on),
-    _form(rf"nothing of (?P<a>.+?) {_BE} (?P<how>inside|in|on(?: top of)?) (?P<b>.+)", _S._not_in_or_on),
-    _form(rf"nothing {_BE} (?P<how>inside|in|on(?: top of)?) (?P<b>.+)", _S._nothing_in_or_on),
+    _form(rf"(?P<a>.+?) {_BE} (?:not|no longer) (?P<how>{_HOW}) (?P<b>.+)", _S._not_in_or_on),
+    _form(rf"nothing of (?P<a>.+?) {_BE} (?P<how>{_HOW}) (?P<b>.+)", _S._not_in_or_on),
+    _form(rf"nothing {_BE} (?P<how>{_HOW}) (?P<b>.+)", _S._nothing_in_or_on),
     _form(rf"(?P<a>.+?) {_BE} stacked on (?P<b>.+)", _S._stacked),
     _form(rf"(?P<a>.+?) {_BE} (?:{_SIDE}) (?P<b>.+?)(?P<close>, close to (?:it|them))?", _S._aside),
     _form(rf"(?P<a>.+?) {_BE} (?:next to|beside|close to) (?P<b>.+)", _S._beside),
     _form(rf"(?P<a>.+?) {_BE} between (?P<b>.+)", _S._between),
     _form(r"(?P<a>.+?) stands? upright", _S._upright),
     _form(r"(?P<a>.+?) faces? (?P<b>.+)", _S._faces),
-    _form(rf"(?P<a>.+?) {_BE} in (?:one|another|a) row", _S._row),
+    _form(
+        rf"(?P<a>.+?) {_BE} in (?:one|another|a) row"
+        r"(?:, the (?P<what>smallest|largest|lowest|shortest|tallest) on the (?P<end>left|right))?",
+        _S._row,
+    ),
+    _form(rf"what (?:was|were) (?P<how>{_HOW}) (?P<b>.+?) {_BE} (?P<there>{_HOW}) (?P<c>.+)", _S._contents),
     _form(rf"(?P<a>.+?) {_BE} equally spaced from left to right", _S._even),
     _form(r"(?P<a>.+?) stand close together", _S._together),
-    _form(rf"(?P<a>.+?) {_BE} (?P<how>inside|in|on top of|on) (?P<b>.+)", _S._in_or_on),
+    _form(rf"(?P<a>.+?) {_BE} (?P<how>{_HOW}) (?P<b>.+)", _S._in_or_on),
 )
 """The forms of sentences, tried in this order."""
