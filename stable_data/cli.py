@@ -394,7 +394,8 @@ def export(
         typer.Option(
             "--format",
             help="Output format: mjcf, mjcf-objects (robosuite, RoboCasa), usd, sdformat, urdf, arena (Isaac Lab-Arena), glb, "
-            "mesatask; lance: the rows as a Lance dataset; lerobot: the successful episodes as a LeRobotDataset v3.0; or original: the "
+            "mesatask; lance: the rows as a Lance dataset; lerobot: the successful episodes as a LeRobotDataset v3.0; envhub: "
+            "environments for LeRobot's EnvHub; or original: the "
             "scene files that were imported, with the new poses.",
         ),
     ],
@@ -418,6 +419,13 @@ def export(
     ] = False,
     failures: Annotated[bool, typer.Option("--failures", help="lerobot: export failed episodes too.")] = False,
     video: Annotated[bool, typer.Option("--video", help="lerobot: pictures as videos (AV1), by PyAV or ffmpeg.")] = False,
+    robot: Annotated[
+        str | None, typer.Option(help="envhub: the robot; `stable-data robots` lists them. Default: panda.")
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option("--camera", help="envhub: a camera that is observed: wrist, front or top; may be repeated."),
+    ] = None,
 ) -> None:
     """Export scenes of a run to another format, with all files that they need, or its episodes.
 
@@ -436,6 +444,13 @@ def export(
         selection = EpisodeSelection(where, tuple(scene or ()), limit, failures)
         _export_lerobot(RunFolder(run), out, selection, is_video=video)
         return
+    if format_name == "envhub":
+        if settled or join or cached or scene or limit is not None:
+            raise ConfigError("--format envhub takes --where, --robot and --camera alone; leave the others out", "usage")
+        _export_envhub(RunFolder(run), out, where, robot or "panda", camera or ())
+        return
+    if robot is not None or camera:
+        raise ConfigError("--robot and --camera are options of --format envhub; leave them out", "usage")
     if failures or video:
         raise ConfigError("--failures and --video are options of --format lerobot; leave them out", "usage")
     if format_name == "original":
@@ -501,6 +516,15 @@ def _export_lerobot(run: "RunFolder", out: Path, choice: "EpisodeSelection", *, 
         f"{out}: {result.num_episodes} episodes as a LeRobotDataset v3.0, {result.num_frames} frames, {result.num_tasks} tasks"
         + (f"; {result.num_failed} failed episodes are left out, --failures exports them too" if result.num_failed else "")
     )
+
+
+def _export_envhub(run: "RunFolder", out: Path, where: str | None, robot: str, cameras: Sequence[str]) -> None:
+    from stable_data.robot.env import RobotOptions
+    from stable_data.robot.envhub import write_envhub
+
+    counts = write_envhub(run, out, where, RobotOptions(robot=robot, cameras=tuple(cameras)))
+    tasks = ", ".join(f"{kind} {count}" for kind, count in counts.items())
+    typer.echo(f"{out}: {sum(counts.values())} scenes with goals ({tasks}) as environments; env.py has make_env")
 
 
 def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: Path | None) -> None:
