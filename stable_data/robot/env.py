@@ -22,7 +22,7 @@ from stable_data.robot.clearance import Clearance
 from stable_data.robot.control import Controller
 from stable_data.robot.kinematics import Arm
 from stable_data.robot.mounting import AUTO, mount_of
-from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, environment_state, robot_state, state_names
+from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, FAR, environment_state, robot_state, state_names
 from stable_data.robot.randomization import Drawn, RandomizationOptions, Randomizer
 from stable_data.robot.robots import robot_named
 from stable_data.robot.task_progress import TaskProgress
@@ -230,8 +230,8 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def _space(self) -> spaces.Dict:
         width, height = self.options.image_size
         entries: dict[str, spaces.Space[Any]] = {
-            AGENT: spaces.Box(-np.inf, np.inf, (len(state_names(self.built)),), np.float32),
-            ENVIRONMENT: spaces.Box(-np.inf, np.inf, (len(ENVIRONMENT_STATE_NAMES),), np.float32),
+            AGENT: spaces.Box(-FAR, FAR, (len(state_names(self.built)),), np.float32),
+            ENVIRONMENT: spaces.Box(-FAR, FAR, (len(ENVIRONMENT_STATE_NAMES),), np.float32),
         }
         if self.options.cameras:
             entries[PIXELS] = spaces.Dict(

@@ -5,15 +5,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gymnasium.vector import VectorEnv
-
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.json_text import json_value
 from stable_data.robot.env import RobotOptions
 from stable_data.robot.randomization import RandomizationOptions
 from stable_data.robot.robots import described_robot
-from stable_data.robot.vector import make_vector_env, scenes_by_task
+from stable_data.robot.vector import SceneEnvs, make_vector_env, scenes_by_task
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.subset import select
 
@@ -111,7 +109,7 @@ def write_envhub(run: RunFolder, out: Path, where: str | None, options: RobotOpt
     return counts
 
 
-def make_suites(folder: Path, n_envs: int = 1, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv[Any, Any, Any]]]:
+def make_suites(folder: Path, n_envs: int = 1, use_async_envs: bool = False) -> dict[str, dict[int, SceneEnvs]]:
     """Makes the environments of a folder that :func:`write_envhub` wrote.
 
     Args:

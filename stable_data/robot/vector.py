@@ -5,12 +5,12 @@ An EnvHub folder (:mod:`stable_data.robot.envhub`) is made of these.
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
@@ -21,6 +21,9 @@ from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder, Uri
 from stable_data.tasks.compiling import compile_goal
 from stable_data.tasks.geometry import TaskGeometry
+
+SceneEnvs: TypeAlias = SyncVectorEnv | AsyncVectorEnv
+"""Environments side by side, in this process or each in one of its own."""
 
 
 class ScenesEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
@@ -128,7 +131,7 @@ def make_vector_env(
     *,
     settled: bool = False,
     **options: Any,
-) -> VectorEnv[Any, Any, Any]:
+) -> SceneEnvs:
     """Makes environments side by side; number k has the scenes k, k + n, k + 2 n, ….
 
     An episode that ends is followed by the next one at once (``AutoresetMode.SAME_STEP``): the last ``info`` of the old one is in
