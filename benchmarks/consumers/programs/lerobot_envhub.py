@@ -82,7 +82,7 @@ if __name__ == "__main__":  # processes of the environments import this file
     request = json.load(sys.stdin)
     for file in request["files"]:
         try:
-            opened = {"error": None, "problems": roll_out(Path(file)) + step_processes(Path(file))}
+            opened: dict[str, Any] = {"error": None, "problems": roll_out(Path(file)) + step_processes(Path(file))}
         except Exception as error:  # noqa: BLE001 - the reason is the result
             opened = {"error": f"{type(error).__name__}: {error}"}
         print("SEEN", json.dumps(opened), flush=True)
