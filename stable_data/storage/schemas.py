@@ -204,6 +204,14 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "near-duplicate group: scenes with the same table type and the same assets have the same group and split",
             ),
             _column("source_json", _text, "top-level entries of the layout file as JSON, for a lossless round trip"),
+            _column("variant_of", _text, "scene_id of the scene that this one varies; null if it is no variant"),
+            _column("varied", _text, "what differs from that scene: layout, assets, task or clutter; null if it is no variant"),
+            _column(
+                "num_varied",
+                _count,
+                "number of objects that differ from that scene: moved or turned (layout), with another asset (assets), new (clutter); "
+                "0 for task; null if it is no variant",
+            ),
         ]
     ),
     "corrections": pa.schema(
