@@ -52,7 +52,7 @@ def open_box(size: Vec3) -> Shape:
 @lru_cache(maxsize=16)
 def geometry_of(number: int) -> TaskGeometry:
     one: Table = TABLES[number]
-    about = dict(one.graph.nodes(data=True))
+    about = {name: facts for name, facts in one.graph.nodes(data=True)}  # noqa: C416
     objects: tuple[SceneObject, ...] = tuple(replace(o, support=about[o.instance]["support"]) for o in one.scene.objects)
     shapes = tuple(open_box(o.size) if about[o.instance]["container"] else box(*o.size) for o in objects)
     containers = {o.instance: bool(about[o.instance]["container"]) for o in objects}
