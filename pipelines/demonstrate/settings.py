@@ -70,6 +70,9 @@ class DemonstrateSettings(Settings):
     the robot reaches.
     """
 
+    shadows: bool = False
+    """Whether pictures have shadows, which take five times as long without a graphics card."""
+
     episodes: PositiveCount = 1
     """Episodes of each scene; their seeds differ."""
 
@@ -130,6 +133,7 @@ class DemonstrateSettings(Settings):
             control=self.control,
             cameras=tuple(name for name in CAMERAS if name in self.cameras),
             image_size=(self.image_width, self.image_height),
+            shadows=self.shadows,
             max_steps=self.max_steps,
             randomization=RandomizationOptions(**asdict(self.variation)),
         )

@@ -57,6 +57,7 @@ class RobotOptions:
         control: Meaning of an action, see :data:`stable_data.robot.control.CONTROLS`.
         cameras: Cameras whose pictures are observed, of ``wrist``, ``front`` and ``top``.
         image_size: Width and height of the pictures, pixels.
+        shadows: Whether pictures have shadows, which take five times as long without a graphics card.
         max_steps: Actions of an episode at most.
         randomization: What is varied from episode to episode.
     """
@@ -66,6 +67,7 @@ class RobotOptions:
     control: str = "ee_delta"
     cameras: tuple[str, ...] = ()
     image_size: tuple[int, int] = (128, 128)
+    shadows: bool = False
     max_steps: int = 400
     randomization: RandomizationOptions = field(default_factory=RandomizationOptions)
 
@@ -223,6 +225,7 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """A picture of one of the cameras, (H, W, 3) uint8."""
         if self._renderer is None:
             self._renderer = open_renderer(self.built.model, self.options.image_size)
+            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self.options.shadows
         mujoco.mj_camlight(self.built.model, self.world.data)
         self._renderer.update_scene(self.world.data, camera=camera)
         return np.asarray(self._renderer.render(), np.uint8)
