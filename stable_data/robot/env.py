@@ -25,7 +25,7 @@ from stable_data.robot.mounting import AUTO, mount_of
 from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, FAR, environment_state, robot_state, state_names
 from stable_data.robot.randomization import Drawn, RandomizationOptions, Randomizer
 from stable_data.robot.robots import robot_named
-from stable_data.robot.task_progress import TaskProgress
+from stable_data.robot.task_progress import TaskProgress, target_places
 from stable_data.robot.world import RobotWorld
 from stable_data.scene import Scene
 from stable_data.simulation.mujoco_import import mujoco
@@ -135,7 +135,8 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         task = TaskGeometry.of(geometry)
         self.goal = compile_goal(task) if goal is None else goal
         wanted = {name for step in self.goal.steps for name in (step.subject, *(t for c in step.conditions for t in c.targets))}
-        self.built = assemble(geometry, robot, mount_of(robot, geometry.scene, options.mount, wanted), options.image_size)
+        mount = mount_of(robot, geometry.scene, options.mount, wanted, target_places(self.goal, task))
+        self.built = assemble(geometry, robot, mount, options.image_size)
         self.arm = Arm(robot)
         self.clearance = Clearance(self.built)
         hit = self.clearance.hits(self.arm.home, robot.hand.max_opening)

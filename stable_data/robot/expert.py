@@ -17,15 +17,16 @@ from stable_data.rotations import quat_product, rotation_matrix, yaw_quat
 from stable_data.scene import FloatArray
 from stable_data.tasks.placing import TargetPose
 
-SPEED, SLOW = 1.2, 0.6
-"""Speeds of the joints, radians a second: free, and near objects."""
+SPEED, CARRYING, SLOW = 1.2, 0.8, 0.6
+"""Speeds of the joints, radians a second: free, with an object in the hand, and near objects."""
 
 _ATTEMPTS = 3  # at a grasp
 _TRIED = 4  # grasps that are simulated before one is chosen
 _ABOVE = 0.10  # of a place, before the object is lowered, metres
 _RELEASE = 0.003  # height above its support at which an object is released, metres
 _YAWS = 8  # that are tried for a placed object, beside the wanted one
-_TURNED = 4  # places of which other headings are tried
+_MOST_TOUCHED = 3  # things that the arm may touch where a path begins
+_TURNED = 6  # places of which other headings are tried
 _DROP = 0.02  # an object that is released higher than this above its place is dropped, as into a container, metres
 _RETREAT = 0.10  # back along the approach after a release, metres
 _WAIT_SECONDS = 0.6  # at the end, until everything is at rest
@@ -136,7 +137,7 @@ class Expert:
             if found is None:
                 raise ExpertError(ExpertFailure.NO_PLACE, instance)
             path, lowering = found
-            yield from self._follow(path, 0.0, SPEED)
+            yield from self._follow(path, 0.0, CARRYING)
             yield from self._follow(lowering, 0.0, SLOW)
         finally:
             self._clearance.hold(None)
@@ -169,7 +170,19 @@ class Expert:
         self._clearance.look(self._world)
         self._clearance.hold(None)
         start = self._world.commanded_joints
-        return plan_path(self._arm, self._clearance, start, joints, opening, seed=self._seed)
+        return plan_path(
+            self._arm, self._clearance, start, joints, opening, allowed=self._touched(start, opening), seed=self._seed
+        )
+
+    def _touched(self, joints: FloatArray, opening: float) -> frozenset[str]:
+        """What the arm touches where it is, such as an object that a failed grasp has tilted: it may go on touching that."""
+        found: frozenset[str] = frozenset()
+        while len(found) <= _MOST_TOUCHED:
+            hit = self._clearance.hits(joints, opening, allowed=found)
+            if hit is None:
+                return found
+            found |= {hit}
+        return found
 
     def _reachable_place(
         self, held: HeldObject, places: Sequence[TargetPose], *, may_turn: bool
@@ -206,7 +219,8 @@ class Expert:
         allowed = frozenset({place.support})
         if lowering is None or not self._clearance.free_path(lowering, 0.0, allowed=allowed, allowed_depth=_IN_HAND):
             return None
-        path = plan_path(self._arm, self._clearance, start, over, 0.0, seed=self._seed)
+        touched = self._touched(start, 0.0)
+        path = plan_path(self._arm, self._clearance, start, over, 0.0, allowed=touched, seed=self._seed)
         return None if path is None else (path, lowering)
 
     def _turned(self, places: Sequence[TargetPose], *, may_turn: bool) -> Iterator[TargetPose]:

@@ -92,7 +92,9 @@ def mount_at(robot: Robot, table: Tabletop, edge: str, share: float = 0.5) -> Mo
     return Mount(x, y, 0.0, yaw, edge)
 
 
-def mount_of(robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[str] = ()) -> Mount:
+def mount_of(
+    robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[str] = (), places: FloatArray | None = None
+) -> Mount:
     """Returns the mount that a setting asks for.
 
     Args:
@@ -100,12 +102,13 @@ def mount_of(robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[s
         scene: The scene.
         setting: ``auto`` (:func:`best_mount`), an edge, or an edge and a share of its length, such as ``front:0.25``.
         wanted: See :func:`best_mount`.
+        places: See :func:`best_mount`.
 
     Raises:
         ConfigError: The setting is none of these (``setting_invalid``).
     """
     if setting == AUTO:
-        return best_mount(robot, scene, wanted)
+        return best_mount(robot, scene, wanted, places)
     edge, _, share = setting.partition(":")
     try:
         return mount_at(robot, scene.table, edge, float(share or 0.5))
@@ -115,13 +118,14 @@ def mount_of(robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[s
         raise ConfigError(f"mount is {quote_value(setting)}, expected a number after the colon", "setting_invalid") from error
 
 
-def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
+def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = (), places: FloatArray | None = None) -> Mount:
     """Returns the mount from which most of the wanted objects, and then most of all, are in reach.
 
     Args:
         robot: The robot.
         scene: The scene.
         wanted: Instances that have to be in reach; none: the task objects of the scene.
+        places: Further places that have to be in reach, (P, 2), metres, frame of the scene.
 
     Returns:
         The first one of the best, in the order front, left, right, and from the middle of an edge to its ends. Places where something
@@ -131,6 +135,9 @@ def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
     objects = scene.movable
     centres = np.array([o.position[:2] for o in objects], np.float64).reshape(-1, 2)
     is_wanted = np.array([o.instance in names for o in objects], bool)
+    if places is not None:
+        centres = np.concatenate([centres, places[:, :2]])
+        is_wanted = np.concatenate([is_wanted, np.ones(len(places), bool)])
     best, best_score = mount_at(robot, scene.table, EDGES[0]), (-1.0, -1.0, -1.0)
     for edge in _CHOSEN:
         length = scene.table.size_xy[0 if edge in ("front", "back") else 1]

@@ -1,11 +1,13 @@
 """How far a robot has come with its task: the state of the simulation as the goal's conditions see it."""
 
+from contextlib import suppress
+
 import numpy as np
 
 from stable_data.errors import GoalError
 from stable_data.robot.world import RobotWorld
 from stable_data.scene import FloatArray
-from stable_data.tasks.checking import GoalChecker, SceneState
+from stable_data.tasks.checking import GoalChecker, SceneState, start_state
 from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal, Step, StepAction
 from stable_data.tasks.placing import TargetPose, target_poses
@@ -81,6 +83,19 @@ class TaskProgress:
         names = self._world.built.names
         target = next((name for c in placing.conditions for name in c.targets if name in names), None)
         return step.subject, target, self._places[at]
+
+
+def target_places(goal: Goal, geometry: TaskGeometry) -> FloatArray:
+    """Returns a place where each step of a goal that puts an object down can do so at the start, (P, 2), metres.
+
+    Steps for which there is none are left out.
+    """
+    found = []
+    for step in goal.steps:
+        if step.action is not StepAction.PICK:
+            with suppress(GoalError):
+                found.append(target_poses(step, geometry, start_state(geometry), 1)[0].position[:2])
+    return np.array(found, np.float64).reshape(-1, 2)
 
 
 def scene_state(world: RobotWorld) -> SceneState:
