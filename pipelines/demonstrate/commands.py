@@ -8,6 +8,7 @@ import typer
 
 from pipelines.job_options import DryRun, JobSettings, worker_count
 from stable_data.cli import SOME_FAILED, Address, with_clear_errors
+from stable_data.errors import ConfigError
 
 
 @with_clear_errors
@@ -31,13 +32,17 @@ def demonstrate(
         ),
     ] = -1,
     address: Address = None,
+    lerobot: Annotated[
+        bool, typer.Option("--lerobot", help="Also write the successful episodes as a LeRobotDataset v3.0 to OUT/lerobot.")
+    ] = False,
     dry_run: DryRun = False,
 ) -> None:
     """Let a robot carry out the tasks of scenes, and record the episodes. Run again to continue after a stop.
 
     A scripted expert grasps, moves and places. Successful and failed episodes are in the table episodes, with the reason of each
-    failure; `stable-data export OUT DIR --format lerobot` writes them as a LeRobotDataset. Status 0: done. 1: some episodes could not
-    begin; the table failures gives the reasons. 2: could not start.
+    failure; --lerobot, or later `stable-data export OUT DIR --format lerobot`, writes a LeRobotDataset.
+
+    Status 0: done. 1: some episodes could not begin; the table failures gives the reasons. 2: could not start.
     """
     from pipelines.demonstrate.job import DemonstrateJob
     from pipelines.demonstrate.job import demonstrate as run
@@ -45,7 +50,11 @@ def demonstrate(
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe
     from pipelines.settings import resolve_settings
+    from stable_data.robot.lerobot.dataset_writer import write_lerobot
+    from stable_data.storage.run_folder import RunFolder
 
+    if lerobot and "://" in out:
+        raise ConfigError(f"--out is {out}, but --lerobot writes to a local folder; leave it out and export later", "usage")
     count = worker_count(workers, address)
     asked = [f"robot={json.dumps(robot)}"] if robot is not None else []
     settings = resolve_settings(DemonstrateSettings, "demonstrate", config, [*(set_ or []), *asked])
@@ -61,5 +70,9 @@ def demonstrate(
     )
     for kind, (done, total) in counts["by_task"].items():
         typer.echo(f"  {kind:<14} {done} of {total}")
+    dataset = Path(out) / "lerobot"
+    if lerobot and counts["successes"] and not dataset.exists():
+        made = write_lerobot(RunFolder(out), dataset)
+        typer.echo(f"{dataset}: {made.num_episodes} episodes as a LeRobotDataset v3.0")
     if counts["failures"]:
         raise typer.Exit(SOME_FAILED)
