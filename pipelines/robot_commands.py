@@ -1,4 +1,4 @@
-"""The command line of the demonstrate job."""
+"""The command line of the jobs with a robot."""
 
 import json
 from pathlib import Path
