@@ -76,7 +76,7 @@ class DemonstrateSettings(Settings):
     episodes: PositiveCount = 1
     """Episodes of each scene; their seeds differ."""
 
-    max_steps: PositiveCount = 400
+    max_steps: PositiveCount = 600
     """Longest episode, actions."""
 
     noise: Share = 0.0

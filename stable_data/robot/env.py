@@ -68,7 +68,7 @@ class RobotOptions:
     cameras: tuple[str, ...] = ()
     image_size: tuple[int, int] = (128, 128)
     shadows: bool = False
-    max_steps: int = 400
+    max_steps: int = 600
     randomization: RandomizationOptions = field(default_factory=RandomizationOptions)
 
     def __post_init__(self) -> None:

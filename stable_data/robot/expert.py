@@ -10,7 +10,14 @@ from enum import StrEnum
 import numpy as np
 
 from stable_data.robot.clearance import HeldObject
-from stable_data.robot.grasp_trial import CLOSE_SECONDS, CONTROL_SECONDS, GraspFinder, GraspOutcome, ReachableGrasp
+from stable_data.robot.grasp_trial import (
+    CLOSE_SECONDS,
+    CONTROL_SECONDS,
+    STILL_SECONDS,
+    GraspFinder,
+    GraspOutcome,
+    ReachableGrasp,
+)
 from stable_data.robot.motion import plan_path, timed, tool_line
 from stable_data.robot.world import RobotWorld
 from stable_data.rotations import quat_product, rotation_matrix, yaw_quat
@@ -104,6 +111,7 @@ class Expert:
                 continue
             yield from self._follow(path, grasp.opening, SPEED)
             yield from self._follow(grasp.approach, grasp.opening, SLOW)
+            yield from self._wait(STILL_SECONDS, grasp.opening)
             yield from self._wait(CLOSE_SECONDS, 0.0)
             if instance in self._world.contacts().gripped:
                 yield from self._follow(self._finder.lift(grasp), 0.0, SLOW)
@@ -139,6 +147,7 @@ class Expert:
             path, lowering = found
             yield from self._follow(path, 0.0, CARRYING)
             yield from self._follow(lowering, 0.0, SLOW)
+            yield from self._wait(STILL_SECONDS, 0.0)
         finally:
             self._clearance.hold(None)
         if instance not in self._world.contacts().gripped:
