@@ -43,6 +43,7 @@ def main() -> None:
             "query": ([run, f"{run}/large", "--rows", "100000"], ["--rows", "2000"]),
             "judges": ([data, "--limit", "40"], ["--limit", "2"]),
             "env": ([run], ["--scenes", "2", "--steps", "10"]),
+            "robot_environment": ([run, "--robot", "simple"], ["--scenes", "2", "--steps", "5"]),
             "corrector_losses": ([run, data], ["--batch", "8"]),
             "correction": ([data, *layouts], ["--per-bucket", "1"]),
             "correction_cost": ([data], ["--scenes", "4", "--rounds", "1"]),

@@ -48,7 +48,7 @@ from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.sources.assets import AssetLibraries
-from pipelines.sources.generation_tasks import sample_tasks
+from pipelines.sources.generation_tasks import SampledTask, sample_tasks
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.scene import Stage
 from stable_data.storage.run_folder import RunFolder
@@ -270,7 +270,8 @@ def figures(scenes: int, serial: int, counts: Sequence[int], weights: str) -> It
     """Yields all figures with their names, each as soon as it is measured."""
     with tempfile.TemporaryDirectory(prefix="stable-data-") as name:
         place, script = Path(name), scripted(Path(name))
-        tasks = [task if isinstance(task, LayoutTask) else task.sample(lambda _: True) for task in sample_tasks(scenes).tasks]
+        drawn = (task for task in sample_tasks(scenes).tasks if isinstance(task, SampledTask))
+        tasks = [task.sample(lambda _: True) for task in drawn]
         half = -(-scenes // 2)
         size = min(half, GenerateSettings().of_tasks(scenes).scenes_per_shard)
 

@@ -1,16 +1,16 @@
 """The jobs: ``python -m pipelines VERB``."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from pipelines.demonstrate.commands import demonstrate
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
 from pipelines.retired import CommandGroup
-from pipelines.robot_commands import reach
+from pipelines.robot_commands import demonstrate, reach
 from pipelines.scene_files import commands as scene_files
 from pipelines.supports.commands import supports
 from pipelines.training_commands import app as training
@@ -326,6 +326,15 @@ def generate(
         str | None, typer.Option(help="Take the tasks of these scenes: a run, or a folder in the MesaTask-10K format.")
     ] = None,
     where: Annotated[str, typer.Option(help="Which scenes of a run, such as \"split == 'test'\".")] = "",
+    vary: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AXIS",
+            help="Make variants of the scenes of a run, which keep all but one axis: layout, assets, task or clutter.",
+        ),
+    ] = None,
+    variants: Annotated[int | None, typer.Option(help="Variants of each scene, with --vary. Default: 1.")] = None,
+    limit: Annotated[int | None, typer.Option(help="Scenes that are varied, at most, with --vary. Default: all.")] = None,
     count: Annotated[
         int | None,
         typer.Option(help="Sample this many tasks of the embedded world, for things that the libraries have (only_served)."),
@@ -381,23 +390,29 @@ def generate(
         tasks_of_file,
         tasks_of_scenes,
         tasks_on_supports,
+        variants_of_scenes,
     )
 
-    if sum(source is not None for source in (tasks, scenes, count, instruction)) != 1:
-        raise ConfigError("expected one of --tasks FILE, --scenes DATA, --count N and --instruction TEXT", "usage")
-    if where and scenes is None:
-        raise ConfigError("--where belongs to --scenes; leave it out, or name the scenes", "usage")
-    if table and count is None and instruction is None:
-        raise ConfigError("--table belongs to --count or --instruction; leave it out, or name one of those", "usage")
-    if (size or restricted) and instruction is None:
-        raise ConfigError("--size and --restricted belong to --instruction; leave them out, or name it", "usage")
-    if instruction is not None and supports is None and (size is None or len(table or ()) != 1):
-        raise ConfigError("--instruction TEXT has no table, expected one --table TYPE and --size W D", "usage")
+    _check_generate_options(
+        sources=sum(source is not None for source in (tasks, scenes, count, instruction)),
+        scenes=scenes,
+        where=where,
+        vary=vary,
+        counts_variants=variants is not None or limit is not None,
+        count=count,
+        instruction=instruction,
+        tables=table or (),
+        has_size=size is not None,
+        has_zone=restricted is not None,
+        supports=supports,
+    )
     workers = worker_count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + [f"seed={seed}"] * (seed is not None)
     settings = resolve_settings(GenerateSettings, "generate", config, [*(set_ or []), *asked])
     if tasks is not None:
         found = tasks_of_file(tasks)
+    elif scenes is not None and vary is not None:
+        found = variants_of_scenes(scenes, vary, 1 if variants is None else variants, where, limit, settings.seed)
     elif scenes is not None:
         found = tasks_of_scenes(scenes, where)
     elif instruction is not None:
@@ -477,6 +492,37 @@ app.command("demonstrate", epilog=SETTINGS_HINT.format("demonstrate"))(demonstra
 
 
 _ANY_SIZE = (100.0, 60.0)  # centimetres; the surface of a support replaces the table of an instruction
+
+
+def _check_generate_options(
+    *,
+    sources: int,
+    scenes: str | None,
+    where: str,
+    vary: str | None,
+    counts_variants: bool,
+    count: int | None,
+    instruction: str | None,
+    tables: Sequence[str],
+    has_size: bool,
+    has_zone: bool,
+    supports: str | None,
+) -> None:
+    """Refuses options of generate that do not belong together."""
+    if sources != 1:
+        raise ConfigError("expected one of --tasks FILE, --scenes DATA, --count N and --instruction TEXT", "usage")
+    if where and scenes is None:
+        raise ConfigError("--where belongs to --scenes; leave it out, or name the scenes", "usage")
+    if vary is None and counts_variants:
+        raise ConfigError("--variants and --limit belong to --vary; leave them out, or name an axis", "usage")
+    if vary is not None and (scenes is None or supports is not None):
+        raise ConfigError("--vary AXIS needs the scenes of a run, expected --scenes RUN and no --supports", "usage")
+    if tables and count is None and instruction is None:
+        raise ConfigError("--table belongs to --count or --instruction; leave it out, or name one of those", "usage")
+    if (has_size or has_zone) and instruction is None:
+        raise ConfigError("--size and --restricted belong to --instruction; leave them out, or name it", "usage")
+    if instruction is not None and supports is None and (not has_size or len(tables) != 1):
+        raise ConfigError("--instruction TEXT has no table, expected one --table TYPE and --size W D", "usage")
 
 
 def _check_no_table(size: object, restricted: object) -> None:

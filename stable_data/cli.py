@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from stable_data.embedded_world import EmbeddedWorld
+    from stable_data.robot.lerobot.dataset_writer import EpisodeSelection
     from stable_data.simulation.run_reader import SceneSelection
     from stable_data.storage.run_folder import RunFolder
 
@@ -280,6 +281,10 @@ def query(
         if format_name == "lance":
             _export_lance(folder, Path(to), SceneSelection(where))
             return
+        if format_name == "lerobot":
+            raise ConfigError(
+                "--format lerobot writes episodes, not scenes: stable-data export RUN OUT --format lerobot", "usage"
+            )
         _export_scenes(folder, Path(to), format_name, SceneSelection(where), is_cached=True)
         return
     if to is None:
@@ -389,15 +394,22 @@ def export(
         typer.Option(
             "--format",
             help="Output format: mjcf, mjcf-objects (robosuite, RoboCasa), usd, sdformat, urdf, arena (Isaac Lab-Arena), glb, "
-            "mesatask; lance: the rows as a Lance dataset; or original: the scene files that were imported, with the new poses.",
+            "mesatask; lance: the rows as a Lance dataset; lerobot: the successful episodes as a LeRobotDataset v3.0; envhub: "
+            "environments for LeRobot's EnvHub; or original: the "
+            "scene files that were imported, with the new poses.",
         ),
     ],
     flavour: Annotated[str | None, typer.Option(help="Variant of the format for one consumer; usd has isaaclab.")] = None,
-    where: Annotated[str | None, typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2".')] = None,
+    where: Annotated[
+        str | None,
+        typer.Option(help='Condition on scenes, for example "clean and num_stacked >= 2"; with lerobot, on episodes.'),
+    ] = None,
     scene: Annotated[list[str] | None, typer.Option("--scene", help="Export only this scene; may be repeated.")] = None,
     limit: Annotated[
         int | None,
-        typer.Option(min=0, help="At most this many of the selected scenes; with --join, pieces of furniture."),
+        typer.Option(
+            min=0, help="At most this many of the selected scenes; with --join, pieces of furniture; with lerobot, episodes."
+        ),
     ] = None,
     settled: Annotated[bool, typer.Option(help="Use the poses after the simulation in MuJoCo (table settled).")] = False,
     join: Annotated[bool, typer.Option(help="Export the scenes on one piece of furniture as one scene, others not.")] = False,
@@ -405,8 +417,17 @@ def export(
     cached: Annotated[
         bool, typer.Option("--cached", help="Copy scenes that did not change from the user's cache, and add others to it.")
     ] = False,
+    failures: Annotated[bool, typer.Option("--failures", help="lerobot: export failed episodes too.")] = False,
+    video: Annotated[bool, typer.Option("--video", help="lerobot: pictures as videos (AV1), by PyAV or ffmpeg.")] = False,
+    robot: Annotated[
+        str | None, typer.Option(help="envhub: the robot; `stable-data robots` lists them. Default: panda.")
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option("--camera", help="envhub: a camera that is observed: wrist, front or top; may be repeated."),
+    ] = None,
 ) -> None:
-    """Export scenes of a run to another format, with all files that they need.
+    """Export scenes of a run to another format, with all files that they need, or its episodes.
 
     Status 0: done. 1: some scenes could not be exported; they are listed. 2: could not start.
     """
@@ -415,6 +436,23 @@ def export(
 
     if flavour is not None:
         format_name = f"{format_name}:{flavour}"
+    if format_name == "lerobot":
+        if settled or join or cached:
+            raise ConfigError("--format lerobot writes episodes as they are; leave out --settled, --join and --cached", "usage")
+        from stable_data.robot.lerobot.dataset_writer import EpisodeSelection
+
+        selection = EpisodeSelection(where, tuple(scene or ()), limit, failures)
+        _export_lerobot(RunFolder(run), out, selection, is_video=video)
+        return
+    if format_name == "envhub":
+        if settled or join or cached or scene or limit is not None:
+            raise ConfigError("--format envhub takes --where, --robot and --camera alone; leave the others out", "usage")
+        _export_envhub(RunFolder(run), out, where, robot or "panda", camera or ())
+        return
+    if robot is not None or camera:
+        raise ConfigError("--robot and --camera are options of --format envhub; leave them out", "usage")
+    if failures or video:
+        raise ConfigError("--failures and --video are options of --format lerobot; leave them out", "usage")
     if format_name == "original":
         if join:
             raise ConfigError("--join makes new scenes, which original does not know; leave it out", "usage")
@@ -461,6 +499,32 @@ def _export_lance(run: "RunFolder", out: Path, choice: "SceneSelection") -> None
         raise ConfigError("--format lance writes the rows as they are; leave out --settled and --join", "usage")
     count = write_lance(run, out, choice.where, choice.scene_ids, choice.limit)
     typer.echo(f"{out}: {count} scenes in {LANCE_FOLDER}")
+
+
+def _export_lerobot(run: "RunFolder", out: Path, choice: "EpisodeSelection", *, is_video: bool) -> None:
+    from tqdm import tqdm
+
+    from stable_data.robot.lerobot.dataset_writer import write_lerobot
+
+    with tqdm(desc="export", unit="episode", disable=None) as bar:
+
+        def show(done: int) -> None:
+            bar.update(done - bar.n)
+
+        result = write_lerobot(run, out, choice, show, is_video=is_video)
+    typer.echo(
+        f"{out}: {result.num_episodes} episodes as a LeRobotDataset v3.0, {result.num_frames} frames, {result.num_tasks} tasks"
+        + (f"; {result.num_failed} failed episodes are left out, --failures exports them too" if result.num_failed else "")
+    )
+
+
+def _export_envhub(run: "RunFolder", out: Path, where: str | None, robot: str, cameras: Sequence[str]) -> None:
+    from stable_data.robot.env import RobotOptions
+    from stable_data.robot.envhub import write_envhub
+
+    counts = write_envhub(run, out, where, RobotOptions(robot=robot, cameras=tuple(cameras)))
+    tasks = ", ".join(f"{kind} {count}" for kind, count in counts.items())
+    typer.echo(f"{out}: {sum(counts.values())} scenes with goals ({tasks}) as environments; env.py has make_env")
 
 
 def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: Path | None) -> None:

@@ -39,7 +39,8 @@ class ConfigError(StableDataError):
 class GoalError(StableDataError):
     """A goal that cannot be compiled, reached or read.
 
-    Codes: ``no_task``, ``no_goal``, ``goal_not_checkable``, ``goal_unresolved``, ``goal_true_at_start``, ``no_free_place``, ``goal_invalid``.
+    Codes: ``no_task``, ``no_goal``, ``goal_not_checkable``, ``goal_unresolved``, ``goal_true_at_start``, ``no_free_place``,
+    ``goal_invalid``.
     """
 
 

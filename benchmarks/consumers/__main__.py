@@ -1,7 +1,8 @@
 """Opens scenes of a run in the programs of others: ``python -m benchmarks.consumers RUN [--consumer NAME] [--scenes N]``.
 
 Prints, for each consumer, how many scenes it opened, in how many it saw something else than the scene says, and in how many
-everything stayed where it was for two seconds; and the time and the size of each export.
+everything stayed where it was for two seconds; and the time and the size of each export. Consumers of episodes open the episodes
+of the run, if it has any.
 """
 
 import argparse
@@ -15,11 +16,29 @@ from typing import Any
 from benchmarks.consumers.comparison import differences, expected, stays
 from benchmarks.consumers.environment import CONSUMERS, Consumer
 from stable_data.export.formats import ExportFormat, format_named
+from stable_data.robot.lerobot.dataset_writer import EpisodeSelection, write_lerobot
 from stable_data.scene import Scene
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder
 
+LEROBOT = "lerobot"
+"""The format of consumers of episodes; the others open scenes."""
+
 _SHOWN = 5  # scenes with differences that are printed
+
+
+def export_episodes(run: RunFolder, out: Path, *, is_video: bool = False) -> float:
+    """Exports the episodes of a local run for a program that compares them, and returns the rate, episodes a second.
+
+    Args:
+        run: The run.
+        out: Folder for ``dataset``, the export, and ``run``, a link to the run.
+        is_video: Whether pictures become videos.
+    """
+    (out / "run").symlink_to(run.root)
+    start = perf_counter()
+    result = write_lerobot(run, out / "dataset", EpisodeSelection(with_failures=True), is_video=is_video)
+    return result.num_episodes / (perf_counter() - start)
 
 
 def export_scenes(scenes: list[Scene], source: RunScenes, chosen: ExportFormat, out: Path) -> dict[str, float]:
@@ -72,10 +91,21 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=2.0, help="simulated time")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     given = parser.parse_args()
-    source = RunScenes(RunFolder(given.run), SceneSelection(where=given.where, limit=given.scenes))
-    scenes = list(source)
+    run = RunFolder(given.run)
     chosen = [c for name, c in CONSUMERS.items() if name in (given.consumer or CONSUMERS)]
     figures: dict[str, Any] = {"formats": {}, "consumers": {}}
+    for consumer in (c for c in chosen if c.format_name == LEROBOT):
+        figures["consumers"][consumer.name] = _tell_of_episodes(consumer, run)
+    chosen = [c for c in chosen if c.format_name != LEROBOT]
+    if chosen:
+        _tell_of_scenes(chosen, run, given, figures)
+    if given.json:
+        given.json.write_text(json.dumps(figures, indent=1))
+
+
+def _tell_of_scenes(chosen: list[Consumer], run: RunFolder, given: argparse.Namespace, figures: dict[str, Any]) -> None:
+    source = RunScenes(run, SceneSelection(where=given.where, limit=given.scenes))
+    scenes = list(source)
     with TemporaryDirectory() as folder:
         for name in dict.fromkeys(c.format_name for c in chosen):
             out = Path(folder) / name.replace(":", "_")
@@ -89,8 +119,6 @@ def main() -> None:
             for consumer in chosen:
                 if consumer.format_name == name:
                     figures["consumers"][consumer.name] = _tell(consumer, scenes, source, out, given.seconds)
-    if given.json:
-        given.json.write_text(json.dumps(figures, indent=1))
 
 
 def _tell(consumer: Consumer, scenes: list[Scene], source: RunScenes, out: Path, seconds: float) -> dict[str, Any] | None:
@@ -109,6 +137,17 @@ def _tell(consumer: Consumer, scenes: list[Scene], source: RunScenes, out: Path,
     for name, lines in list(seen["different"].items())[:_SHOWN]:
         print(f"    {name}: {'; '.join(lines[:3])}")
     return seen
+
+
+def _tell_of_episodes(consumer: Consumer, run: RunFolder) -> dict[str, Any] | None:
+    if not run.files("episodes") or not consumer.is_there:
+        print(f"{consumer.name}: the run has no episodes" if consumer.is_there else consumer.missing)
+        return None
+    with TemporaryDirectory() as folder:
+        rate = export_episodes(run, Path(folder))
+        [seen] = consumer.open([Path(folder)])
+    print(f"{consumer.name}: {rate:.1f} episodes a second; {seen['error'] or seen}", flush=True)
+    return {"episodes_per_second": rate, "seen": seen}
 
 
 def _judge(consumer: Consumer, out: Path) -> dict[str, Any]:

@@ -124,6 +124,8 @@ CONSUMERS: Mapping[str, Consumer] = {
         Consumer("sapien_urdf", "urdf", OURS, module="sapien"),
         Consumer("mujoco_objects", "mjcf-objects", OURS, module="mujoco"),
         Consumer("robosuite_objects", "mjcf-objects", "robosuite"),
+        Consumer("lerobot_dataset", "lerobot", "lerobot", engine=False, judges=True),
+        Consumer("lerobot_envhub", "envhub", "lerobot", engine=False, judges=True),
     )
 }
 """The consumers by name."""

@@ -10,7 +10,7 @@ from collections.abc import Generator, Mapping, Set
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from models.dual_system.generation_state import GenerationState, StageCandidate
+from models.dual_system.generation_state import CARRYING, BegunScene, GenerationState, StageCandidate
 from models.dual_system.requests import (
     Answer,
     CorrectionRequest,
@@ -33,12 +33,10 @@ from stable_data.metrics.movement import movement
 from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.random_seeds import named_seed
 from stable_data.scene import TABLE, Relation, RelationKind, Scene, Stage
-from stable_data.scene_graph.relations import cell_of, relations_of, scene_graph
+from stable_data.scene_graph.relations import cell_of, contacts_of, relations_of, scene_graph
 
 Corrects: TypeAlias = Literal["each", "end", "never"]
 """When scenes are corrected: after each stage (the paper), once after all stages, or never (its ablations)."""
-
-_CARRYING = frozenset({RelationKind.ON, RelationKind.IN})
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +102,11 @@ def covered_share(scene: Scene) -> float:
 
 
 def dual_system(
-    task: LayoutTask, seed: int, settings: LoopSettings = _PAPER, interpret: InstructionInterpreter | None = None
+    task: LayoutTask,
+    seed: int,
+    settings: LoopSettings = _PAPER,
+    interpret: InstructionInterpreter | None = None,
+    begun: BegunScene | None = None,
 ) -> Loop:
     """Runs Algorithm 1 (the paper's appendix) for one scene.
 
@@ -113,6 +115,8 @@ def dual_system(
         seed: Seed of all random choices of the scene.
         settings: How the two systems alternate.
         interpret: Interprets the instruction, or None: the task info then has no relations.
+        begun: A scene to which only background stages are added, those of the schedule or, if it has none, the two of the paper. None:
+            the table is empty.
 
     Yields:
         The next request.
@@ -121,11 +125,15 @@ def dual_system(
         The scene, and all attempts.
     """
     state, system = GenerationState(task), _StageLoop(seed, settings, interpret)
-    for number, wanted in enumerate(settings.schedule):
+    schedule = settings.schedule
+    if begun is not None:
+        state.begin(begun)
+        schedule = settings.background or PROGRESSIVE[1:]
+    for number, wanted in enumerate(schedule):
         if settings.is_full(state.scene):
             state.warn("table_full", f"stage {wanted} is left out: the objects cover the allowed share of the table")
             break
-        candidate = yield from system.stage(state, wanted, is_last=number == len(settings.schedule) - 1)
+        candidate = yield from system.stage(state, wanted, is_last=number == len(schedule) - 1)
         if candidate is not None:
             state.accept(candidate)
             continue
@@ -187,8 +195,8 @@ class _StageLoop:
     def closing_correction(self, state: GenerationState) -> Generator[Request, Answer, Correction]:
         """Corrects the scene after all stages."""
         everything, nothing = state.instances, frozenset[str]()
-        earlier, new = (everything, nothing) if state.correction else (nothing, everything)
-        return (yield from self._corrected(state.scene, state.supports, earlier, new, True))[-1]
+        earlier, new = (everything, nothing) if state.correction else (nothing, everything - state.held)
+        return (yield from self._corrected(state, state.scene, state.supports, earlier, new, True))[-1]
 
     def _attempt(
         self, state: GenerationState, wanted: Wanted, attempt: int, is_last: bool
@@ -213,7 +221,7 @@ class _StageLoop:
         proposed = objects_of_reply(proposal.reply, question, self.interpret)
         assigned = yield RetrievalRequest(replace(before, objects=proposed, fixed=frozenset()))
         assert isinstance(assigned, AssignedLayout)
-        turn, found = Turn(wanted, proposal, assigned), assigned.scene.objects
+        turn, found = Turn(wanted, proposal, assigned), state.without_taken_names(assigned.scene.objects)
         names = {o.instance for o in found}
         if lost := [o.instance for o in proposed if o.stage is Stage.TASK and o.instance not in names]:
             why = next((f"; {assigned.unmatched[name].reason}" for name in lost if name in assigned.unmatched), "")
@@ -222,7 +230,7 @@ class _StageLoop:
             return replace(turn, rejected="the proposal has no objects, expected at least one", code="layout_empty"), None
         scene = replace(before, objects=(*before.objects, *found))
         if not before.movable:
-            scene = attach_task_info(scene, task.instruction, proposed, self.interpret)
+            scene = attach_task_info(scene, task.instruction, proposed, self.interpret, task.reference, task.conditions)
         supports = state.supports | _proposed_supports(replace(before, objects=(*before.movable, *proposed)), names)
         candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing)
 
@@ -231,7 +239,7 @@ class _StageLoop:
             return turn, candidate
         is_last = is_last or self.settings.is_full(scene)
         new = frozenset(o.instance for o in found)
-        corrections = yield from self._corrected(scene, supports, state.instances, new, is_last)
+        corrections = yield from self._corrected(state, scene, supports, state.instances, new, is_last)
         turn, done = replace(turn, corrections=corrections), corrections[-1]
         if done.certified is None:
             return replace(turn, rejected=done.reason, code=str(done.status)), None
@@ -243,16 +251,22 @@ class _StageLoop:
         return turn, candidate
 
     def _corrected(
-        self, scene: Scene, supports: Mapping[str, Relation], earlier: frozenset[str], new: frozenset[str], is_last: bool
+        self,
+        state: GenerationState,
+        scene: Scene,
+        supports: Mapping[str, Relation],
+        earlier: frozenset[str],
+        new: frozenset[str],
+        is_last: bool,
     ) -> Generator[Request, Answer, tuple[Correction, ...]]:
         """Corrects a scene, and again with fixed earlier objects if the first correction moves them too far or drops one.
 
         Returns:
             The corrections; the last one is used.
         """
-        scene = _with_wanted_relations(scene, supports)
+        scene = with_wanted_relations(scene, supports)
         are_fixed = self.settings.earlier_move == 0
-        first = yield CorrectionRequest(scene, earlier if are_fixed else frozenset(), new, is_last)
+        first = yield CorrectionRequest(scene, state.held | (earlier if are_fixed else frozenset()), new, is_last)
         assert isinstance(first, Correction)
         if are_fixed or first.certified is None or not earlier:
             return (first,)
@@ -276,10 +290,10 @@ class _StageLoop:
         return len(missing)
 
 
-def _with_wanted_relations(scene: Scene, supports: Mapping[str, Relation]) -> Scene:
-    """Sets the relations that a correction must preserve: those of the instruction, and proposed supports for other objects."""
+def with_wanted_relations(scene: Scene, supports: Mapping[str, Relation]) -> Scene:
+    """Sets the relations that a correction must preserve: those of the instruction, and other supports by their subject."""
     stated = () if scene.task is None else scene.task.relations
-    wanted = {**supports} | {r.subject: r for r in stated if r.kind in _CARRYING}
+    wanted = {**supports} | {r.subject: r for r in stated if r.kind in CARRYING}
     instances = {o.instance for o in scene.objects}
     beside = [r for r in stated if r.kind in DIRECTIONAL]
     return replace(scene, relations=tuple(r for r in (*wanted.values(), *beside) if r.target in instances))
@@ -287,5 +301,5 @@ def _with_wanted_relations(scene: Scene, supports: Mapping[str, Relation]) -> Sc
 
 def _proposed_supports(scene: Scene, new: Set[str]) -> dict[str, Relation]:
     """Returns subject -> relation for new objects whose boxes are on or in another object of the proposal."""
-    graph = scene_graph(scene, {o.instance: (o.support,) for o in scene.objects if o.support is not None})
-    return {r.subject: r for r in relations_of(graph) if r.kind in _CARRYING and r.target != TABLE and r.subject in new}
+    graph = scene_graph(scene, contacts_of(scene))
+    return {r.subject: r for r in relations_of(graph) if r.kind in CARRYING and r.target != TABLE and r.subject in new}

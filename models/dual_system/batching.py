@@ -8,7 +8,16 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from models.dual_system.requests import Answer, CorrectionRequest, GenerationResult, Loop, ProposalRequest, RetrievalRequest
+from models.dual_system.requests import (
+    Answer,
+    CorrectionRequest,
+    ExchangedAssets,
+    ExchangeRequest,
+    GenerationResult,
+    Loop,
+    ProposalRequest,
+    RetrievalRequest,
+)
 from models.physics_corrector.certify.correction import Correction
 from models.semantic_reasoner.engines.incremental_batches import Conversation, run_conversation
 from models.semantic_reasoner.reasoner import Proposal
@@ -24,6 +33,10 @@ class RequestHandler(Protocol):
 
     def retrieve(self, questions: Sequence[RetrievalRequest], /) -> Sequence[AssignedLayout]:
         """Finds the assets of objects: one answer for each request, in order."""
+        ...
+
+    def exchange(self, questions: Sequence[ExchangeRequest], /) -> Sequence[ExchangedAssets]:
+        """Finds other assets for objects: one answer for each request, in order."""
         ...
 
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterable[Correction]:
@@ -102,7 +115,7 @@ class _Run:
         except StopIteration as end:
             self.made[k] = end.value
         if self._watch is not None:
-            corrector = sum(isinstance(q, RetrievalRequest | CorrectionRequest) for q in self.open.values())
+            corrector = sum(not isinstance(q, ProposalRequest) for q in self.open.values())
             made = len(self.made)
             self._watch(QueueCounts(len(self._loops) - corrector - made, corrector, made))
 
@@ -110,9 +123,12 @@ class _Run:
         """Answers requests until only those for proposals are open."""
         while True:
             retrieve = {k: q for k, q in sorted(self.open.items()) if isinstance(q, RetrievalRequest)}
+            exchange = {k: q for k, q in sorted(self.open.items()) if isinstance(q, ExchangeRequest)}
             correct = {k: q for k, q in sorted(self.open.items()) if isinstance(q, CorrectionRequest)}
             if retrieve:
                 self._give(list(retrieve), self._answerer.retrieve(list(retrieve.values())))
+            elif exchange:
+                self._give(list(exchange), self._answerer.exchange(list(exchange.values())))
             elif correct:
                 self._give(list(correct), self._answerer.correct(list(correct.values())))
             else:

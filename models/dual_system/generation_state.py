@@ -1,5 +1,6 @@
 """The state of one scene while Algorithm 1 generates it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from models.dual_system.requests import GenerationResult, Turn
@@ -9,10 +10,23 @@ from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import Wanted
 from stable_data.errors import Notice
-from stable_data.scene import Relation, Scene, SceneObject
+from stable_data.instructions.wording.vocabulary import answers_to
+from stable_data.metrics.alignment import broken_relations
+from stable_data.scene import Relation, RelationKind, Scene, SceneObject
+from stable_data.scene_graph.relations import contacts_of
+from stable_data.scene_graph.support_tree import SupportTree
 
 STEP = "generate"
 """The step that notices of the loop name."""
+
+CARRYING = frozenset({RelationKind.ON, RelationKind.IN})
+"""Relations of an object to what carries it."""
+
+
+def supports_of(scene: Scene) -> dict[str, Relation]:
+    """Returns subject -> relation for the objects that a scene graph puts on or in another object."""
+    names = {o.instance for o in scene.objects}
+    return {r.subject: r for r in scene.relations if r.kind in CARRYING and {r.subject, r.target} <= names}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +54,19 @@ class StageCandidate:
     turn: int = -1
 
 
+@dataclass(frozen=True, slots=True)
+class BegunScene:
+    """A scene to which Algorithm 1 adds background objects.
+
+    Attributes:
+        scene: The scene with its task and its relations; its objects stay where they are.
+        nouns: Nouns of which it gets no further object, such as those by which its instruction names one.
+    """
+
+    scene: Scene
+    nouns: frozenset[str] = frozenset()
+
+
 @dataclass(slots=True, eq=False)
 class GenerationState:
     """A scene during its generation.
@@ -55,6 +82,8 @@ class GenerationState:
         is_at_rest: Whether the physics engine has checked ``scene``.
         supports: As in :class:`StageCandidate`, of all accepted stages.
         num_missing: As in :class:`StageCandidate`.
+        held: Instances that no correction moves.
+        nouns: As in :class:`BegunScene`.
     """
 
     task: LayoutTask
@@ -67,6 +96,8 @@ class GenerationState:
     is_at_rest: bool = False
     supports: dict[str, Relation] = field(default_factory=dict)
     num_missing: int = 0
+    held: frozenset[str] = frozenset()
+    nouns: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Sets both scenes to an empty table."""
@@ -76,6 +107,24 @@ class GenerationState:
     def instances(self) -> frozenset[str]:
         """The instances of ``scene``."""
         return frozenset(o.instance for o in self.scene.objects)
+
+    def begin(self, begun: BegunScene) -> None:
+        """Starts with a scene."""
+        self.scene = self.start = scene = begun.scene
+        self.nouns = begun.nouns
+        self.held, self.supports = self.instances, supports_of(scene)
+        self.num_missing = (
+            0 if scene.task is None else len(broken_relations(scene, scene.task.relations, contacts=contacts_of(scene)))
+        )
+
+    def without_taken_names(self, objects: Sequence[SceneObject]) -> tuple[SceneObject, ...]:
+        """Returns new objects without those that answer to one of the nouns, and what is on these; a warning names them."""
+        taken = {o.instance for o in objects if any(answers_to(o.category, noun) for noun in self.nouns)}
+        if not taken:
+            return tuple(objects)
+        gone = SupportTree.of(objects).with_descendants(taken)
+        self.warn("name_taken", f"{', '.join(sorted(gone))} left out, because the instruction uses the noun for another object")
+        return tuple(o for o in objects if o.instance not in gone)
 
     def accept(self, candidate: StageCandidate) -> None:
         """Replaces the scene by that of a candidate."""

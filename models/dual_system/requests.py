@@ -10,6 +10,8 @@ from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from stable_data.assets.assignment import AssignedLayout
+from stable_data.assets.retrieval import Answer as AssetAnswer
+from stable_data.assets.retrieval import AssetQuery
 from stable_data.errors import Notice
 from stable_data.scene import Scene
 
@@ -39,6 +41,28 @@ class RetrievalRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class ExchangeRequest:
+    """Requests other assets for objects that have one; the answer is :class:`ExchangedAssets`.
+
+    Attributes:
+        queries: One for each object.
+    """
+
+    queries: tuple[AssetQuery, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangedAssets:
+    """The usable assets for the queries of an :class:`ExchangeRequest`.
+
+    Attributes:
+        answers: One for each query, in order.
+    """
+
+    answers: tuple[AssetAnswer, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class CorrectionRequest:
     """Requests clean poses from the corrector; the answer is a :class:`Correction`.
 
@@ -47,16 +71,18 @@ class CorrectionRequest:
         fixed: Instances that must not move.
         new: Instances that no correction has placed yet.
         is_last: Whether no correction follows; the physics engine then checks which objects stay at rest.
+        may_tilt: Whether tilts may change.
     """
 
     scene: Scene
     fixed: frozenset[str]
     new: frozenset[str]
     is_last: bool
+    may_tilt: bool = True
 
 
-Request: TypeAlias = ProposalRequest | RetrievalRequest | CorrectionRequest
-Answer: TypeAlias = Proposal | AssignedLayout | Correction
+Request: TypeAlias = ProposalRequest | RetrievalRequest | ExchangeRequest | CorrectionRequest
+Answer: TypeAlias = Proposal | AssignedLayout | ExchangedAssets | Correction
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,6 +42,7 @@ _SLIDE = re.compile(
     r"\b(?:push|slide|nudge|shift|move)\b[^.;]*\b(?:to|towards?) the (?P<way>left|right|front|back)\b"
     r"(?! (?:side|edge|corner|half|part|third|end|hand|of|left|right)|-hand)"
 )
+_CORNERS = frozenset({"front_left", "front_right", "back_left", "back_right"})
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?) ?(?:cm|centimet\w+)\b")
 
 
@@ -70,6 +71,10 @@ class _Goal:
         """All conditions; none if one of them names an object that was not found."""
         if _SWAP.search(self._text):
             return self._swapped()
+        objects, slide = self._reading.objects, _SLIDE.search(self._text)
+        if slide is not None and not self._reading.goal and not any(o.goal_region for o in objects):
+            movers = [k for k, o in enumerate(objects) if o.is_taken] or list(range(len(objects)))
+            return (self._slid(self._names[movers[0]], slide),) if len(movers) == 1 and movers[0] in self._names else ()
         found = [*self._relations(), *self._regions(), *self._emptied(), *self._taken()]
         return () if None in found else tuple(dict.fromkeys(c for c in found if c is not None))
 
@@ -130,10 +135,15 @@ class _Goal:
             if k not in self._names:
                 yield None
             elif slide is not None and slide["way"] in o.goal_region.split("_"):
-                length = _LENGTH.search(self._text)
-                yield Condition(self._names[k], K.MOVED, slide["way"], float(length[1]) / 100 if length else None)
+                yield self._slid(self._names[k], slide)
             elif not any(r.subject == k and r.kind in ("in", "on") for r in self._reading.goal):
-                yield Condition(self._names[k], K.AT, self._region(o.goal_region))
+                region = self._region(o.goal_region)
+                is_corner = "corner" not in self._text or region in _CORNERS
+                yield Condition(self._names[k], K.AT, region) if is_corner else None
+
+    def _slid(self, name: str, slide: re.Match[str]) -> Condition:
+        length = _LENGTH.search(self._text)
+        return Condition(name, K.MOVED, slide["way"], float(length[1]) / 100 if length and float(length[1]) > 0 else None)
 
     def _region(self, cell: str) -> str:
         """The part of the table that the words mean: a reading only has ninths."""

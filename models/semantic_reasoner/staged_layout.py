@@ -14,6 +14,7 @@ from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.replies.to_scene import objects_of_reply
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject
+from stable_data.condition import Condition
 from stable_data.errors import SceneError
 from stable_data.metrics.alignment import AlignmentReference, reference_of
 from stable_data.scene import Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
@@ -65,6 +66,8 @@ class LayoutTask:
         details: The task info, if the prompt holds all of it and the engine was trained on that.
         reference: What a scene must have by labels that no reader made, such as the annotation of a scene; None without labels.
             It is not part of any question, and the finished scene is compared with it.
+        conditions: What holds when the task is done, by the same labels, in the names of ``reference`` and of other objects of the
+            annotated scene; none if that is not known.
         surroundings: Fixed objects around the table, such as the walls of a shelf.
         frame: The surface of a support that is the table; None: the table is a piece of its own.
     """
@@ -74,6 +77,7 @@ class LayoutTask:
     table: Tabletop
     details: TaskInfo | None = None
     reference: AlignmentReference | None = None
+    conditions: tuple[Condition, ...] = ()
     surroundings: tuple[SceneObject, ...] = ()
     frame: SupportFrame | None = None
 
@@ -153,5 +157,5 @@ def task_of_scene(scene: Scene) -> LayoutTask:
     assert scene.task is not None
     task = LayoutTask(scene.scene_id, scene.task.task, scene.table, surroundings=scene.surroundings, frame=scene.frame)
     with suppress(SceneError):
-        return replace(task, reference=reference_of(scene))
+        return replace(task, reference=reference_of(scene), conditions=scene.task.conditions)
     return task

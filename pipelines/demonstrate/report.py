@@ -35,7 +35,7 @@ def write_demonstrate_report(folder: RunFolder, manifest: dict[str, Any], num_pi
         (share, "episodes that fulfil their goal"),
         (str(manifest["num_scenes"]), "scenes"),
         (str(counts["failed_episodes"]), "episodes that could not begin"),
-        (f"{seconds.mean() or 0:.1f} s", "mean length"),
+        (f"{float(seconds.sum()) / max(1, len(rows)):.1f} s", "mean length"),
     ]
     by_task = [[kind, str(total), f"{done} ({done / total:.0%})"] for kind, (done, total) in counts["by_task"].items()]
     body = [

@@ -1,7 +1,7 @@
 """Settings of the demonstrate job: the robot, what it sees, and how episodes vary."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
 from pipelines.execution.shard_size import shard_size
@@ -65,10 +65,18 @@ class DemonstrateSettings(Settings):
     image_height: PositiveCount = 128
     """Pixels of a picture along a column."""
 
+    task: Literal["scene", "pick"] = "scene"
+    """The task of an episode: that of the ``scene``, or to ``pick`` up an object that is drawn by the episode's seed among those that
+    the robot reaches.
+    """
+
+    shadows: bool = False
+    """Whether pictures have shadows, which take five times as long without a graphics card."""
+
     episodes: PositiveCount = 1
     """Episodes of each scene; their seeds differ."""
 
-    max_steps: PositiveCount = 400
+    max_steps: PositiveCount = 600
     """Longest episode, actions."""
 
     noise: Share = 0.0
@@ -125,6 +133,7 @@ class DemonstrateSettings(Settings):
             control=self.control,
             cameras=tuple(name for name in CAMERAS if name in self.cameras),
             image_size=(self.image_width, self.image_height),
+            shadows=self.shadows,
             max_steps=self.max_steps,
             randomization=RandomizationOptions(**asdict(self.variation)),
         )

@@ -2,17 +2,24 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from time import perf_counter
 from typing import TypeAlias
 
-from models.dual_system.requests import CorrectionRequest, ProposalRequest, RetrievalRequest
+from models.dual_system.requests import (
+    CorrectionRequest,
+    ExchangedAssets,
+    ExchangeRequest,
+    ProposalRequest,
+    RetrievalRequest,
+)
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from pipelines.execution.shard_step import NOT_OF_AN_ITEM, unexpected_failure
-from stable_data.assets.assignment import AssignedLayout, assign_assets
+from stable_data.assets.assignment import AssignedLayout, assign_assets, retrieve_usable
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.store import AssetStore
 
@@ -101,11 +108,21 @@ class LocalRequestHandler:
         self.seconds["retrieve"] += perf_counter() - began
         return found
 
+    def exchange(self, questions: Sequence[ExchangeRequest], /) -> list[ExchangedAssets]:
+        """Finds other assets for the objects of all requests at once."""
+        began = perf_counter()
+        fault_of = self.fault_of or self.certifier.store.fault_of
+        queries = [query for q in questions for query in q.queries]
+        answers = iter(retrieve_usable(queries, self.retriever, self.seed, fault_of)[0])
+        found = [ExchangedAssets(tuple(islice(answers, len(q.queries)))) for q in questions]
+        self.seconds["retrieve"] += perf_counter() - began
+        return found
+
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterator[Correction]:
         """Corrects scenes: the flow moves and the refinement refines all of them as one batch, then each is certified alone."""
         began = perf_counter()
         corrector, certify = self.certifier.corrector, self.certify or self.certifier
-        options = [CorrectionOptions(q.fixed, q.new, may_tilt=True, asks_engine=q.is_last and self.settles) for q in questions]
+        options = [CorrectionOptions(q.fixed, q.new, q.may_tilt, asks_engine=q.is_last and self.settles) for q in questions]
         requests = corrector.move([q.scene for q in questions], self.certifier.store, options)
         self.seconds["flow"] += perf_counter() - began
         began = perf_counter()

@@ -19,6 +19,7 @@ from pipelines.generate.shard import GenerateWork
 from pipelines.sources.asset_copies import CopyAssets, asset_shards
 from pipelines.sources.assets import AssetLibraries, absolute_places
 from pipelines.sources.generation_tasks import TaskSource, fingerprints_of_tasks, served_tasks
+from pipelines.sources.scenes import TableSource
 from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import Notice
@@ -58,8 +59,10 @@ class GenerateJob(ShardJob):
 
     def __init__(self, tasks: TaskSource, settings: GenerateSettings, assets: Sequence[str] = ()) -> None:
         self.dataset, self.settings = tasks.name, settings.of_tasks(len(tasks.tasks))
-        places = absolute_places(assets)
-        self.places, self._asked = places or (EMBEDDED,) * (tasks.supports is not None), tasks
+        places = absolute_places(assets) or (EMBEDDED,) * (tasks.supports is not None)
+        if tasks.varies and tasks.supports is not None:  # whose assets serve first, as in edits
+            places = tuple(dict.fromkeys((tasks.supports, *places)))
+        self.places, self._asked = places, tasks
 
     @cached_property
     def tasks(self) -> TaskSource:
@@ -81,6 +84,7 @@ class GenerateJob(ShardJob):
             "tasks": content_id(fingerprints_of_tasks(tasks.tasks), [asdict(notice) for notice in tasks.lost]),
             "weights": weights_fingerprint(settings.weights),
             "reasoner": content_id(proposal_config(settings.engine, settings.reasoner)),
+            **self._asked.inputs,
             **{f"assets.{library}": found for library, found in self._libraries.fingerprints.items()},
         }
 
@@ -122,4 +126,7 @@ class GenerateJob(ShardJob):
 
     def report(self, folder: RunFolder, manifest: dict[str, Any]) -> None:
         """Writes the report page and the contact sheet."""
-        write_generate_report(folder, manifest, self.settings)
+        sources = None
+        if self._asked.varies and self._asked.supports is not None:
+            sources = TableSource(self._asked.supports, self._libraries)
+        write_generate_report(folder, manifest, self.settings, sources)

@@ -5,6 +5,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from html import escape
 from typing import Any
@@ -20,7 +21,7 @@ from pipelines.reports.agreement import judge_agreement
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
 from pipelines.reports.reach import reach_figures
 from pipelines.reports.scene_pictures import SceneGrids, ShownScene, draw_scene
-from pipelines.sources.scenes import mesh_cache
+from pipelines.sources.scenes import TableSource, mesh_cache
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
@@ -50,13 +51,17 @@ _MEASURES = (
 )
 
 
-def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings: GenerateSettings) -> None:
+def write_generate_report(
+    folder: RunFolder, manifest: dict[str, Any], settings: GenerateSettings, sources: TableSource | None = None
+) -> None:
     """Writes ``report/index.html`` and the contact sheet.
 
     Args:
         folder: The run, with complete tables.
         manifest: Its manifest, with counts.
         settings: The job's settings.
+        sources: The scenes that are varied, with the assets of all libraries, which are drawn beside their variants; None without
+            variants.
     """
     columns = [column for _, column, _, _ in _MEASURES] + [
         "scene_id",
@@ -65,23 +70,27 @@ def write_generate_report(folder: RunFolder, manifest: dict[str, Any], settings:
         "read_as_labelled",
         "table_type",
         "move_max_mm",
+        "varied",
+        "variant_of",
+        "num_varied",
     ]
     scenes, rejected = (_frame(folder, name, columns) for name in ("scenes", "rejected"))
     spent, turns = _spent(folder), _frame(folder, "turns", ["stage", "tries", "prompt_tokens", "reply_tokens", "cost", "code"])
-    store = AssetStore(RunAssets(folder, mesh_cache()))
+    store = AssetStore(RunAssets(folder, mesh_cache())) if sources is None else sources.store
     grids = SceneGrids(folder, store)
     body = [
         head(manifest),
         f'<p class="note">Reasoner: {escape(manifest["engine"])}. Corrector: {escape(settings.weights)}. '
         f"Accepted: {escape(settings.accept or 'all')}.</p>",
         _tiles(manifest, scenes, turns, spent, settings),
+        *_variants(scenes, rejected),
         *_quality(scenes, rejected),
         *judge_agreement(folder, ("scenes", "rejected"), settings.judge_names),
         *reach_figures(folder, ("scenes", "rejected")),
         *_stages(folder, turns),
         *_time(spent),
-        *_pictures(folder, scenes, "scenes", "Pictures", grids, settings.num_pictures),
-        *_pictures(folder, rejected, "rejected", "Rejected scenes", grids, settings.num_pictures // 4),
+        *_pictures(folder, scenes, "scenes", "Pictures", grids, settings.num_pictures, sources),
+        *_pictures(folder, rejected, "rejected", "Rejected scenes", grids, settings.num_pictures // 4, sources),
         *notices(folder),
     ]
     folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: generate", body))
@@ -128,6 +137,23 @@ def _tiles(
             (str(counts["assets"]), "used assets"),
         ]
     )
+
+
+def _variants(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
+    """How many variants of how many scenes were made on each axis, and how much of them differs."""
+    made = pl.concat([scenes.with_columns(accepted=True), rejected.with_columns(accepted=False)])
+    made = made.filter(pl.col("varied").is_not_null())
+    if made.height:
+        rows = []
+        for (axis,), own in made.group_by("varied", maintain_order=True):
+            kept = own.filter("accepted")
+            share = kept.select(pl.col("num_varied") / pl.col("num_objects")).to_series()
+            counts = (str(own.height), str(kept.height), str(kept["variant_of"].n_unique()))
+            rows.append((str(axis), *counts, _mean(kept["num_varied"], 1.0, ""), _mean(share, 100.0, " %")))
+        yield "<h2>Variants</h2>"
+        yield table(
+            ("axis", "made", "accepted", "scenes with an accepted one", "objects that differ", "share of the objects"), rows
+        )
 
 
 def _quality(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
@@ -200,18 +226,33 @@ def _chosen(scenes: pl.DataFrame, count: int) -> list[str]:
     return [names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(count, len(names))).astype(int))] if names else []
 
 
-def _pictures(folder: RunFolder, scenes: pl.DataFrame, name: str, title: str, grids: SceneGrids, count: int) -> Iterable[str]:
+def _pictures(
+    folder: RunFolder,
+    scenes: pl.DataFrame,
+    name: str,
+    title: str,
+    grids: SceneGrids,
+    count: int,
+    sources: TableSource | None = None,
+) -> Iterable[str]:
     if not (chosen := _chosen(scenes, count)):
         return
     rows = {row["scene_id"]: row for row in folder.table(name, where=pc.field("scene_id").isin(chosen)).to_pylist()}
     yield f"<h2>{title}</h2>"
-    yield from grids.grid((scene_id, partial(_shown, rows[scene_id])) for scene_id in chosen)
+    yield "" if sources is None else "<p class=note>Left: the scene that is varied. Right: the variant.</p>"
+    yield from grids.grid((scene_id, partial(_shown, rows[scene_id], sources)) for scene_id in chosen)
 
 
-def _shown(row: dict[str, Any]) -> list[ShownScene]:
+def _shown(row: dict[str, Any], sources: TableSource | None = None) -> list[ShownScene]:
     said = escape(row["task"]["task"]) if row["task"] else ""
     why = f'<br><span class="bad">{escape(row["reason"])}</span>' if row.get("reason") else ""
-    return [ShownScene(scene_from_row(row), f"<b>{escape(row['scene_id'])}</b><br>{said}{why}", row=row)]
+    shown = ShownScene(scene_from_row(row), f"<b>{escape(row['scene_id'])}</b><br>{said}{why}", row=row)
+    if sources is None:
+        return [shown]
+    was = sources.row(row["variant_of"])
+    asked = escape(was["task"]["task"]) if was["task"] else ""
+    before = ShownScene(scene_from_row(was), f"<b>{escape(was['scene_id'])}</b><br>{asked}", "source", was)
+    return [before, replace(shown, title="variant")]
 
 
 def _write_sheet(folder: RunFolder, scenes: pl.DataFrame, store: AssetStore, count: int) -> None:

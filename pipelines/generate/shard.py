@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from time import perf_counter
 from typing import ClassVar
 
@@ -18,6 +18,9 @@ import ray
 from models.dual_system.algorithm1 import dual_system
 from models.dual_system.batching import QueueCounts, run_batched
 from models.dual_system.requests import GenerationResult, Turn
+from models.dual_system.variant_comparison import Comparison, compare_variant
+from models.dual_system.variant_task import VariantTask
+from models.dual_system.variants import NO_VARIANT, VariantWorld, vary
 from models.physics_corrector.certify import CertifyOptions
 from models.physics_corrector.certify.correction import CertificationRequest, Correction
 from models.physics_corrector.corrector import PhysicsCorrector
@@ -51,7 +54,8 @@ from pipelines.generate.answers import LocalCertifier, LocalRequestHandler, fail
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import Task
-from pipelines.sources.scenes import contact_grid_cache
+from pipelines.sources.scene_variants import SceneVariant
+from pipelines.sources.scenes import TableSource, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
 from stable_data.errors import Notice, SceneError
@@ -89,6 +93,9 @@ _NOT_OF_AN_ITEM = (*NOT_OF_AN_ITEM, ray.exceptions.RayError)  # the engines may 
 REJECTED = "rejected"
 """Code of a scene that the rule of acceptance rejects."""
 
+NOT_KEPT = "not_kept"
+"""Code of a variant that differs from its source in more than its axis."""
+
 
 @dataclass(frozen=True, eq=False)
 class GenerateWorkerState:
@@ -99,12 +106,22 @@ class GenerateWorkerState:
         shelf: The asset libraries.
         interpret: Interprets instructions, or None if the engine has no statistics of categories.
         serves: Whether the libraries have a wanted thing, by its category.
+        world: What variants are made with.
+        supports: As in :class:`GenerateWork`.
     """
 
     answers: LocalRequestHandler
     shelf: AssetLibraries
     interpret: InstructionInterpreter | None
     serves: Callable[[str], bool]
+    world: VariantWorld
+    supports: str | None
+
+    @cached_property
+    def varied(self) -> TableSource:
+        """The run of the scenes that are varied."""
+        assert self.supports is not None
+        return TableSource(self.supports, self.shelf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +132,7 @@ class GenerateWork(ShardStep[Task]):
         assets: The asset libraries, see :class:`~pipelines.sources.assets.AssetLibraries`.
         settings: The job's settings.
         fingerprint: Hash of the inputs, the key of what a process caches of them.
-        supports: The run with the supports of the tasks, or None.
+        supports: The run with the supports of the tasks, or with the scenes that are varied; None without both.
         pool: The shared engines, or None if each process has its own.
         correctors: The shared flow and refinement, or None if each process has its own.
         tally: Receives the progress of the scenes, or None.
@@ -192,10 +209,13 @@ class GenerateWork(ShardStep[Task]):
         return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
 
     def _tasks(self, shard: Shard[Task], rows: Rows, opened: GenerateWorkerState) -> Iterator[LayoutTask]:
-        """The tasks of a shard; a task that cannot be sampled is a failure."""
+        """The tasks of a shard; a task that cannot be sampled or read is a failure."""
         for task in shard.items:
             try:
-                yield task if isinstance(task, LayoutTask) else task.sample(opened.serves)
+                if isinstance(task, SceneVariant):
+                    yield task.read(opened.varied)
+                else:
+                    yield task if isinstance(task, LayoutTask) else task.sample(opened.serves)
             except SceneError as error:
                 rows["failures"].append(notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 
@@ -205,7 +225,12 @@ class GenerateWork(ShardStep[Task]):
         """Generates scenes concurrently; after an unexpected error one by one, so that it costs one scene only."""
 
         def made(some: Sequence[LayoutTask], watch: Callable[[QueueCounts], None] | None = None) -> list[GenerationResult]:
-            loops = [dual_system(t, named_seed(seed, t.scene_id), settings, opened.interpret) for t in some]
+            loops = [
+                vary(t, seed, settings, opened.world)
+                if isinstance(t, VariantTask)
+                else dual_system(t, named_seed(seed, t.scene_id), settings, opened.interpret)
+                for t in some
+            ]
             return run_batched(loops, opened.answers, watch)
 
         def watch(queues: QueueCounts) -> None:
@@ -309,6 +334,10 @@ class GenerateWork(ShardStep[Task]):
             "duplicate_group": group,
         }
         row = {**scene_row(scene), **card_row(card), **judged.columns, **reach.columns, **audit.rows(), **origin}
+        compared = None
+        if isinstance(made.task, VariantTask):
+            compared = compare_variant(made.task.source, scene, made.task.axis, opened.shelf.containers)
+            row |= _variant_columns(made.task, compared)
         told = [Notice(name, n.step, n.code, n.message) for n in (*notices, *audit.notices)]
         told += [Notice(name, "card", "not_as_said", f"{name}: {text}") for text in not_as_said]
         told += [dropped_notice(d, name) for d in made.dropped]
@@ -318,12 +347,20 @@ class GenerateWork(ShardStep[Task]):
         found: Rows = {"warnings": [notice_row(n) for n in dict.fromkeys(told)], "grasps": reach.grasps}
         if rest is not None and self.settings.keep_settled:
             found["settled"] = [_settled_row(name, rest)]
-        query = self.settings.accepting
-        if query is None or query.passes(row, schemas.SCHEMAS["scenes"]):
+        query, code, reason = self.settings.accepting, "", ""
+        if compared is not None and not compared.is_varied:
+            code, reason = NO_VARIANT, "it equals its source"
+        elif compared is not None and compared.lost:
+            code, reason = NOT_KEPT, f"it does not keep what it must: {'; '.join(compared.lost)}"
+        elif query is not None and not query.passes(row, schemas.SCHEMAS["scenes"]):
+            code, reason = (
+                REJECTED,
+                _why_rejected(query.text, {column: row[column] for column in query.columns}, judged, row[REASON]),
+            )
+        if not code:
             return found | {"scenes": [row]}
-        reason = _why_rejected(query.text, {column: row[column] for column in query.columns}, judged, row[REASON])
-        failure = Notice(name, "accept", REJECTED, f"{name}: {reason}")
-        return found | {"rejected": [row | {"code": REJECTED, "reason": reason}], "failures": [notice_row(failure)]}
+        failure = Notice(name, "accept", code, f"{name}: {reason}")
+        return found | {"rejected": [row | {"code": code, "reason": reason}], "failures": [notice_row(failure)]}
 
 
 def _prepare(work: GenerateWork) -> None:
@@ -367,7 +404,9 @@ def _opened(work: GenerateWork) -> GenerateWorkerState:
     reasoner, interpret = load_reasoner(settings.engine, settings.reasoner, work.pool)
     retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf, work.correctors)
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)
-    return GenerateWorkerState(answers, shelf, interpret, shelf.serves(settings.retrieval))
+    known = shelf.by_category(settings.retrieval)
+    world = VariantWorld(interpret, lambda category: known.get(category, ()), shelf.containers)
+    return GenerateWorkerState(answers, shelf, interpret, shelf.serves(settings.retrieval), world, work.supports)
 
 
 # --- the card -----------------------------------------------------------------------------------------------------------------
@@ -408,7 +447,7 @@ def _with_alignment(
         card = replace(
             card, awt=found.awt, aws=found.aws, aws_graph=found.aws_graph, awt_annotated=found.awt if is_annotated else None
         )
-    reference = None if interpret is None else interpret(task.instruction).stated
+    reference = None if interpret is None or not task.instruction else interpret(task.instruction).stated
     if reference is None:
         return card, ()
     read = compared(reference)
@@ -422,6 +461,12 @@ def _with_alignment(
     elif read.broken is None and reference.entailed:
         lost += ("too many objects are alike to tell whether the relations that the instruction states hold",)
     return card, lost
+
+
+def _variant_columns(task: VariantTask, compared: Comparison) -> schemas.Row:
+    """The columns of a variant: its source, whose split and near-duplicate group it has, and how much of it differs."""
+    found: schemas.Row = {"variant_of": task.source.scene_id, "varied": str(task.axis), "num_varied": compared.num_varied}
+    return found | {"split": task.split, "duplicate_group": task.duplicate_group}
 
 
 def _why_rejected(rule: str, values: dict[str, object], judged: JudgedScene, of_task: str | None) -> str:

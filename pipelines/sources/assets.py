@@ -13,7 +13,7 @@ from models.text_encoder import load_default
 from pipelines.preprocess.plan import file_digest
 from pipelines.sources.scenes import Containers, FolderSource, mesh_cache
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.assets.catalog import AssetLibrary, library_of_run
+from stable_data.assets.catalog import Asset, AssetLibrary, library_of_run
 from stable_data.assets.licences import is_licence_allowed, normalise_licence
 from stable_data.assets.noun_fit import NounFit, noun_fit
 from stable_data.assets.physics import IS_WEIGHED, PHYSICS_COLUMNS, AssetPhysics
@@ -100,7 +100,7 @@ class AssetLibraries:
 
     def __init__(self, places: Sequence[str] = (), *, scenes: str | None = None, offers_scenes: bool = True) -> None:
         named = [run for place in places for run in (_real_runs() if place == REAL else (place,))]
-        every = (tuple(named) or (EMBEDDED,)) if scenes is None else (scenes, *named)
+        every = (tuple(named) or (EMBEDDED,)) if scenes is None else (scenes, *(place for place in named if place != scenes))
         twice = {name for name, count in Counter(map(_name, every)).items() if count > 1}
         self._places = [
             _opened(place, place if _name(place) in twice else _name(place), may_be_empty=scenes is not None and k == 0)
@@ -145,6 +145,14 @@ class AssetLibraries:
         libraries = [library for library in self.libraries if library.name != EMBEDDED]
         known = {a.category for library in libraries for a in library.assets if may_be_used(a, settings)}
         return cache(lambda wanted: any(noun_fit(category, wanted) >= NounFit.KIND for category in known))
+
+    def by_category(self, settings: RetrievalSettings) -> dict[str, list[Asset]]:
+        """Returns the assets that may be used, by category, sorted by id."""
+        found: dict[str, list[Asset]] = {}
+        for asset in sorted((a for library in self.libraries for a in library.assets), key=lambda a: a.asset_id):
+            if asset.category and may_be_used(asset, settings):
+                found.setdefault(asset.category, []).append(asset)
+        return found
 
     def licence_notices(self, settings: RetrievalSettings) -> list[Notice]:
         """Returns for each library how many assets the list of licences leaves out, or without a list how many state none."""

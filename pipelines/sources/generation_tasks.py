@@ -1,13 +1,14 @@
 """The task sources of the generate job: a file, existing scenes, one instruction, or sampled tasks."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from models.semantic_reasoner.staged_layout import LayoutTask, table_with_zone, task_of_scene
+from pipelines.sources.scene_variants import SceneVariant, read_variants
 from pipelines.sources.tasks import STEP, read_tasks, task_of
 from stable_data.content_id import content_id
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
@@ -101,7 +102,7 @@ def _missing(task: LayoutTask, serves: Callable[[str], bool]) -> list[str]:
     return [str(r) for r in required if r.categories and not any(map(serves, r.categories))]
 
 
-Task: TypeAlias = LayoutTask | SampledTask
+Task: TypeAlias = LayoutTask | SampledTask | SceneVariant
 
 
 def fingerprints_of_tasks(tasks: Iterable[Task]) -> list[dict[str, Any]]:
@@ -134,7 +135,9 @@ class TaskSource:
         tasks: The tasks.
         lost: One notice for each input that is not a valid task.
         odd: Notices about the source as a whole.
-        supports: The run with the supports on which the tasks stand, an absolute path or URI; None: each has a table of its own.
+        supports: The run with the supports on which the tasks stand, or with the scenes that are varied, an absolute path or URI;
+            None: each task has a table of its own.
+        inputs: Hashes of further inputs, by name.
     """
 
     name: str
@@ -142,6 +145,12 @@ class TaskSource:
     lost: Sequence[Notice] = ()
     odd: Sequence[Notice] = ()
     supports: str | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def varies(self) -> bool:
+        """Whether the tasks are variants of scenes."""
+        return isinstance(self.tasks[0], SceneVariant)
 
     @classmethod
     def of(cls, name: str, found: Iterable[LayoutTask | Notice]) -> "TaskSource":
@@ -167,7 +176,7 @@ def tasks_on_supports(source: TaskSource, supports: str) -> TaskSource:
             objects are used.
 
     Raises:
-        ConfigError: It is no run, or has no scenes (``no_surface``).
+        ConfigError: It is no run, or has no scenes (``no_surface``); or the tasks are variants of scenes (``usage``).
     """
     if not ("://" in supports or RunFolder(supports).files("scenes")):
         raise ConfigError(f"{supports}: has no table scenes, expected a run that supports or import-scenes made", "no_surface")
@@ -188,8 +197,10 @@ def tasks_on_supports(source: TaskSource, supports: str) -> TaskSource:
             kind = place.table.table_type
             tables = task.tables or ((kind,) if kind in TABLES or kind in UNSEEN_TABLES else ())
             tasks.append(replace(task, tables=tables, place=place))
-        else:
+        elif isinstance(task, LayoutTask):
             tasks.append(place.holds(task))
+        else:
+            raise ConfigError(f"{task.scene_id}: a variant has the table of its scene; leave out the supports", "usage")
     return replace(source, tasks=tasks, supports=absolute_uri(supports))
 
 
@@ -300,6 +311,27 @@ def tasks_of_scenes(place: str, where: str = "") -> TaskSource:
         raise ConfigError(f"{place}: has no table scenes; a condition needs a run", "not_a_run")
     dataset = MesaTaskDataset(Path(place).expanduser().resolve())
     return TaskSource.of(dataset.root.name, _of_dataset(dataset))
+
+
+def variants_of_scenes(
+    place: str, axis: str, count: int = 1, where: str = "", limit: int | None = None, seed: int = 0
+) -> TaskSource:
+    """The variants of the scenes of a run, see :mod:`pipelines.sources.scene_variants`.
+
+    Args:
+        place: The run.
+        axis: What differs, a value of :class:`~models.dual_system.variant_task.Axis`.
+        count: Number of variants of each scene.
+        where: A condition on the scenes, see :mod:`stable_data.storage.filter_expression`.
+        limit: Number of scenes that are varied, at most; None: all.
+        seed: The seed of the job, which is part of the ids.
+
+    Raises:
+        ConfigError: The axis is unknown (``usage``), the place is no run with scenes (``not_a_run``) and assets
+            (``table_missing``), or no scene meets the condition (``tasks_invalid``).
+    """
+    variants, content = read_variants(place, axis, count, where, limit, seed)
+    return TaskSource(f"variants of {Path(place).name}", variants, supports=absolute_uri(place), inputs={"scenes": content})
 
 
 def _of_run(run: RunFolder, where: str) -> Iterator[LayoutTask | Notice]:

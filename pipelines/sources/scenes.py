@@ -25,9 +25,9 @@ from stable_data.metrics.audit import Audit, audit_scene
 from stable_data.scene import Scene
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.table_rows import scene_from_row
+from stable_data.storage.table_rows import VARIANT_COLUMNS, scene_from_row
 
-ORIGIN_COLUMNS = ("source", "split", "layout_path", "layout_sha256", "duplicate_group")
+ORIGIN_COLUMNS = ("source", "split", "layout_path", "layout_sha256", "duplicate_group", *VARIANT_COLUMNS)
 """Columns of ``scenes`` that state the origin of a scene."""
 
 _MAX_TILT_SCENES = 2000  # scenes of a folder from which the resting tilts of its assets are taken

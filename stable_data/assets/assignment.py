@@ -53,7 +53,7 @@ def assign_assets(
         )
         for k, o in requested
     ]
-    answers, faults = _retrieve_usable(queries, retriever, seed, fault_of)
+    answers, faults = retrieve_usable(queries, retriever, seed, fault_of)
     matches: list[dict[str, AssetMatch]] = [{} for _ in scenes]
     unmatched: list[dict[str, UnmatchedQuery]] = [{} for _ in scenes]
     notices: list[list[Notice]] = [[] for _ in scenes]
@@ -77,13 +77,19 @@ def _holders(scene: Scene) -> set[str]:
     return {o.support for o in scene.objects if o.support is not None and o.bottom < tops.get(o.support, o.bottom) - _INSIDE}
 
 
-def _retrieve_usable(
-    queries: list[AssetQuery], retriever: Retriever, seed: int, fault_of: Callable[[str], str | None]
+def retrieve_usable(
+    queries: Sequence[AssetQuery], retriever: Retriever, seed: int, fault_of: Callable[[str], str | None]
 ) -> tuple[list[Answer], list[list[str]]]:
     """Returns the best usable asset for each query, and the faults of the better ones.
 
     A query is repeated without the unusable assets that it was given itself, not without all known unusable assets. So its
     answer does not depend on earlier queries.
+
+    Args:
+        queries: The queries.
+        retriever: Finds assets.
+        seed: Decides between equally good assets.
+        fault_of: As for :func:`assign_assets`.
     """
     queries, answers = list(queries), retriever.retrieve(queries, seed)
     faults: list[list[str]] = [[] for _ in queries]

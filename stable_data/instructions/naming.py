@@ -69,6 +69,9 @@ _LOOKS = (
     {w: w for w in ("striped", "spotted", "plain", "floral", "checkered", "patterned")},
     {w: w for w in ("round", "square", "oval", "rectangular", "cylindrical", "hexagonal")},
 )
+LOOK_WORDS = frozenset(word for kind in _LOOKS for word in kind)
+"""Words for the colour, material, pattern or shape by which an object may be named."""
+
 _SHADES = frozenset({"light", "dark", "pale", "bright", "deep"})
 _SIZE_WORDS = frozenset(
     ("small", "large", "big", "tall", "short", "tiny", "mini", "medium", "long", "wide", "narrow", "extra", "little")

@@ -244,6 +244,34 @@ def align(
     )
 
 
+def broken_relations(
+    scene: Scene,
+    relations: Iterable[Relation],
+    *,
+    contacts: Contacts | None = None,
+    footprints: Mapping[str, FloatArray] | None = None,
+    containers: Mapping[str, bool | None] | None = None,
+) -> tuple[Relation, ...]:
+    """Returns the relations that do not hold between the very instances that they name; those of a missing instance do not.
+
+    Args:
+        scene: The scene; its own relations are not read.
+        relations: The relations, such as those of a task info.
+        contacts: As for :func:`align`.
+        footprints: As for :func:`align`.
+        containers: As for :func:`align`.
+    """
+    layout = _Layout(scene, contacts or {}, footprints, containers)
+    own = {name: {name: 1} for name in (*layout.objects, TABLE)}
+
+    def holds(relation: Relation) -> bool:
+        if not own.keys() >= set(members(relation)):
+            return False
+        return any(all(name in found for name, found in option.items()) for option in layout.options(relation, own))
+
+    return tuple(r for r in relations if not holds(r))
+
+
 def requires_the_same(one: AlignmentReference, other: AlignmentReference) -> bool:
     """Whether two references require the same objects and entail the same relations; their instances may have other names.
 

@@ -14,6 +14,7 @@ from stable_data.rotations import quat_of, wxyz, yaw_quat
 from stable_data.scene import FloatArray, IntArray
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.mujoco_model import VISUAL, VISUAL_GROUP, engine_spec
+from stable_data.simulation.room import FLOOR
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.settling import compile_spec
 
@@ -32,7 +33,7 @@ CAMERAS = (WRIST, "front", "top")
 _STAND_COLOUR = (0.28, 0.29, 0.31, 1.0)
 _STAND_HALF = 0.09  # half the width of the stand below the base, metres
 _WRIST_CAMERA = (0.08, 0.0, -0.06)  # in the tool frame, metres
-_WRIST_TARGET = 0.05  # how far before the tool frame the camera looks, metres
+_WRIST_TARGET = 0.25  # how far before the tool frame the camera looks, metres
 _WRIST_FIELD = 70.0  # degrees
 
 
@@ -179,11 +180,11 @@ def assemble(geometry: SceneGeometry, robot: Robot, mount: Mount, picture: tuple
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # the stiff joints of an arm need it
     arm.option.integrator, arm.option.impratio, arm.option.cone = spec.option.integrator, spec.option.impratio, spec.option.cone
     hand = arm.body(robot.hand.body)
-    hand.add_site(name="tool", pos=list(robot.hand.position), quat=wxyz(robot.hand.quat_xyzw))
+    hand.add_site(name="tool", pos=list(robot.hand.position), quat=wxyz(robot.hand.quat_xyzw), rgba=[0.0] * 4)
     frame = spec.worldbody.add_frame(pos=mount.position.tolist(), quat=wxyz(yaw_quat(mount.yaw)))
     spec.attach(arm, frame=frame, prefix=ROBOT_PREFIX)
     _add_wrist_camera(spec, robot)
-    _add_stand(spec, mount, geometry)
+    _add_stand(spec, mount)
     return RobotModel(compile_spec(spec), robot, mount, geometry)
 
 
@@ -200,10 +201,10 @@ def _add_wrist_camera(spec: mujoco.MjSpec, robot: Robot) -> None:
     )
 
 
-def _add_stand(spec: mujoco.MjSpec, mount: Mount, geometry: SceneGeometry) -> None:
+def _add_stand(spec: mujoco.MjSpec, mount: Mount) -> None:
     """Adds what is seen below the robot: a column down to the floor."""
-    floor = min((geom.pos[2] for geom in spec.worldbody.geoms if geom.name.startswith("room/floor")), default=-0.75)
-    half = max(0.01, -floor / 2)
+    floor = np.array(spec.mesh(spec.geom(FLOOR).meshname).uservert).reshape(-1, 3)[:, 2].max()
+    half = max(0.01, -float(floor) / 2)
     spec.worldbody.add_geom(
         spec.find_default(VISUAL),
         name="robot_stand",

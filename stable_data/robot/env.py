@@ -5,7 +5,7 @@
 The objects and their physics are those of the stability verdict; the task is the goal that the scene's task info states.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -22,10 +22,10 @@ from stable_data.robot.clearance import Clearance
 from stable_data.robot.control import Controller
 from stable_data.robot.kinematics import Arm
 from stable_data.robot.mounting import AUTO, mount_of
-from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, environment_state, robot_state, state_names
+from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, FAR, environment_state, robot_state, state_names
 from stable_data.robot.randomization import Drawn, RandomizationOptions, Randomizer
 from stable_data.robot.robots import robot_named
-from stable_data.robot.task_progress import TaskProgress
+from stable_data.robot.task_progress import TaskProgress, target_places
 from stable_data.robot.world import RobotWorld
 from stable_data.scene import Scene
 from stable_data.simulation.mujoco_import import mujoco
@@ -34,6 +34,7 @@ from stable_data.simulation.run_reader import RunScenes, SceneSelection, Settled
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder, Uri
 from stable_data.tasks.compiling import compile_goal
+from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal
 
 Observation: TypeAlias = dict[str, Any]
@@ -56,6 +57,7 @@ class RobotOptions:
         control: Meaning of an action, see :data:`stable_data.robot.control.CONTROLS`.
         cameras: Cameras whose pictures are observed, of ``wrist``, ``front`` and ``top``.
         image_size: Width and height of the pictures, pixels.
+        shadows: Whether pictures have shadows, which take five times as long without a graphics card.
         max_steps: Actions of an episode at most.
         randomization: What is varied from episode to episode.
     """
@@ -65,7 +67,8 @@ class RobotOptions:
     control: str = "ee_delta"
     cameras: tuple[str, ...] = ()
     image_size: tuple[int, int] = (128, 128)
-    max_steps: int = 400
+    shadows: bool = False
+    max_steps: int = 600
     randomization: RandomizationOptions = field(default_factory=RandomizationOptions)
 
     def __post_init__(self) -> None:
@@ -129,9 +132,11 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             raise ConfigError(f"render_mode is {render_mode!r}, expected rgb_array or None", "setting_invalid")
         robot = robot_named(options.robot)
         self.scene, self.options, self.render_mode = geometry.scene, options, render_mode
-        self.goal = compile_goal(geometry) if goal is None else goal
-        wanted = {name for step in self.goal.steps for name in (step.subject, *_targets(step))}
-        self.built = assemble(geometry, robot, mount_of(robot, geometry.scene, options.mount, wanted), options.image_size)
+        task = TaskGeometry.of(geometry)
+        self.goal = compile_goal(task) if goal is None else goal
+        wanted = {name for step in self.goal.steps for name in (step.subject, *(t for c in step.conditions for t in c.targets))}
+        mount = mount_of(robot, geometry.scene, options.mount, wanted, target_places(self.goal, task))
+        self.built = assemble(geometry, robot, mount, options.image_size)
         self.arm = Arm(robot)
         self.clearance = Clearance(self.built)
         hit = self.clearance.hits(self.arm.home, robot.hand.max_opening)
@@ -143,7 +148,7 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
             )
         self.world = RobotWorld(self.built)
         self.controller = Controller(robot, self.arm, options.control)
-        self.progress = TaskProgress(self.goal, self.world)
+        self.progress = TaskProgress(self.goal, task, self.world)
         self.drawn: Drawn | None = None
         self._randomizer = Randomizer(self.built, options.randomization)
         self._renderer: Any = None
@@ -221,6 +226,7 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """A picture of one of the cameras, (H, W, 3) uint8."""
         if self._renderer is None:
             self._renderer = open_renderer(self.built.model, self.options.image_size)
+            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self.options.shadows
         mujoco.mj_camlight(self.built.model, self.world.data)
         self._renderer.update_scene(self.world.data, camera=camera)
         return np.asarray(self._renderer.render(), np.uint8)
@@ -228,8 +234,8 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
     def _space(self) -> spaces.Dict:
         width, height = self.options.image_size
         entries: dict[str, spaces.Space[Any]] = {
-            AGENT: spaces.Box(-np.inf, np.inf, (len(state_names(self.built)),), np.float32),
-            ENVIRONMENT: spaces.Box(-np.inf, np.inf, (len(ENVIRONMENT_STATE_NAMES),), np.float32),
+            AGENT: spaces.Box(-FAR, FAR, (len(state_names(self.built)),), np.float32),
+            ENVIRONMENT: spaces.Box(-FAR, FAR, (len(ENVIRONMENT_STATE_NAMES),), np.float32),
         }
         if self.options.cameras:
             entries[PIXELS] = spaces.Dict(
@@ -294,10 +300,6 @@ def make_robot_env(
         rest = SettledPoses(RunFolder(run)).of(scene.scene_id) if settled else None
         geometry = SceneGeometry.of(scene, store or run_store(run), rest)
     return RobotEnv(geometry, goal, RobotOptions(**options), render_mode)
-
-
-def _targets(step: Any) -> Sequence[str]:
-    return [c.target for c in step.conditions if c.target]
 
 
 gymnasium.register("stable_data/Robot-v0", entry_point="stable_data.robot.env:make_robot_env")

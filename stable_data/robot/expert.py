@@ -4,27 +4,37 @@ It is a program, not a policy: it sees the simulation's state. Its commands are 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from stable_data.robot.clearance import HeldObject
-from stable_data.robot.grasp_trial import CLOSE_SECONDS, CONTROL_SECONDS, GraspFinder, GraspOutcome, ReachableGrasp
+from stable_data.robot.grasp_trial import (
+    CLOSE_SECONDS,
+    CONTROL_SECONDS,
+    STILL_SECONDS,
+    GraspFinder,
+    GraspOutcome,
+    ReachableGrasp,
+)
 from stable_data.robot.motion import plan_path, timed, tool_line
 from stable_data.robot.world import RobotWorld
-from stable_data.rotations import rotation_matrix
-from stable_data.scene import TABLE, FloatArray
+from stable_data.rotations import quat_product, rotation_matrix, yaw_quat
+from stable_data.scene import FloatArray
+from stable_data.tasks.placing import TargetPose
 
-SPEED, SLOW = 1.2, 0.6
-"""Speeds of the joints, radians a second: free, and near objects."""
+SPEED, CARRYING, SLOW = 1.2, 0.8, 0.6
+"""Speeds of the joints, radians a second: free, with an object in the hand, and near objects."""
 
 _ATTEMPTS = 3  # at a grasp
 _TRIED = 4  # grasps that are simulated before one is chosen
 _ABOVE = 0.10  # of a place, before the object is lowered, metres
 _RELEASE = 0.003  # height above its support at which an object is released, metres
 _YAWS = 8  # that are tried for a placed object, beside the wanted one
-_PLACES = 24  # poses of a placed object that are tried
+_MOST_TOUCHED = 3  # things that the arm may touch where a path begins
+_TURNED = 6  # places of which other headings are tried
+_DROP = 0.02  # an object that is released higher than this above its place is dropped, as into a container, metres
 _RETREAT = 0.10  # back along the approach after a release, metres
 _WAIT_SECONDS = 0.6  # at the end, until everything is at rest
 _IN_HAND = 0.004  # how deep a held object may touch its support at the place, metres
@@ -66,23 +76,6 @@ class ExpertError(Exception):
         self.reason, self.detail = reason, detail
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """A pose where an object can be put down.
-
-    Attributes:
-        position: Centre of its box, (3,), metres, frame of the scene.
-        yaw: Radians.
-        on: What it will touch there: an instance or ``table``.
-        dropped: Whether it is released there without being lowered onto its support, as into a container.
-    """
-
-    position: FloatArray
-    yaw: float
-    on: str = TABLE
-    dropped: bool = False
-
-
 class Expert:
     """Carries out picks and places.
 
@@ -118,6 +111,7 @@ class Expert:
                 continue
             yield from self._follow(path, grasp.opening, SPEED)
             yield from self._follow(grasp.approach, grasp.opening, SLOW)
+            yield from self._wait(STILL_SECONDS, grasp.opening)
             yield from self._wait(CLOSE_SECONDS, 0.0)
             if instance in self._world.contacts().gripped:
                 yield from self._follow(self._finder.lift(grasp), 0.0, SLOW)
@@ -130,12 +124,13 @@ class Expert:
             yield from self._rise(self._built.robot.hand.max_opening)
         raise ExpertError(reason, detail)
 
-    def place(self, instance: str, places: Sequence[Place]) -> Iterator[Command]:
+    def place(self, instance: str, places: Sequence[TargetPose], *, may_turn: bool = True) -> Iterator[Command]:
         """Puts the held object at the first place that the arm reaches without touching anything else, and lets it go.
 
         Args:
             instance: The held object.
             places: Poses, best first.
+            may_turn: Whether the object may be put down at another heading than theirs.
 
         Raises:
             ExpertError: The object is not held, or no place is reached.
@@ -146,12 +141,13 @@ class Expert:
         self._clearance.look(self._world)
         self._clearance.hold(held)
         try:
-            found = self._reachable_place(held, places)
+            found = self._reachable_place(held, places, may_turn=may_turn)
             if found is None:
                 raise ExpertError(ExpertFailure.NO_PLACE, instance)
             path, lowering = found
-            yield from self._follow(path, 0.0, SPEED)
+            yield from self._follow(path, 0.0, CARRYING)
             yield from self._follow(lowering, 0.0, SLOW)
+            yield from self._wait(STILL_SECONDS, 0.0)
         finally:
             self._clearance.hold(None)
         if instance not in self._world.contacts().gripped:
@@ -183,38 +179,67 @@ class Expert:
         self._clearance.look(self._world)
         self._clearance.hold(None)
         start = self._world.commanded_joints
-        return plan_path(self._arm, self._clearance, start, joints, opening, seed=self._seed)
+        return plan_path(
+            self._arm, self._clearance, start, joints, opening, allowed=self._touched(start, opening), seed=self._seed
+        )
 
-    def _reachable_place(self, held: HeldObject, places: Sequence[Place]) -> tuple[FloatArray, FloatArray] | None:
+    def _touched(self, joints: FloatArray, opening: float) -> frozenset[str]:
+        """What the arm touches where it is, such as an object that a failed grasp has tilted: it may go on touching that."""
+        found: frozenset[str] = frozenset()
+        while len(found) <= _MOST_TOUCHED:
+            hit = self._clearance.hits(joints, opening, allowed=found)
+            if hit is None:
+                return found
+            found |= {hit}
+        return found
+
+    def _reachable_place(
+        self, held: HeldObject, places: Sequence[TargetPose], *, may_turn: bool
+    ) -> tuple[FloatArray, FloatArray] | None:
         """A path above a place, and the path down to it."""
         start = self._world.commanded_joints
-        for place in self._with_yaws(places):
-            turn = self._built.mount.rotation.T @ rotation_matrix((0.0, 0.0, np.sin(place.yaw / 2), np.cos(place.yaw / 2)))
-            tool_turn = turn @ held.rotation.T
-            target = self._built.mount.to_base(place.position + np.array([0.0, 0.0, _RELEASE]))
-            position = target - tool_turn @ held.position
-            above = position + np.array([0.0, 0.0, 0.02 if place.dropped else _ABOVE])
-            solved = self._arm.solve(np.stack([above]), tool_turn[None], start if not place.dropped else None)
-            if not solved.found[0]:
-                continue
-            over = solved.joints[0]
-            if self._clearance.hits(over, 0.0) is not None:
-                continue
-            lowering = tool_line(self._arm, over, position, tool_turn)
-            allowed = frozenset({place.on})
-            if lowering is None or not self._clearance.free_path(lowering, 0.0, allowed=allowed, allowed_depth=_IN_HAND):
-                continue
-            path = plan_path(self._arm, self._clearance, start, over, 0.0, seed=self._seed)
-            if path is not None:
-                return path, lowering
+        for place in self._turned(places, may_turn=may_turn):
+            tool_turn = self._built.mount.rotation.T @ rotation_matrix(place.quat_xyzw) @ held.rotation.T
+            x, y, z = place.position
+            height = max(z + _RELEASE, place.release_height) if place.release_height - z > _DROP else z + _RELEASE
+            position = self._built.mount.to_base(np.array([x, y, height])) - tool_turn @ held.position
+            for rise in (_ABOVE, _ABOVE / 3):
+                found = self._way_down(held, place, position + np.array([0.0, 0.0, rise]), position, tool_turn, start)
+                if found is not None:
+                    return found
         return None
 
-    def _with_yaws(self, places: Sequence[Place]) -> Iterator[Place]:
-        """Each place with its own yaw, then the first ones with others."""
-        yield from places[:_PLACES]
-        for place in places[: _PLACES // 4]:
-            for k in range(1, _YAWS):
-                yield Place(place.position, place.yaw + 2 * np.pi * k / _YAWS, place.on, place.dropped)
+    def _way_down(
+        self,
+        held: HeldObject,
+        place: TargetPose,
+        above: FloatArray,
+        position: FloatArray,
+        turn: FloatArray,
+        start: FloatArray,
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """A path to a pose of the tool above a place, and the path down to it; None if the arm touches anything on the way."""
+        self._clearance.hold(held)
+        solved = self._arm.solve(above[None], turn[None], start)
+        over = solved.joints[0]
+        if not solved.found[0] or self._clearance.hits(over, 0.0) is not None:
+            return None
+        lowering = tool_line(self._arm, over, position, turn)
+        allowed = frozenset({place.support})
+        if lowering is None or not self._clearance.free_path(lowering, 0.0, allowed=allowed, allowed_depth=_IN_HAND):
+            return None
+        touched = self._touched(start, 0.0)
+        path = plan_path(self._arm, self._clearance, start, over, 0.0, allowed=touched, seed=self._seed)
+        return None if path is None else (path, lowering)
+
+    def _turned(self, places: Sequence[TargetPose], *, may_turn: bool) -> Iterator[TargetPose]:
+        """The places as they are, and then, if the object may be turned, the first ones at other headings."""
+        yield from places
+        if may_turn:
+            for place in places[:_TURNED]:
+                for k in range(1, _YAWS):
+                    turn = 2 * np.pi * k / _YAWS
+                    yield replace(place, quat_xyzw=quat_product(yaw_quat(turn), place.quat_xyzw), yaw=place.yaw + turn)
 
     def _in_hand(self, instance: str) -> HeldObject:
         """Where an object is in the hand now."""

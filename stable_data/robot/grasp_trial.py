@@ -25,6 +25,9 @@ LIFT = 0.10
 CONTROL_SECONDS = 0.05
 """Time between two commands to the arm."""
 
+STILL_SECONDS = 0.25
+"""How long the arm is given to arrive where it was commanded before the hand moves; its joints lag by a tenth of a second."""
+
 CLOSE_SECONDS = 0.4
 """How long the hand is given to close or to open."""
 
@@ -216,6 +219,7 @@ class GraspFinder:
         world.place_arm(grasp.before, grasp.opening)
         for joints in timed(grasp.approach, _SPEED, CONTROL_SECONDS):
             world.advance(joints, grasp.opening, CONTROL_SECONDS)
+        world.advance(grasp.approach[-1], grasp.opening, STILL_SECONDS)
         world.advance(grasp.approach[-1], 0.0, CLOSE_SECONDS)
         if world.has_diverged:
             return GraspOutcome.DIVERGED

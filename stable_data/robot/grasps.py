@@ -219,12 +219,24 @@ def grasps_at(
         + 0.8 * (pairs.quality[pair] - 1.0) / (1 - _CONE)
         - 0.5 * np.clip(pairs.widths[pair] / (hand.max_opening - _SLACK) - 0.8, 0.0, None) / 0.2
         - 0.5 * (pairs.widths[pair] < 0.004)
+        - _sideways(y, towards)
     )
     order = np.flatnonzero(shifted <= hand.pad)
     order = order[np.argsort(-scores[order], kind="stable")]
     surface = pairs.surface @ rotation.T + position
     order = _fitting(tool, rotations, pairs.widths[pair], order, surface, hand, limit)
     return Grasps(tool[order], rotations[order], pairs.widths[pair[order]], scores[order])
+
+
+def _sideways(closing: FloatArray, towards: FloatArray | None) -> FloatArray | float:
+    """What a closing direction costs that is not the natural one, across the direction from the robot to the object.
+
+    An object that is equally good from all sides is so always grasped in the same way, which policies learn easily.
+    """
+    if towards is None:
+        return 0.0
+    lateral = np.array([-towards[1], towards[0], 0.0])
+    return np.asarray(0.4 * (1 - abs(closing @ lateral)))
 
 
 def _across(closing: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -161,7 +161,7 @@ class Arm:
             best.rotation_errors[rows] = tried.rotation_errors[better]
         return best
 
-    def track(self, position: FloatArray, rotation: FloatArray, joints: FloatArray, *, iterations: int = 4) -> FloatArray:
+    def track(self, position: FloatArray, rotation: FloatArray, joints: FloatArray, *, iterations: int = 12) -> FloatArray:
         """Follows a pose that moves little: the joints (J,) nearest to the present ones that bring the tool there, or near it."""
         found = self._descend(position[None], rotation[None], joints[None].copy(), iterations)
         return np.asarray(found.joints[0])

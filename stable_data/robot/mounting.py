@@ -23,6 +23,7 @@ CHOSEN_EDGES = EDGES[:3]
 
 _GAP = 0.02  # between the base and the table, metres
 _STEP = 0.1  # distance of the places along an edge that are compared, metres
+_HIGH, _AHEAD, _ASIDE = 0.25, 0.65, 0.2  # of the space of the arm at its start, as shares of the reach
 _COMFORT = 0.8  # share of the reach that is better than the rest
 
 
@@ -92,7 +93,9 @@ def mount_at(robot: Robot, table: Tabletop, edge: str, share: float = 0.5) -> Mo
     return Mount(x, y, 0.0, yaw, edge)
 
 
-def mount_of(robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[str] = ()) -> Mount:
+def mount_of(
+    robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[str] = (), places: FloatArray | None = None
+) -> Mount:
     """Returns the mount that a setting asks for.
 
     Args:
@@ -100,12 +103,13 @@ def mount_of(robot: Robot, scene: Scene, setting: str = AUTO, wanted: Iterable[s
         scene: The scene.
         setting: ``auto`` (:func:`best_mount`), an edge, or an edge and a share of its length, such as ``front:0.25``.
         wanted: See :func:`best_mount`.
+        places: See :func:`best_mount`.
 
     Raises:
         ConfigError: The setting is none of these (``setting_invalid``).
     """
     place = parse_mount(setting)
-    return best_mount(robot, scene, wanted) if place is None else mount_at(robot, scene.table, *place)
+    return best_mount(robot, scene, wanted, places) if place is None else mount_at(robot, scene.table, *place)
 
 
 def parse_mount(setting: str) -> tuple[str, float] | None:
@@ -136,31 +140,49 @@ def mount_setting(mount: Mount, table: Tabletop) -> str:
     return f"{mount.edge}:{along / length:.4g}"
 
 
-def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = ()) -> Mount:
+def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = (), places: FloatArray | None = None) -> Mount:
     """Returns the mount from which most of the wanted objects, and then most of all, are in reach.
 
     Args:
         robot: The robot.
         scene: The scene.
         wanted: Instances that have to be in reach; none: the task objects of the scene.
+        places: Further places that have to be in reach, (P, 2), metres, frame of the scene.
 
     Returns:
-        The first one of the best, in the order front, left, right, and from the middle of an edge to its ends.
+        The first one of the best, in the order front, left, right, and from the middle of an edge to its ends. Places where something
+        high stands where the arm is at its start are left out, if there are others.
     """
     names = frozenset(wanted) or frozenset(() if scene.task is None else scene.task.task_objects)
     objects = scene.movable
     centres = np.array([o.position[:2] for o in objects], np.float64).reshape(-1, 2)
     is_wanted = np.array([o.instance in names for o in objects], bool)
+    if places is not None:
+        centres = np.concatenate([centres, places[:, :2]])
+        is_wanted = np.concatenate([is_wanted, np.ones(len(places), bool)])
     best, best_score = mount_at(robot, scene.table, EDGES[0]), (-1.0, -1.0, -1.0)
     for edge in CHOSEN_EDGES:
         length = scene.table.size_xy[0 if edge in ("front", "back") else 1]
         for share in _shares(length):
             mount = mount_at(robot, scene.table, edge, share)
+            if _is_blocked(robot, mount, scene):
+                continue
             in_reach, is_easy = _in_reach(robot, mount, centres)
             score = (float((in_reach & is_wanted).sum()), float((is_easy & is_wanted).sum()), float(is_easy.sum()))
             if score > best_score:
                 best, best_score = mount, score
     return best
+
+
+def _is_blocked(robot: Robot, mount: Mount, scene: Scene) -> bool:
+    """Whether something high stands where the arm is at its start."""
+    for o in scene.objects:
+        if o.top > _HIGH * robot.reach:
+            x, y, _ = mount.to_base(np.array(o.position))
+            half = max(o.size[:2]) / 2
+            if -half < x < _AHEAD * robot.reach + half and abs(y) < _ASIDE * robot.reach + half:
+                return True
+    return False
 
 
 def _shares(length: float) -> Sequence[float]:

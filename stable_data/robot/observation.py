@@ -29,7 +29,8 @@ GOAL_NAMES = ("goal_present", "goal_x", "goal_y", "goal_z")
 ENVIRONMENT_STATE_NAMES = (*(f"object_{k}_{name}" for k in range(SLOTS) for name in _SLOT), *GOAL_NAMES)
 """Names of the numbers of a state of the environment."""
 
-_FAR = 10.0  # positions are clipped to this, metres: an object that fell off the table falls without end
+FAR = 10.0
+"""Positions are clipped to this, metres: an object that fell off the table falls without end."""
 
 
 def state_names(built: RobotModel) -> tuple[str, ...]:
@@ -41,7 +42,7 @@ def robot_state(world: RobotWorld) -> npt.NDArray[np.float32]:
     """Returns the state of the robot, (S,) float32: joints (radians), opening and position of the tool (metres), and its rotation."""
     position, rotation = world.built.tool_pose(world.data)
     state = np.concatenate([world.joints, [world.opening], position, rotation[:, 0], rotation[:, 1]])
-    return state.astype(np.float32)
+    return np.asarray(np.clip(state, -FAR, FAR), np.float32)
 
 
 def environment_state(
@@ -60,12 +61,12 @@ def environment_state(
     for k, index in enumerate(_shown(built.names, poses, subject, target)):
         x, y, z, w = poses[index, 3:].tolist()
         rotation = built.mount.rotation.T @ rotation_matrix((x, y, z, w))
-        position = np.clip(built.mount.to_base(poses[index, :3]), -_FAR, _FAR)
+        position = np.clip(built.mount.to_base(poses[index, :3]), -FAR, FAR)
         size = built.geometry.shapes[index].size
         state[k * SLOT_SIZE : (k + 1) * SLOT_SIZE] = np.concatenate([[1.0], position, rotation[:, 0], rotation[:, 1], size])
     if goal is not None:
         state[-len(GOAL_NAMES) :] = [1.0, *built.mount.to_base(goal)]
-    return state.astype(np.float32)
+    return np.asarray(np.clip(state, -FAR, FAR), np.float32)
 
 
 def _shown(names: Sequence[str], poses: FloatArray, subject: str | None, target: str | None) -> list[int]:

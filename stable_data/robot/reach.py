@@ -19,7 +19,7 @@ from stable_data.robot.grasp_trial import GraspFinder, GraspOutcome, ReachableGr
 from stable_data.robot.kinematics import Arm
 from stable_data.robot.mounting import AUTO, CHOSEN_EDGES, Mount, mount_of, mount_setting
 from stable_data.robot.robots import Robot
-from stable_data.robot.task_progress import scene_state
+from stable_data.robot.task_progress import scene_state, target_places
 from stable_data.robot.world import RobotWorld
 from stable_data.rotations import quat_of, wxyz
 from stable_data.scene import FloatArray, QuatXyzw, Scene, Vec3
@@ -184,7 +184,8 @@ def survey_reach(
         goal, unknown = None, f"{error.code}: {one_line(str(error).removeprefix(f'{geometry.scene.scene_id}: '))}"
     subjects, targets = needed_objects(geometry, goal)
     scene = geometry.scene
-    first = mount_of(robot, scene, options.mount, {*subjects, *targets})
+    places = None if goal is None or options.mount != AUTO else target_places(goal, task)
+    first = mount_of(robot, scene, options.mount, {*subjects, *targets}, places)
     best: SceneReach | None = None
     for mount in (first, *(_other_mounts(robot, scene, first) if options.mount == AUTO and goal is not None else ())):
         found = _survey_from(mount, robot, task, geometry, options, goal, unknown)

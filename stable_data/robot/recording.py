@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from stable_data.condition import ConditionKind
+from stable_data.errors import GoalError
 from stable_data.robot.env import AGENT, CONTROL_SECONDS, ENVIRONMENT, PIXELS, Observation, RobotEnv
 from stable_data.robot.episodes import Episode
-from stable_data.robot.expert import Command, Expert, ExpertError, Place
+from stable_data.robot.expert import Command, Expert, ExpertError, ExpertFailure
 from stable_data.robot.grasp_trial import GraspFinder
 from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, state_names
 from stable_data.simulation.offscreen import Picture
@@ -47,6 +49,8 @@ def record_episode(env: RobotEnv, *, number: int, seed: int, split: str | None =
                 break
     except ExpertError as error:
         reason = str(error)
+    except GoalError as error:  # no free place is left
+        reason = f"{ExpertFailure.NO_PLACE}: {error.code}"
     if not log.actions:
         log.carry_out(env.controller.action_for(env.world.commanded_joints, env.world.opening))
     if log.is_success:
@@ -74,8 +78,8 @@ def task_commands(env: RobotEnv, seed: int) -> Iterator[Command]:
             yield from expert.pick(step.subject)
             held = step.subject
         if step.action is not StepAction.PICK:
-            places = [Place(p.position, p.yaw, p.on, p.is_dropped) for p in env.progress.places(step)]
-            yield from expert.place(step.subject, places)
+            may_turn = not any(c.kind is ConditionKind.FACING for c in step.conditions)
+            yield from expert.place(step.subject, env.progress.places(step), may_turn=may_turn)
             held = None
     yield from expert.rest()
 

@@ -325,6 +325,11 @@ def _stiffen_hand(spec: mujoco.MjSpec, hand: Hand) -> None:
     actuator.biasprm[2] *= _STIFFER**0.5  # the damping that belongs to the stiffness
     actuator.forcerange = [-_HAND_FORCE, _HAND_FORCE]
     actuator.ctrlrange = [hand.squeeze_control, hand.open_control]
+    # Closed on nothing, the fingers are stopped by their joints: pressed into each other they would stick.
+    for (finger,) in hand.fingers:
+        for joint in spec.body(finger).joints:
+            joint.solref_limit, joint.solimp_limit = [0.004, 1.0], [0.95, 0.99, 0.001, 0.5, 2.0]
+    spec.add_exclude(bodyname1=hand.fingers[0][0], bodyname2=hand.fingers[1][0])
 
 
 def _read(robot: Robot, path: str) -> mujoco.MjSpec:

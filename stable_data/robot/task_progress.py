@@ -1,12 +1,18 @@
 """How far a robot has come with its task: the state of the simulation as the goal's conditions see it."""
 
+from contextlib import suppress
+
+import numpy as np
+
+from stable_data.errors import GoalError
 from stable_data.robot.world import RobotWorld
 from stable_data.scene import FloatArray
-from stable_data.tasks.checking import GoalChecker, SceneState
+from stable_data.tasks.checking import GoalChecker, SceneState, start_state
 from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal, Step, StepAction
 from stable_data.tasks.placing import TargetPose, target_poses
 
+_PLACES = 16  # poses that are tried for a placed object
 _STEADY = 3  # looks in a row at which a goal must be fulfilled, so that a passing moment does not count
 
 
@@ -50,8 +56,12 @@ class TaskProgress:
         return self._checker.steps_done(self.state)[number]
 
     def places(self, step: Step) -> tuple[TargetPose, ...]:
-        """Poses at which a step can put its subject now, best first."""
-        return tuple(target_poses(step, self._geometry, self.state))
+        """Poses at which a step can put its subject now, best first.
+
+        Raises:
+            GoalError: There is none.
+        """
+        return target_poses(step, self._geometry, self.state, _PLACES)
 
     def now(self) -> tuple[str | None, str | None, FloatArray | None]:
         """What the next step acts on, the object that it relates this to, and where it shall be put, (3,), metres."""
@@ -66,11 +76,26 @@ class TaskProgress:
                 return step.subject, None, None
         placing = self.goal.steps[at]
         if at not in self._places:
-            poses = self.places(placing)
-            self._places[at] = poses[0].position if poses else None
+            try:
+                self._places[at] = np.array(self.places(placing)[0].position)
+            except GoalError:
+                self._places[at] = None  # no free place
         names = self._world.built.names
         target = next((name for c in placing.conditions for name in c.targets if name in names), None)
         return step.subject, target, self._places[at]
+
+
+def target_places(goal: Goal, geometry: TaskGeometry) -> FloatArray:
+    """Returns a place where each step of a goal that puts an object down can do so at the start, (P, 2), metres.
+
+    Steps for which there is none are left out.
+    """
+    found = []
+    for step in goal.steps:
+        if step.action is not StepAction.PICK:
+            with suppress(GoalError):
+                found.append(target_poses(step, geometry, start_state(geometry), 1)[0].position[:2])
+    return np.array(found, np.float64).reshape(-1, 2)
 
 
 def scene_state(world: RobotWorld) -> SceneState:

@@ -147,29 +147,31 @@ class RobotWorld:
         touching = probe.contact.dist <= 0.0
         bodies = model.geom_bodyid[probe.contact.geom][touching]  # (C, 2)
         normals = probe.contact.frame[touching, 2]  # the z of the normal, which points from the first geom to the second
+        # A pair of bodies touches at many points: of each pair only whether one carries the other is of interest.
+        sides = np.where(normals > UPWARD, 1, np.where(normals < -UPWARD, -1, 0))
+        rows = np.unique(np.column_stack([bodies, sides]), axis=0).tolist()
         supports: dict[str, list[str]] = {}
         gripped: tuple[set[str], set[str]] = (set(), set())
         touched: set[str] = set()
         hit: set[str] = set()
         is_robot = self.built.robot_bodies
-        for (one, other), up in zip(bodies.tolist(), normals.tolist(), strict=True):
+        for one, other, side in rows:
             if is_robot[one] and is_robot[other]:
                 continue
             if is_robot[one] or is_robot[other]:
                 robot_body, body = (one, other) if is_robot[one] else (other, one)
                 name = self._names.get(body, TABLE)
                 hit.add(name)
-                for side, fingers in zip(gripped, self._fingers, strict=True):
+                for found, fingers in zip(gripped, self._fingers, strict=True):
                     if robot_body in fingers:
-                        side.add(name)
+                        found.add(name)
                 continue
-            below, above = (one, other) if up > 0 else (other, one)
             touched |= {self._names.get(one, TABLE), self._names.get(other, TABLE)}
-            if abs(up) > UPWARD and above in self._names:
-                supporter = self._names.get(below, TABLE)
-                found = supports.setdefault(self._names[above], [])
-                if supporter not in found:
-                    found.append(supporter)
+            below, above = (one, other) if side > 0 else (other, one)
+            if side and above in self._names:
+                supporter, carried = self._names.get(below, TABLE), supports.setdefault(self._names[above], [])
+                if supporter not in carried:
+                    carried.append(supporter)
         both = frozenset(gripped[0] & gripped[1]) - {TABLE}
         return WorldContacts(
             {name: tuple(found) for name, found in supports.items()}, both, frozenset(both - touched), frozenset(hit)

@@ -176,6 +176,11 @@ def _closest_below(layout: _Layout, carriers: Mapping[str, str | None], child: s
     return TABLE if layout.low[child] <= GAP else None
 
 
+def contacts_of(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Returns the contacts that the supports of a scene state: each object touches its support, if that is known."""
+    return {o.instance: (o.support,) for o in scene.objects if o.support is not None}
+
+
 def scene_graph(
     scene: Scene,
     contacts: Contacts,

@@ -43,8 +43,10 @@ MAX_DECODED = 2**30
 
 _ROW_GROUP = 1024
 _GROUP_ROWS = {"scenes": 128, "settled": 128}  # of tables that are read by scene: one row costs the decoding of its group
-_WITHOUT_DICTIONARIES = frozenset({"scenes"})  # in small row groups they take more bytes and time than they save
-_GROUP_BYTES = {"meshes": 8 * 10**6, "textures": 8 * 10**6}  # of a row group: a reader of one row reads its group
+_WITHOUT_DICTIONARIES = frozenset({"scenes", "episodes"})  # in small row groups they take more bytes and time than they save
+_GROUP_BYTES = dict.fromkeys(
+    ("meshes", "textures", "episodes"), 8 * 10**6
+)  # of a row group: a reader of one row reads its group
 _FILES_AT_ONCE = 32  # files of one dataset: their footers are in memory together, and are read concurrently
 _AHEAD = 8  # files of an object store that are fetched while another one is processed
 _PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")

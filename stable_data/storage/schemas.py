@@ -122,6 +122,7 @@ SURFACE = pa.struct(
 )
 DROPPED = pa.struct([("instance", _text), ("reason", _text)])
 POSE = pa.struct([("instance", _text), ("position", _numbers), ("yaw", _number)])
+CAMERA = pa.struct([("camera", _text), ("images", pa.list_(pa.binary()))])
 
 _CARD_TYPES: dict[type, pa.DataType] = {int: _count, float: _number, bool: _truth}
 
@@ -256,6 +257,14 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "near-duplicate group: scenes with the same table type and the same assets have the same group and split",
             ),
             _column("source_json", _text, "top-level entries of the layout file as JSON, for a lossless round trip"),
+            _column("variant_of", _text, "scene_id of the scene that this one varies; null if it is no variant"),
+            _column("varied", _text, "what differs from that scene: layout, assets, task or clutter; null if it is no variant"),
+            _column(
+                "num_varied",
+                _count,
+                "number of objects that differ from that scene: moved or turned (layout), with another asset (assets), new (clutter); "
+                "0 for task; null if it is no variant",
+            ),
         ]
     ),
     "corrections": pa.schema(
@@ -586,6 +595,50 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("height", _count, "height", "pixels"),
         ]
     ),
+    "episodes": pa.schema(
+        [
+            _column("episode_id", _text, "identifier of the episode, scene_id/number"),
+            _column("scene_id", _text, "identifier of the scene; a scene may have several episodes"),
+            _column("split", _text, "split of the scene; null if it has none"),
+            _column("number", _count, "number of the episode of this scene, from 0"),
+            _column("seed", _count, "seed of the episode"),
+            _column("robot", _text, "name of the robot"),
+            _column("task_kind", _text, "kind of the task, such as pick, place_on or stack"),
+            _column("instruction", _text, "instruction of the task"),
+            _column("success", _truth, "whether the task was done at the end"),
+            _column("reason", _text, "why the task was not done; null if it was"),
+            _column("num_steps", _count, "number of actions T"),
+            _column("fps", _number, "actions a second", "1/s"),
+            _column("control", _text, "meaning of an action, such as joint or ee"),
+            _column("state_names", _texts, "names of the S numbers of a state of the robot"),
+            _column("environment_state_names", _texts, "names of the E numbers of a state of the environment"),
+            _column("action_names", _texts, "names of the A numbers of an action"),
+            _column("states", _floats, "states of the robot before each action (T, S), row-major", "as state_names say"),
+            _column(
+                "environment_states",
+                _floats,
+                "states of the environment before each action (T, E), row-major",
+                "as environment_state_names say",
+            ),
+            _column("actions", _floats, "actions (T, A), row-major", "as action_names say"),
+            _column("rewards", _floats, "reward of each action (T)"),
+            _column("instances", _texts, "names of the N objects of object_poses"),
+            _column(
+                "object_poses",
+                _floats,
+                "position and quaternion x, y, z, w of each object, before the first action and after each one (T + 1, N, 7), "
+                "row-major, in the frame of the scene",
+                "m",
+            ),
+            _column("image_size", pa.list_(_count), "height and width of the pictures; null without pictures", "pixels"),
+            _column(
+                "pictures",
+                pa.list_(CAMERA),
+                "pictures of each camera before each action, T PNG files of 8-bit RGB; null if they were not kept",
+            ),
+            _column("randomization", _text, "what the domain randomisation drew, as JSON; null without one"),
+        ]
+    ),
     "warnings": pa.schema(
         [
             _column("id", _text, "identifier of the scene or asset, which is in the run"),
@@ -636,6 +689,9 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "meshes": ("asset_id", "glb", "sha256"),
     "measured": ("asset_id", "category", "extents"),
     "textures": ("sha256", "image"),
+    "episodes": tuple(
+        name for name in SCHEMAS["episodes"].names if name not in ("split", "reason", "image_size", "pictures", "randomization")
+    ),
 }
 """Name of a table -> the columns that every file needs. Any other column may be missing: it is read as null."""
 

@@ -16,6 +16,9 @@ from stable_data.metrics.reach_columns import REACH_COLUMNS
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
 from stable_data.storage.schemas import SAMPLE_OBJECT, SCHEMAS, TASK, Row
 
+VARIANT_COLUMNS = ("variant_of", "varied", "num_varied")
+"""Columns of ``scenes`` that state of which scene a row is a variant."""
+
 
 def arrow_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     """Returns rows as an Arrow table; the table is empty if there are no rows.
@@ -99,7 +102,7 @@ def task_from_row(row: Mapping[str, Any] | None) -> TaskInfo | None:
 
 
 def scene_row(scene: Scene) -> Row:
-    """Returns a scene as the columns of ``scenes`` that describe the scene itself."""
+    """Returns a scene as the columns of ``scenes`` that describe the scene itself, which is no variant of another one."""
     return {
         "scene_id": scene.scene_id,
         "table_type": scene.table.table_type,
@@ -111,6 +114,7 @@ def scene_row(scene: Scene) -> Row:
         "fixed": sorted(scene.fixed) or None,
         "surface": _surface_row(scene),
         "source_json": _json(scene.source),
+        **dict.fromkeys(VARIANT_COLUMNS),
     }
 
 

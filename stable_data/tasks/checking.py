@@ -212,12 +212,18 @@ class GoalChecker:
         return self._seen[1]
 
     def _steps_done(self, view: StateView) -> list[bool]:
-        done = [self._is_done(step, view) for step in self.goal.steps]
-        # What was placed was picked before.
-        for k in range(len(done) - 1, -1, -1):
-            if done[k]:
-                earlier = (j for j in range(k) if self.goal.steps[j].subject == self.goal.steps[k].subject)
-                done = [True if j in set(earlier) else is_done for j, is_done in enumerate(done)]
+        """Whether each step is done. A placed object was picked before; one that is picked again was placed before."""
+        steps = self.goal.steps
+        done = [self._is_done(step, view) for step in steps]
+        for k, step in enumerate(steps):
+            if not done[k]:
+                continue
+            earlier = [j for j in range(k) if steps[j].subject == step.subject]
+            if step.action is StepAction.PICK and earlier and not all(done[j] for j in range(k) if j not in earlier):
+                done[k] = False
+                continue
+            for j in earlier:
+                done[j] = True
         return done
 
     def _is_done(self, step: Step, view: StateView) -> bool:

@@ -25,8 +25,9 @@ def compile_goal(geometry: TaskGeometry) -> Goal:
         geometry: The scene at the start of the task, with the supports of its objects, and its geometry.
 
     Raises:
-        GoalError: ``no_task``; ``no_goal``: the task info states none; ``goal_not_checkable``: no state of the scene shows whether the goal is reached, or a container holds
-            nothing; ``goal_unresolved``: an instance is missing or ambiguous; ``goal_true_at_start``.
+        GoalError: ``no_task``; ``no_goal``: the task info states none; ``goal_not_checkable``: no state of the scene shows whether the
+            goal is reached, or a container holds nothing; ``goal_unresolved``: an instance is missing or ambiguous;
+            ``goal_true_at_start``.
     """
     scene = geometry.scene
     if scene.task is None:

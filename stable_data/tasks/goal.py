@@ -1,11 +1,11 @@
 """The goal of the task of a scene: conditions on its state, and the steps that a robot takes to fulfil them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from stable_data.condition import Condition, condition_document, condition_of
+from stable_data.condition import NAME_SEPARATOR, SIDE_KINDS, Condition, ConditionKind, condition_document, condition_of
 from stable_data.errors import GoalError
 
 
@@ -72,6 +72,37 @@ class Goal:
     def __str__(self) -> str:
         """Returns the conditions in words."""
         return f"{self.kind}: {'; '.join(map(str, self.conditions))}"
+
+
+_ALWAYS_INSTANCES = SIDE_KINDS | {ConditionKind.IN, ConditionKind.BESIDE, ConditionKind.BETWEEN}
+_INSTANCES_OR_WORDS = frozenset({ConditionKind.ON, ConditionKind.AT, ConditionKind.APART, ConditionKind.FACING})
+
+
+def rename_conditions(conditions: Sequence[Condition], names: Mapping[str, str], known: Set[str]) -> tuple[Condition, ...]:
+    """Returns conditions between the instances of another scene; none if an instance has no counterpart there.
+
+    The order of sizes may be another one there, so ``ordered`` has no counterpart. What is to leave an object that shall be empty
+    may be missing there.
+
+    Args:
+        conditions: The conditions.
+        names: Instance -> its counterpart.
+        known: All instances of the first scene.
+    """
+    found = []
+    is_emptied = any(c.kind is ConditionKind.EMPTY for c in conditions)
+    for c in conditions:
+        has_instances = c.kind in _ALWAYS_INSTANCES or (c.kind in _INSTANCES_OR_WORDS and c.target in known)
+        targets = [names.get(t) for t in c.targets] if has_instances else list(c.targets)
+        parts = [*(names.get(s) for s in c.subjects), *targets]
+        if None in parts or c.kind is ConditionKind.ORDERED:
+            if is_emptied and c.kind is not ConditionKind.EMPTY:
+                continue
+            return ()
+        filled = [part for part in parts if part is not None]
+        count = len(c.subjects)
+        found.append(replace(c, subject=NAME_SEPARATOR.join(filled[:count]), target=NAME_SEPARATOR.join(filled[count:])))
+    return tuple(found)
 
 
 def goal_document(goal: Goal) -> dict[str, Any]:

@@ -45,6 +45,7 @@ _FINE_STEP = 0.01  # of the grid on an object, metres
 _SIDE_GAP = 0.03  # preferred distance to an object beside which another one is put, metres
 _MOST_TRIED = 200  # poses that are checked exactly
 _ROW_GAP = 0.04  # metres between members of a row
+_OVERHANG = 0.15  # largest share of the outline of an object that may reach over the outline of its container
 _SURFACE_POINTS = 20_000
 _SHEET = 5e-4  # metres above a surface: contact within rounding
 
@@ -186,7 +187,16 @@ class _Search:
         if facing is not None:
             yaw, _ = heading(current)
             return [quat_product(yaw_quat(self._yaw_for(facing) - yaw), current)]
-        return [current, quat_product(yaw_quat(math.pi / 2), current)]
+        around = [current, quat_product(yaw_quat(math.pi / 2), current)]
+        return [*around, self._on_end(current)] if any(c.kind is K.IN for c in self.wanted) else around
+
+    def _on_end(self, quat: QuatXyzw) -> QuatXyzw:
+        """A rotation that stands a long object on its end, as a pen in a pen holder."""
+        yaw, _ = heading(quat)
+        length, width, _ = self.geometry.posed(self.row, np.zeros(3), quat).item.size
+        half = math.sqrt(0.5)
+        lift: QuatXyzw = (0.0, half, 0.0, half) if length >= width else (half, 0.0, 0.0, half)
+        return quat_product(yaw_quat(yaw), quat_product(lift, quat_product(yaw_quat(-yaw), quat)))
 
     def _yaw_for(self, facing: Condition) -> float:
         if facing.target in self.geometry.rows:
@@ -286,7 +296,7 @@ class _Search:
             # The object goes through the opening: its outline should lie within that of the container.
             around = self.view.outline(self.base)
             over = shapely.area(shapely.difference(placed, around)) / np.maximum(shapely.area(placed), 1e-12)
-            nearest = np.where(over > 0.5, -1.0, nearest)
+            nearest = np.where(over > _OVERHANG, -1.0, nearest)
         else:
             nearest[nearest <= 1e-9] = -1.0  # the place on the object is taken
         return nearest

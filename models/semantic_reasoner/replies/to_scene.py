@@ -13,10 +13,12 @@ from models.semantic_reasoner.language.interpreter import (
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.condition import Condition
-from stable_data.metrics.alignment import members
-from stable_data.scene import Relation, Scene, SceneObject, Stage, TaskInfo
+from stable_data.metrics.alignment import AlignmentReference, align, members
+from stable_data.scene import TABLE, Relation, Scene, SceneObject, Stage, TaskInfo
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.scene_graph.support_from_boxes import carriers_of
+from stable_data.tasks.goal import rename_conditions
+from stable_data.tasks.regions import REGIONS
 
 
 def objects_of_reply(
@@ -47,7 +49,12 @@ def objects_of_reply(
 
 
 def attach_task_info(
-    scene: Scene, instruction: str, proposed: Sequence[SceneObject], interpret: InstructionInterpreter | None = None
+    scene: Scene,
+    instruction: str,
+    proposed: Sequence[SceneObject],
+    interpret: InstructionInterpreter | None = None,
+    reference: AlignmentReference | None = None,
+    labels: Sequence[Condition] = (),
 ) -> Scene:
     """Returns a scene with its task info: the instruction, the objects of O^t, their stated relations at the start, and its goal.
 
@@ -56,6 +63,8 @@ def attach_task_info(
         instruction: The task instruction.
         proposed: The objects as they were proposed; the relations are inferred from their boxes.
         interpret: Interprets the instruction; None gives no relations and no conditions.
+        reference: What the scene must have by labels that no reader made; None without labels.
+        labels: What holds when the task is done, in the names of ``reference``. They have priority over the reading.
     """
     task_objects = tuple(o.instance for o in scene.objects if o.stage is Stage.TASK)
     relations: tuple[Relation, ...] = ()
@@ -69,6 +78,11 @@ def attach_task_info(
             # The requirements have a number for each mentioned object, and other names for what it contains.
             names = {int(number): name for number, name in found.matches if number.isdigit() and name in there}
             conditions = conditions_of_reading(meant.reading, instruction, names)
+    if reference is not None and labels:
+        labelled = align(Scene("layout", scene.table, tuple(proposed)), reference)
+        counterparts = {one: other for one, other in labelled.matches if other in {o.instance for o in scene.objects}}
+        known = {name for c in labels for name in (*c.subjects, *c.targets)} - {TABLE} - REGIONS
+        conditions = rename_conditions(labels, counterparts, known) or conditions
     task = TaskInfo("", instruction, task_objects=task_objects, relations=relations, conditions=conditions)
     return replace(scene, task=task)
 

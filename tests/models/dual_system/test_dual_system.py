@@ -10,6 +10,8 @@ from models.dual_system.algorithm1 import Corrects, LoopSettings, dual_system
 from models.dual_system.batching import run_batched
 from models.dual_system.requests import (
     CorrectionRequest,
+    ExchangedAssets,
+    ExchangeRequest,
     GenerationResult,
     ProposalRequest,
     Request,
@@ -64,6 +66,9 @@ class Answers:
     def retrieve(self, questions: Sequence[RetrievalRequest]) -> list[AssignedLayout]:
         self.asked += questions
         return [self.furnished(q.scene) for q in questions]
+
+    def exchange(self, questions: Sequence[ExchangeRequest]) -> list[ExchangedAssets]:
+        raise AssertionError("Algorithm 1 exchanges no assets")
 
     def correct(self, questions: Sequence[CorrectionRequest]) -> list[Correction]:
         self.asked += questions

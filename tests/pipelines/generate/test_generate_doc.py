@@ -31,11 +31,12 @@ def test_it_has_every_setting_with_its_default() -> None:
     }
 
 
-def test_its_commands_are_commands(tmp_path: Path) -> None:
+def test_its_commands_are_commands(clean_run: Path, tmp_path: Path) -> None:
     commands = re.findall(r"^python -m pipelines (.*)$", TEXT, re.MULTILINE)
     assert len(commands) > 1
     for command in commands:
         words = shlex.split(command.replace("OUT", str(tmp_path / "out")).replace("transformers:MODEL", "embedded"))
+        words = [str(clean_run) if word == "RUN" else word for word in words]
         words = ["2" if word == "100000" else word for word in words]  # the fewer are as good a plan
         result = CliRunner().invoke(app, [*words, "--dry-run"])
         assert result.exit_code == 0, result.output

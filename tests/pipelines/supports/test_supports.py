@@ -238,6 +238,7 @@ def test_the_fingerprint_of_a_task_tells_its_surroundings(supports: str) -> None
             assert second.place is not None
             changed: SampledTask | LayoutTask = replace(second, place=replace(second.place, surroundings=()))
         else:
+            assert isinstance(second, LayoutTask)
             first, *others = second.surroundings
             changed = replace(second, surroundings=(first.moved((0.0, 0.0, 0.0), 0.0), *others))
         assert fingerprints_of_tasks([second]) != fingerprints_of_tasks([changed])

@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError
 from stable_data.robot.control import CONTROLS, MAX_JOINT, Controller
-from stable_data.robot.expert import Command, Expert, ExpertError, Place
+from stable_data.robot.expert import Command, Expert, ExpertError
 from stable_data.robot.kinematics import Arm
 from stable_data.robot.motion import STEP, joint_line, plan_path, timed, tool_line
 from stable_data.robot.robots import ROBOTS, robot_named
+from stable_data.scene import FloatArray
+from stable_data.tasks.placing import TargetPose
 from tests.stable_data.robot.tables import BOX, CAN, PLATE, Bench
 
 ROBOT = ROBOTS["simple"]
@@ -109,6 +111,11 @@ def test_an_unknown_control_is_refused() -> None:
         Controller(ROBOT, ARM, "torque")
 
 
+def target(position: FloatArray, support: str) -> TargetPose:
+    x, y, z = position.tolist()
+    return TargetPose((x, y, z), (0.0, 0.0, 0.0, 1.0), 0.0, z, support)
+
+
 def run(bench: Bench, commands: "itertools.chain[Command]") -> None:
     for command in commands:
         bench.world.advance(command.joints, command.opening, 0.05)
@@ -119,7 +126,7 @@ def test_the_expert_puts_the_can_on_the_plate(bench: Bench) -> None:
     can = bench.built.geometry.scene[CAN]
     run(bench, itertools.chain(expert.pick(CAN)))
     assert bench.world.contacts().held == {CAN}
-    place = Place(np.array([*plate.position[:2], plate.top + can.size[2] / 2]), can.yaw, PLATE)
+    place = target(np.array([*plate.position[:2], plate.top + can.size[2] / 2]), PLATE)
     run(bench, itertools.chain(expert.place(CAN, [place]), expert.rest()))
     assert bench.world.contacts().supports[CAN] == (PLATE,)
     assert bench.world.object_poses[k, :2] == pytest.approx(plate.position[:2], abs=0.03)
@@ -132,7 +139,7 @@ def test_the_expert_says_why_it_gives_up(bench: Bench) -> None:
         run(bench, itertools.chain(expert.place(CAN, [])))
     run(bench, itertools.chain(expert.pick(CAN)))
     with pytest.raises(ExpertError, match="no_place: 0_can_0"):
-        run(bench, itertools.chain(expert.place(CAN, [Place(np.array([5.0, 5.0, 0.1]), 0.0)])))
+        run(bench, itertools.chain(expert.place(CAN, [target(np.array([5.0, 5.0, 0.1]), "table")])))
 
 
 def test_a_miss_is_tried_again(bench: Bench) -> None:

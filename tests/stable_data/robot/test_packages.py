@@ -73,11 +73,13 @@ def test_an_unknown_robot_is_refused() -> None:
         robot_named("ur99")
 
 
-@pytest.mark.parametrize("name", [name for name in ROBOTS if name != "simple"])
-def test_a_fetched_robot_holds_its_pose_at_a_table(name: str, geometry: SceneGeometry) -> None:
+@pytest.mark.parametrize("name", list(ROBOTS))
+def test_a_robot_holds_its_pose_and_opens_again(name: str, geometry: SceneGeometry) -> None:
     if not ROBOTS[name].is_there:
         pytest.skip(f"the files of {name} are not on this machine: stable-data robots --fetch {name}")
     bench = Bench(geometry, name)
+    bench.world.advance(bench.arm.home, 0.0, 1.0)
+    assert abs(bench.world.opening) < 0.01
     bench.world.advance(bench.arm.home, 0.05, 1.0)
     assert abs(bench.world.joints - bench.arm.home).max() < 2e-3
     assert bench.world.opening == pytest.approx(0.05, abs=0.02)
