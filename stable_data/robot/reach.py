@@ -189,7 +189,7 @@ def survey_reach(
     best: SceneReach | None = None
     for mount in (first, *(_other_mounts(robot, scene, first) if options.mount == AUTO and goal is not None else ())):
         found = _survey_from(mount, robot, task, geometry, options, goal, unknown)
-        if best is None or found.task_reachable:
+        if best is None or found.task_reachable or reason_codes(best.task_reason) == [START_COLLIDES]:
             best = found
         if found.task_reachable or not _depends_on_mount(found):
             break
