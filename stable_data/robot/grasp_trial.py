@@ -16,9 +16,6 @@ from stable_data.robot.world import RobotWorld
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import FloatArray
 
-PRE_GRASP = 0.10
-"""Distance of the pre-grasp from the grasp, back along the approach, metres."""
-
 LIFT = 0.10
 """How far an object is lifted in a trial, metres."""
 
@@ -189,8 +186,10 @@ class GraspFinder:
 
     def _solve(self, positions: FloatArray, rotations: FloatArray) -> list[_Option | None]:
         """Joints of the pre-grasp and of the grasp, and the rotation, of each candidate; None where the arm cannot reach."""
-        before = self.arm.solve(positions - PRE_GRASP * rotations[:, :, 2], rotations)
+        before = self.arm.solve(positions - self.built.robot.pre_grasp * rotations[:, :, 2], rotations)
         at = self.arm.solve(positions, rotations, before.joints, starts=0)
+        if not self.arm.is_full:  # it takes the object from the direction from which it can
+            _, rotations = self.arm.poses(at.joints)
         rows = zip(before.found & at.found, before.joints, at.joints, rotations, strict=True)
         return [(one, other, rotation) if is_found else None for is_found, one, other, rotation in rows]
 

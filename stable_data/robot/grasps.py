@@ -53,10 +53,6 @@ class Grasps:
     def __len__(self) -> int:
         return len(self.widths)
 
-    def chosen(self, rows: IntArray | BoolArray) -> "Grasps":
-        """Returns some of them, by index or mask."""
-        return Grasps(self.positions[rows], self.rotations[rows], self.widths[rows], self.scores[rows])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointPairs:
