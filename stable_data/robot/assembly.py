@@ -33,7 +33,7 @@ CAMERAS = (WRIST, "front", "top")
 _STAND_COLOUR = (0.28, 0.29, 0.31, 1.0)
 _STAND_HALF = 0.09  # half the width of the stand below the base, metres
 _WRIST_CAMERA = (0.08, 0.0, -0.06)  # in the tool frame, metres
-_WRIST_TARGET = 0.25  # how far before the tool frame the camera looks, metres
+_WRIST_TARGET = 0.12  # how far before the tool frame the camera looks, metres
 _WRIST_FIELD = 70.0  # degrees
 
 
