@@ -10,7 +10,7 @@ import typer
 
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
 from pipelines.retired import CommandGroup
-from pipelines.robot_commands import demonstrate
+from pipelines.robot_commands import demonstrate, reach
 from pipelines.scene_files import commands as scene_files
 from pipelines.supports.commands import supports
 from pipelines.training_commands import app as training
@@ -487,6 +487,7 @@ def show_settings(
 app.command("repair")(scene_files.repair)
 app.command("import-scenes")(scene_files.import_scenes)
 app.command("supports")(supports)
+app.command("reach", epilog=SETTINGS_HINT.format("reach"))(reach)
 app.command("demonstrate", epilog=SETTINGS_HINT.format("demonstrate"))(demonstrate)
 
 

@@ -76,3 +76,54 @@ def demonstrate(
         typer.echo(f"{dataset}: {made.num_episodes} episodes as a LeRobotDataset v3.0")
     if counts["failures"]:
         raise typer.Exit(SOME_FAILED)
+
+
+@with_clear_errors
+def reach(
+    scenes: Annotated[
+        str,
+        typer.Option(help="A run with the tables scenes, assets and meshes, such as one of generate; every node must see it."),
+    ],
+    out: Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")],
+    robot: Annotated[
+        str | None,
+        typer.Option(help="panda, panda_2f85, so101 or simple (stable-data robots); overrides the file. Default: panda."),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table reach is read.")] = None,
+    set_: JobSettings = None,
+    workers: Annotated[
+        int,
+        typer.Option(
+            help="Worker processes on a local Ray, or shards at once with --address. -1: one for each core. 0: this process."
+        ),
+    ] = -1,
+    address: Address = None,
+    dry_run: DryRun = False,
+) -> None:
+    """Find what a robot reaches and holds in the scenes of a run. Run again to continue after a stop.
+
+    OUT is a run with all scenes and their assets; its table scenes has the columns task_reachable, task_graspable, task_reason and
+    others, its table grasps the grasps that were tried. Status 0: done. 1: some scenes could not be surveyed; the table failures gives
+    the reasons. 2: could not start.
+    """
+    from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.execution.shard_job import describe
+    from pipelines.reach.job import ReachJob
+    from pipelines.reach.job import reach as run
+    from pipelines.reach.settings import ReachSettings
+    from pipelines.settings import resolve_settings
+
+    count = worker_count(workers, address)
+    asked = [f"robot={json.dumps(robot)}"] if robot is not None else []
+    settings = resolve_settings(ReachSettings, "reach", config, [*(set_ or []), *asked])
+    if dry_run:
+        typer.echo(json.dumps(describe(ReachJob(scenes, settings)), indent=2))
+        return
+    manifest = run(scenes, out, settings, WorkerPool(count, address))
+    counts = manifest["counts"]
+    typer.echo(
+        f"{out}: {counts['scenes']} of {manifest['num_scenes']} scenes surveyed, {counts['task_reachable']} tasks reachable, "
+        f"{counts['task_graspable']} graspable, {counts['grasps']} grasps tried, {counts['failures']} failures; report/index.html"
+    )
+    if counts["failures"]:
+        raise typer.Exit(SOME_FAILED)

@@ -60,6 +60,7 @@ JOBS: Mapping[str, SettingsLocation] = {
     "edit": SettingsLocation("pipelines.edit.settings:EditSettings"),
     "generate": SettingsLocation("pipelines.generate.settings:GenerateSettings"),
     "demonstrate": SettingsLocation("pipelines.demonstrate.settings:DemonstrateSettings"),
+    "reach": SettingsLocation("pipelines.reach.settings:ReachSettings"),
     "train-corrector": SettingsLocation(
         "models.physics_corrector.training.settings:CorrectorTrainingSettings",
         "models.physics_corrector.training.settings:training_preset",

@@ -16,6 +16,7 @@ from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.preprocess.convention import resolve_convention
+from pipelines.sources.carried_tables import CARRIED_TABLES, carry_tables
 from pipelines.sources.scenes import FolderSource, SceneChunk, SceneSource, TableSource, scene_source
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.atomic_files import write_file_atomically
@@ -27,9 +28,6 @@ from stable_data.storage.run_folder import RunFolder, absolute_uri
 from stable_data.storage.table_rows import scene_from_row
 
 S = TypeVar("S", bound=CorrectSettings)
-
-CARRIED_TABLES = ("assets", "meshes", "textures", "sdf", "features")
-"""Tables of the input run that are copied to the output, so that it can be used for training and export by itself."""
 
 
 def correct(scenes: str, out: str, settings: CorrectSettings, workers: WorkerPool, *, report: bool = True) -> dict[str, Any]:
@@ -64,7 +62,7 @@ class SceneJob(ShardJob, Generic[S]):
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:
         """Copies the tables of assets; also writes the scenes in the MesaTask-10K format if they came from a folder."""
-        carried = _carry_assets(self.source, folder)
+        carried = carry_tables(self.source.folder, folder) if isinstance(self.source, TableSource) else []
         if self.settings.write_dataset and isinstance(self.source, FolderSource) and folder.is_local:
             write_dataset(self.source, folder, self.other_assets(folder))
         return {table: folder.num_rows(table) for table in carried} | self.kinds(folder)
@@ -147,21 +145,6 @@ def check_place(scenes: str, out: str) -> None:
     folder, where = RunFolder(out), Path(absolute_uri(scenes))
     if "://" not in scenes and folder.is_local and where in (Path(folder.root), *Path(folder.root).parents):
         raise ConfigError(f"{out}: is inside the folder of the input scenes, expected another folder", "output_invalid")
-
-
-def _carry_assets(source: SceneSource, folder: RunFolder) -> list[str]:
-    """Copies the tables of assets of a run, file by file, and returns their names; a dataset has none."""
-    carried = []
-    if isinstance(source, TableSource):
-        for table in CARRIED_TABLES:
-            files, there = ({Path(path).name for path in run.files(table)} for run in (source.folder, folder))
-            # The first file of a shard, which has no number, is copied last: if it exists, the others do.
-            for file in sorted(files - there, key=lambda name: (-name.count("-"), name)):
-                content = source.folder.read_bytes(f"{table}/{file}")
-                assert content is not None  # it was just listed
-                folder.write_bytes(f"{table}/{file}", content)
-            carried += [table] if files else []
-    return carried
 
 
 def write_dataset(source: FolderSource, folder: RunFolder, others: Mapping[str, tuple[AssetAnnotation, Path]]) -> Path:

@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 from pipelines.correct.settings import CorrectSettings
 from pipelines.reports.agreement import judge_agreement
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
+from pipelines.reports.reach import reach_figures
 from pipelines.reports.scene_pictures import SceneGrids, ShownScene
 from stable_data.assets.store import AssetStore
 from stable_data.scene import Scene
@@ -48,6 +49,7 @@ def write_correct_report(folder: RunFolder, manifest: dict[str, Any], store: Ass
         tiles(figures),
         *_before_and_after(corrections),
         *judge_agreement(folder, ("scenes",), settings.judge_names),
+        *reach_figures(folder, ("scenes",)),
         *_pictures(folder, corrections, SceneGrids(folder, store), settings.num_pictures),
         *notices(folder),
     ]

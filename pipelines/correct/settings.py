@@ -15,6 +15,9 @@ from stable_data.errors import ConfigError
 from stable_data.judges.registry import check_judges, judge_names
 from stable_data.mesatask import PositionConvention
 from stable_data.metrics.judge_columns import columns_not_filled
+from stable_data.metrics.reach_columns import reach_columns_not_filled
+from stable_data.robot.mounting import AUTO, parse_mount
+from stable_data.robot.robots import robot_named
 from stable_data.scene import Scene
 from stable_data.storage.filter_expression import FilterExpression
 
@@ -65,6 +68,19 @@ class CorrectorJobSettings(Settings):
     ``stable_share``; 0: none.
     """
 
+    robot: str = ""
+    """The robot whose reach and grasps are surveyed in each scene, for the columns ``task_reachable`` and others and the table ``grasps``:
+    panda, panda_2f85, so101 or simple (``stable-data robots`` lists them). Empty: none.
+    """
+
+    mount: str = AUTO
+    """Where the robot stands: ``auto``, an edge of the table (front, left, right, back), or an edge and a share of its length, such as
+    ``front:0.25``.
+    """
+
+    grasp_tries: Count = 3
+    """Grasps of each object that are tried in simulation; 0 tries none, so that ``task_graspable`` is unknown."""
+
     @property
     def judge_names(self) -> tuple[str, ...]:
         """The judges, in order."""
@@ -85,6 +101,23 @@ class CorrectorJobSettings(Settings):
                     if judge == "robust_rest"
                     else f"judges is {self.judges!r}; add {judge} to it"
                 )
+                raise ConfigError(
+                    f"setting {section}.accept is {condition.text!r}, but nothing fills the column {column}: {what}, or change accept",
+                    "config_invalid",
+                )
+
+    def check_robot(self, section: str, condition: FilterExpression | None = None) -> None:
+        """Refuses unknown robots and mounts, and a condition on what no survey fills.
+
+        Raises:
+            ConfigError: See above (``setting_invalid`` or ``config_invalid``), or the robot's package is missing (``robot_missing``).
+        """
+        if self.robot:
+            robot_named(self.robot)
+            parse_mount(self.mount)
+        if condition is not None:
+            for column, key in reach_columns_not_filled(condition.columns, self.robot, self.grasp_tries).items():
+                what = "robot is empty; set it to panda" if key == "robot" else "grasp_tries is 0; set it to 3"
                 raise ConfigError(
                     f"setting {section}.accept is {condition.text!r}, but nothing fills the column {column}: {what}, or change accept",
                     "config_invalid",
@@ -189,6 +222,7 @@ class CorrectSettings(CorrectorJobSettings):
         """Refuses a simulation after no certification, which would not take place, and a rearrangement without a flow."""
         self.check_correctors(self.section)
         self.check_judges(self.section)
+        self.check_robot(self.section)
         if self.purpose == "rearrange" and self.weights == "none":
             raise ConfigError(
                 f"setting {self.section}.purpose is rearrange, but weights is none: nothing knows where things belong, expected weights; "

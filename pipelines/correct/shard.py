@@ -10,6 +10,7 @@ from typing import ClassVar
 
 from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions, shapes_by_instance
 from pipelines.correct.judging import judge_scene
+from pipelines.correct.reaching import reach_scene
 from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
@@ -30,7 +31,7 @@ from stable_data.storage.table_rows import card_row, notice_row, scene_row
 class CorrectWork(SceneWork[CorrectSettings, str, CertificationRequest]):
     """The work of one shard: an item is a scene id, its answer the scene after the flow and the refinement."""
 
-    TABLES: ClassVar = ("warnings", "failures", "corrections", "scenes")
+    TABLES: ClassVar = ("warnings", "failures", "corrections", "grasps", "scenes")
     UNIT: ClassVar = "scene"
 
     def item_id(self, item: str) -> str:
@@ -87,7 +88,11 @@ class CorrectWork(SceneWork[CorrectSettings, str, CertificationRequest]):
             progress.step = "settle"
             judged = judge_scene(scene, posed.shapes, opened.source.store, self.settings, done.rest)
             card = judged.filled(card)
-            found["scenes"] = [{**scene_row(scene), **card_row(card), **judged.columns, **audit.rows(), **taken.origin}]
+            progress.step = "reach"
+            reach = reach_scene(scene, opened.source.store, self.settings, taken.containers)
+            columns = {**judged.columns, **reach.columns}
+            found["scenes"] = [{**scene_row(scene), **card_row(card), **columns, **audit.rows(), **taken.origin}]
+            found["grasps"] = reach.grasps
             notices += [*notices_of(done, scene_id), *judged.notices]
         return found | {"corrections": [correction_row(done)], "warnings": [notice_row(n) for n in notices]}
 

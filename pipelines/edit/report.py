@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 from pipelines.edit.settings import EditSettings
 from pipelines.reports.agreement import judge_agreement
 from pipelines.reports.html import bars, head, histogram, notices, page, tiles
+from pipelines.reports.reach import reach_figures
 from pipelines.reports.scene_pictures import SceneGrids, ShownScene
 from stable_data.assets.store import AssetStore
 from stable_data.scene import Scene
@@ -54,6 +55,7 @@ def write_edit_report(folder: RunFolder, manifest: dict[str, Any], store: AssetS
         ),
         "</div>",
         *judge_agreement(folder, ("scenes",), settings.judge_names),
+        *reach_figures(folder, ("scenes",)),
         *_pictures(folder, edits, SceneGrids(folder, store), settings.num_pictures),
         *notices(folder),
     ]

@@ -17,6 +17,7 @@ from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.staged_layout import table_with_zone
 from models.semantic_reasoner.text.reply_json import parse_reply
 from pipelines.correct.judging import judge_scene
+from pipelines.correct.reaching import reach_scene
 from pipelines.correct.scene_shard import SceneWork, SceneWorkerState, corrector_of, notices_of
 from pipelines.correct.shard import correction_row
 from pipelines.edit.assets import AssetFinder
@@ -62,7 +63,7 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         assets: Libraries that are searched after that of the scenes, see :class:`~pipelines.sources.assets.AssetLibraries`.
     """
 
-    TABLES: ClassVar = ("warnings", "failures", "corrections", "edits", "scenes")
+    TABLES: ClassVar = ("warnings", "failures", "corrections", "edits", "grasps", "scenes")
     UNIT: ClassVar = "edit"
 
     assets: tuple[str, ...] = ()
@@ -151,7 +152,8 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
             posed = PosedScene(done.certified, opened.source.store.shapes(done.certified)[0])
             audit, card = done.audit, done.card_after
         progress.step = "relations"
-        scene = relate_scene(posed, audit, opened.shelf.containers(posed.scene)).scene
+        containers = opened.shelf.containers(posed.scene)
+        scene = relate_scene(posed, audit, containers).scene
         assert card is not None  # a certified scene has a card
         card = add_sampled_collisions(add_counts(card, scene), scene, posed.shapes, audit)
         if replied.kind == "none":
@@ -160,7 +162,11 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         judged = judge_scene(scene, posed.shapes, opened.source.store, self.settings)
         notices += judged.notices
         card = judged.filled(card)
-        rows["scenes"] = [{**scene_row(scene), **card_row(card), **judged.columns, **audit.rows(), **taken.origin}]
+        progress.step = "reach"
+        reach = reach_scene(scene, opened.source.store, self.settings, containers)
+        columns = {**judged.columns, **reach.columns}
+        rows["scenes"] = [{**scene_row(scene), **card_row(card), **columns, **audit.rows(), **taken.origin}]
+        rows["grasps"] = reach.grasps
         rows["edits"] = [_edit_row(edit, replied.kind, taken, scene)]
         return rows | {"warnings": _notice_rows(edit, notices)}
 

@@ -19,6 +19,7 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.reports.agreement import judge_agreement
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
+from pipelines.reports.reach import reach_figures
 from pipelines.reports.scene_pictures import SceneGrids, ShownScene, draw_scene
 from pipelines.sources.scenes import TableSource, mesh_cache
 from stable_data.assets.run_assets import RunAssets
@@ -85,6 +86,7 @@ def write_generate_report(
         *_variants(scenes, rejected),
         *_quality(scenes, rejected),
         *judge_agreement(folder, ("scenes", "rejected"), settings.judge_names),
+        *reach_figures(folder, ("scenes", "rejected")),
         *_stages(folder, turns),
         *_time(spent),
         *_pictures(folder, scenes, "scenes", "Pictures", grids, settings.num_pictures, sources),

@@ -109,6 +109,7 @@ class GenerateSettings(CorrectorJobSettings):
             )
         _ = self.loop
         self.check_judges(self.section, self.accepting)
+        self.check_robot(self.section, self.accepting)
 
     @property
     def stages(self) -> tuple[Wanted, ...]:

@@ -33,6 +33,7 @@ from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import assistant_message
 from pipelines.correct.judging import JudgedScene, judge_scene
+from pipelines.correct.reaching import reach_scene
 from pipelines.correct.scene_shard import dropped_notice, notices_of
 from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.engine_pool import PooledEngine, check_gpus, engine_pool
@@ -65,6 +66,7 @@ from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
 from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.movement import add_movement
+from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE, REASON
 from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.metrics.sampled_collision import add_sampled_collisions
@@ -136,7 +138,7 @@ class GenerateWork(ShardStep[Task]):
         tally: Receives the progress of the scenes, or None.
     """
 
-    TABLES: ClassVar = ("warnings", "failures", "turns", "settled", "rejected", "scenes")
+    TABLES: ClassVar = ("warnings", "failures", "turns", "settled", "grasps", "rejected", "scenes")
     UNIT: ClassVar = "scene"
 
     assets: tuple[str, ...]
@@ -318,6 +320,11 @@ class GenerateWork(ShardStep[Task]):
         card = _with_movement(card, made, scene, posed, audit, opened.answers.certifier.store)
         card, not_as_said = _with_alignment(card, seen, containers, made.task, opened.interpret)
         card = judged.filled(card)
+        progress.step, began = "reach", perf_counter()
+        reach = reach_scene(scene, opened.answers.certifier.store, self.settings, containers)
+        if self.settings.robot:
+            seconds = opened.answers.seconds
+            seconds["reach"] = seconds.get("reach", 0.0) + perf_counter() - began
         group = duplicate_group(scene)
         origin = {
             "source": SOURCE,
@@ -326,7 +333,7 @@ class GenerateWork(ShardStep[Task]):
             "layout_sha256": None,
             "duplicate_group": group,
         }
-        row = {**scene_row(scene), **card_row(card), **judged.columns, **audit.rows(), **origin}
+        row = {**scene_row(scene), **card_row(card), **judged.columns, **reach.columns, **audit.rows(), **origin}
         compared = None
         if isinstance(made.task, VariantTask):
             compared = compare_variant(made.task.source, scene, made.task.axis, opened.shelf.containers)
@@ -337,7 +344,7 @@ class GenerateWork(ShardStep[Task]):
         if made.correction is not None:
             told += notices_of(made.correction, name)
         told += judged.notices
-        found: Rows = {"warnings": [notice_row(n) for n in dict.fromkeys(told)]}
+        found: Rows = {"warnings": [notice_row(n) for n in dict.fromkeys(told)], "grasps": reach.grasps}
         if rest is not None and self.settings.keep_settled:
             found["settled"] = [_settled_row(name, rest)]
         query, code, reason = self.settings.accepting, "", ""
@@ -346,7 +353,10 @@ class GenerateWork(ShardStep[Task]):
         elif compared is not None and compared.lost:
             code, reason = NOT_KEPT, f"it does not keep what it must: {'; '.join(compared.lost)}"
         elif query is not None and not query.passes(row, schemas.SCHEMAS["scenes"]):
-            code, reason = REJECTED, _why_rejected(query.text, {column: row[column] for column in query.columns}, judged)
+            code, reason = (
+                REJECTED,
+                _why_rejected(query.text, {column: row[column] for column in query.columns}, judged, row[REASON]),
+            )
         if not code:
             return found | {"scenes": [row]}
         failure = Notice(name, "accept", code, f"{name}: {reason}")
@@ -459,9 +469,11 @@ def _variant_columns(task: VariantTask, compared: Comparison) -> schemas.Row:
     return found | {"split": task.split, "duplicate_group": task.duplicate_group}
 
 
-def _why_rejected(rule: str, values: dict[str, object], judged: JudgedScene) -> str:
+def _why_rejected(rule: str, values: dict[str, object], judged: JudgedScene, of_task: str | None) -> str:
     said = ", ".join(f"{column} is {'unknown' if value is None else value}" for column, value in values.items())
     reason = "".join(f"; {verdict.reason}" for verdict in judged.verdicts.values() if verdict.reason)
+    if of_task is not None and not {REACHABLE, GRASPABLE}.isdisjoint(values):
+        reason += f"; {of_task}"
     return f"not accepted by {rule!r}: {said}{reason}"
 
 

@@ -78,20 +78,24 @@ class Arm:
             chain.insert(0, body)
             body = int(model.body_parentid[body])
         number = {int(model.joint(name).id): k for k, name in enumerate(robot.joints)}
-        self._links: list[tuple[FloatArray, FloatArray, int | None, FloatArray, FloatArray]] = []
+        count, fixed = len(number), np.eye(4)
+        # Joint k turns a body by a frame that is links + sin(angle) sines + (1 - cos(angle)) cosines, each (J, 4, 4): Rodrigues' formula.
+        self._links, self._sines, self._cosines = np.zeros((count, 4, 4)), np.zeros((count, 4, 4)), np.zeros((count, 4, 4))
+        self._axes, self._anchors = np.zeros((count, 3)), np.ones((count, 4))
         for body in chain:
-            joint = int(model.body_jntadr[body]) if model.body_jntnum[body] else None
-            is_arm = joint is not None and joint in number
-            self._links.append(
-                (
-                    np.array(model.body_pos[body]),
-                    _matrix(model.body_quat[body]),
-                    number[joint] if is_arm and joint is not None else None,
-                    np.array(model.jnt_axis[joint]) if is_arm else np.zeros(3),
-                    np.array(model.jnt_pos[joint]) if is_arm else np.zeros(3),
-                )
-            )
-        self._tool = np.array(robot.hand.position), rotation_matrix(robot.hand.quat_xyzw)
+            fixed = fixed @ _frame(np.array(model.body_pos[body]), _matrix(model.body_quat[body]))
+            joint = int(model.body_jntadr[body]) if model.body_jntnum[body] else -1
+            if joint not in number:
+                continue
+            k, axis, anchor = number[joint], np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
+            cross = np.cross(axis, np.eye(3), axisb=0, axisc=0)
+            self._links[k] = fixed
+            for found, turn in ((self._sines, cross), (self._cosines, cross @ cross)):
+                found[k, :3, :3], found[k, :3, 3] = turn, -turn @ anchor
+                found[k] = fixed @ found[k]
+            self._axes[k], self._anchors[k, :3] = axis, anchor
+            fixed = np.eye(4)
+        self._tool = fixed @ _frame(np.array(robot.hand.position), rotation_matrix(robot.hand.quat_xyzw))
         ranges = np.array([model.joint(name).range for name in robot.joints])
         self.low, self.high = ranges[:, 0] + _MARGIN, ranges[:, 1] - _MARGIN
         self.home = np.clip(np.array(robot.home), self.low, self.high)
@@ -113,20 +117,14 @@ class Arm:
 
     def _forward(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Pose of the tool, and axis and anchor of each joint, (K, J, 3)."""
-        count = len(joints)
-        position, rotation = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
-        axes, anchors = np.zeros((count, joints.shape[1], 3)), np.zeros((count, joints.shape[1], 3))
-        for offset, turn, joint, axis, anchor in self._links:
-            position = position + rotation @ offset
-            rotation = rotation @ turn
-            if joint is None:
-                continue
-            axes[:, joint], anchors[:, joint] = rotation @ axis, position + rotation @ anchor
-            turned = rotation @ _turns(axis, joints[:, joint])
-            position = anchors[:, joint] - turned @ anchor
-            rotation = turned
-        offset, turn = self._tool
-        return position + rotation @ offset, rotation @ turn, axes, anchors
+        sin, cos = np.sin(joints)[:, :, None, None], np.cos(joints)[:, :, None, None]
+        frames = self._links + sin * self._sines + (1 - cos) * self._cosines  # (K, J, 4, 4), then from the base
+        for k in range(1, frames.shape[1]):
+            frames[:, k] = frames[:, k - 1] @ frames[:, k]
+        tool = frames[:, -1] @ self._tool
+        axes = (frames[:, :, :3, :3] @ self._axes[:, :, None])[..., 0]  # a joint turns neither its axis nor its anchor
+        anchors = (frames[:, :, :3] @ self._anchors[:, :, None])[..., 0]
+        return tool[:, :3, 3], tool[:, :3, :3], axes, anchors
 
     def jacobian(self, joints: FloatArray) -> FloatArray:
         """Derivative of the tool's position and rotation by the joints, (K, 6, J): metres and radians a radian."""
@@ -216,19 +214,31 @@ class Arm:
 
 
 def _jacobian(position: FloatArray, axes: FloatArray, anchors: FloatArray) -> FloatArray:
-    return np.concatenate([np.cross(axes, position[:, None] - anchors), axes], axis=2).transpose(0, 2, 1)
+    return np.concatenate([_cross(axes, position[:, None] - anchors), axes], axis=2).transpose(0, 2, 1)
 
 
-def _turns(axis: FloatArray, angles: FloatArray) -> FloatArray:
-    """Rotation matrices about a unit axis, (K, 3, 3): Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sin, cos = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    return np.asarray(np.eye(3) + sin * cross + (1 - cos) * (cross @ cross))
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The cross product of the last axes, as ``np.cross``, which is slow for few vectors."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
 def _rotation_vectors(matrices: FloatArray) -> FloatArray:
-    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
+    """The rotation vector of each matrix, (K, 3), radians."""
+    twice = matrices[:, [2, 0, 1], [1, 2, 0]] - matrices[:, [1, 2, 0], [2, 0, 1]]  # 2 sin(angle) times the axis
+    sin = np.linalg.norm(twice, axis=1)
+    angle = np.arctan2(sin, np.trace(matrices, axis1=1, axis2=2) - 1)
+    vectors = twice * np.where(sin > 1e-9, angle / np.maximum(sin, 1e-9), 0.5)[:, None]
+    flat = np.flatnonzero((angle > 3.0) | (sin <= 1e-9))  # near half a turn the axis is not in the difference
+    if len(flat):
+        vectors[flat] = Rotation.from_matrix(matrices[flat]).as_rotvec()
+    return vectors
+
+
+def _frame(position: FloatArray, rotation: FloatArray) -> FloatArray:
+    """A pose as a matrix, (4, 4)."""
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = rotation, position
+    return frame
 
 
 def _matrix(quat_wxyz: FloatArray) -> FloatArray:

@@ -18,7 +18,8 @@ AUTO = "auto"
 EDGES = ("front", "left", "right", "back")
 """The edges of the table."""
 
-_CHOSEN = EDGES[:3]  # behind the back edge there often is a wall
+CHOSEN_EDGES = EDGES[:3]
+"""The edges of which ``auto`` chooses: behind the back edge there often is a wall."""
 
 _GAP = 0.02  # between the base and the table, metres
 _STEP = 0.1  # distance of the places along an edge that are compared, metres
@@ -107,15 +108,36 @@ def mount_of(
     Raises:
         ConfigError: The setting is none of these (``setting_invalid``).
     """
+    place = parse_mount(setting)
+    return best_mount(robot, scene, wanted, places) if place is None else mount_at(robot, scene.table, *place)
+
+
+def parse_mount(setting: str) -> tuple[str, float] | None:
+    """Returns the edge and the share of its length of a setting; None for ``auto``.
+
+    Raises:
+        ConfigError: The setting is none (``setting_invalid``).
+    """
     if setting == AUTO:
-        return best_mount(robot, scene, wanted, places)
-    edge, _, share = setting.partition(":")
+        return None
+    edge, _, number = setting.partition(":")
     try:
-        return mount_at(robot, scene.table, edge, float(share or 0.5))
-    except ValueError as error:
-        if isinstance(error, ConfigError):
-            raise
-        raise ConfigError(f"mount is {quote_value(setting)}, expected a number after the colon", "setting_invalid") from error
+        share = float(number or 0.5)
+    except ValueError:
+        share = math.nan
+    if edge not in EDGES or not 0 <= share <= 1:
+        raise ConfigError(
+            f"mount is {quote_value(setting)}, expected auto or one of {', '.join(EDGES)}, "
+            "with a share from 0 to 1 after a colon if not in the middle",
+            "setting_invalid",
+        )
+    return edge, share
+
+
+def mount_setting(mount: Mount, table: Tabletop) -> str:
+    """Returns the setting that gives a mount again, such as ``front:0.25``; the share has four digits."""
+    along, length = (mount.x, table.size_xy[0]) if mount.edge in ("front", "back") else (mount.y, table.size_xy[1])
+    return f"{mount.edge}:{along / length:.4g}"
 
 
 def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = (), places: FloatArray | None = None) -> Mount:
@@ -139,7 +161,7 @@ def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = (), places: F
         centres = np.concatenate([centres, places[:, :2]])
         is_wanted = np.concatenate([is_wanted, np.ones(len(places), bool)])
     best, best_score = mount_at(robot, scene.table, EDGES[0]), (-1.0, -1.0, -1.0)
-    for edge in _CHOSEN:
+    for edge in CHOSEN_EDGES:
         length = scene.table.size_xy[0 if edge in ("front", "back") else 1]
         for share in _shares(length):
             mount = mount_at(robot, scene.table, edge, share)

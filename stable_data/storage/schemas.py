@@ -12,6 +12,7 @@ import pyarrow as pa
 from stable_data.errors import ConfigError
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.judge_columns import FURTHER, FURTHER_COLUMNS, JUDGES, SHARE, verdict_columns
+from stable_data.metrics.reach_columns import GRASPABLE, REACH_COLUMNS, REACHABLE, REASON
 
 TABLE_VERSION = 3
 """Increases if a column changes its name, type or meaning, but not for a new column that may be null: older tables are read
@@ -88,6 +89,21 @@ MESH_REPORT = pa.struct(
         ("actions", _texts),
     ]
 )
+OBJECT_REACH = pa.struct(
+    [
+        ("instance", _text),
+        ("role", _text),
+        ("reachable", _truth),
+        ("graspable", _truth),
+        ("num_candidates", _count),
+        ("num_reachable", _count),
+        ("num_out_of_reach", _count),
+        ("blocked_by", pa.list_(pa.struct([("name", _text), ("count", _count)]))),
+        ("num_tried", _count),
+        ("num_grasps", _count),
+        ("reason", _text),
+    ]
+)
 
 
 def _column(name: str, type_: pa.DataType, meaning: str, unit: str = "") -> pa.Field:
@@ -140,6 +156,42 @@ def _judge_columns() -> list[pa.Field]:
     return [*columns, _column(SHARE, _number, f"{share}where not repeated or all unknown")]
 
 
+def _reach_columns() -> list[pa.Field]:
+    """The columns of what a robot reaches and holds."""
+    verdict = (
+        "true if the robot reaches, without touching anything else, {}; null where no robot was asked, the goal is unknown{}"
+    )
+    return [
+        _column("robot", _text, "the robot of the columns below; null where no robot was asked"),
+        _column(
+            "robot_mount",
+            _text,
+            "where it stands: an edge of the table, and the share of its length from its left or front end",
+        ),
+        _column("task_kind", _text, "kind of the task's goal, such as pick or place_on; null if the goal is unknown"),
+        _column(
+            REACHABLE,
+            _truth,
+            verdict.format("a grasp of each object that the task picks up, and from above a place for it", ""),
+        ),
+        _column(
+            GRASPABLE,
+            _truth,
+            verdict.format(
+                "what task_reachable asks for, and a grasp of each object held in a simulated trial", ", or nothing was tried"
+            ),
+        ),
+        _column(REASON, _text, "why not, in one line of codes with details; null if nothing is wrong"),
+        _column(
+            "reach",
+            pa.list_(OBJECT_REACH),
+            "the objects that were looked at. role: grasp (the task picks it up), target (reached from above) or other; num_candidates: "
+            "poses of the hand that its mesh offers; num_reachable: those that the arm reaches freely; num_out_of_reach: those that it "
+            "cannot reach; blocked_by: what is in the way of the others; num_tried, num_grasps: grasps that were tried, and that held",
+        ),
+    ]
+
+
 CARD = pa.struct([(column.name, column.type) for column in _card_columns()])
 
 _scene_head = [
@@ -187,6 +239,7 @@ SCHEMAS: dict[str, pa.Schema] = {
             ),
             *_card_columns(),
             *_judge_columns(),
+            *_reach_columns(),
             _column(
                 "pairs",
                 pa.list_(PAIR),
@@ -271,6 +324,37 @@ SCHEMAS: dict[str, pa.Schema] = {
                 pa.list_(pa.struct([("instance", _text), ("position", _numbers), ("quat_xyzw", _numbers)])),
                 "object poses after settling: box centre in the world frame, and rotation from the yaw frame at yaw 0",
                 "m",
+            ),
+        ]
+    ),
+    "grasps": pa.schema(
+        [
+            _column("scene_id", _text, "identifier of the scene, which may be accepted or rejected"),
+            _column("instance", _text, "the object"),
+            _column("number", _count, "rank among the reachable grasps of the object, from 0"),
+            _column("robot", _text, "the robot; its place is in the column robot_mount of the scene"),
+            _column(
+                "position",
+                _numbers,
+                "origin of the tool frame, between the finger tips, at the grasp, in the frame of the scene; the objects are "
+                "where the earlier steps of the task leave them",
+                "m",
+            ),
+            _column(
+                "quat_xyzw",
+                _numbers,
+                "rotation of the tool frame: its z points out of the hand, its y is the direction in which the fingers close",
+            ),
+            _column("width_m", _number, "width of the object between the fingers", "m"),
+            _column("opening_m", _number, "distance of the fingers on the way to the grasp", "m"),
+            _column(
+                "score", _number, "quality of the grasp from its geometry, larger is better; grasps are tried in its order"
+            ),
+            _column(
+                "outcome",
+                _text,
+                "outcome of the simulated trial: held (lifted, still in the hand), missed, slipped, disturbed (another object "
+                "moved) or diverged",
             ),
         ]
     ),
@@ -587,7 +671,7 @@ def _versioned(name: str, schema: pa.Schema) -> pa.Schema:
 SCHEMAS = {name: _versioned(name, schema) for name, schema in SCHEMAS.items()}
 """Name of a table -> its schema."""
 
-NONE_IF_NULL = frozenset({"fixed", "surface", "task.conditions", *FURTHER_COLUMNS})
+NONE_IF_NULL = frozenset({"fixed", "surface", "task.conditions", *FURTHER_COLUMNS, *REACH_COLUMNS})
 """Columns of which null says that there is none, also in runs that are older than they are."""
 
 _TABLETOP = ("table_type", "table_size", "restricted_zone")
@@ -599,6 +683,7 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "edits": ("edit_id", "scene_id", *_TABLETOP, "kind", "instruction", "objects_in", "objects_out", "removed"),
     "turns": ("scene_id", "turn"),
     "settled": ("scene_id", "poses"),
+    "grasps": ("scene_id", "instance", "position", "quat_xyzw", "outcome"),
     "sdf": tuple(SCHEMAS["sdf"].names[:7]),
     "features": ("asset_id", "aspect", "tilt_quat_xyzw", "feature", "encoder_fingerprint"),
     "meshes": ("asset_id", "glb", "sha256"),

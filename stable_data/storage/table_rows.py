@@ -12,6 +12,7 @@ from stable_data.errors import Notice
 from stable_data.json_text import json_text
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.judge_columns import FURTHER_COLUMNS
+from stable_data.metrics.reach_columns import REACH_COLUMNS
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
 from stable_data.storage.schemas import SAMPLE_OBJECT, SCHEMAS, TASK, Row
 
@@ -161,8 +162,8 @@ def card_columns(row: Mapping[str, Any]) -> Row:
 
 
 def card_row(card: MetricCard) -> Row:
-    """Returns a metric card as columns of ``scenes``; the columns of judges other than MuJoCo are null."""
-    return asdict(card) | dict.fromkeys(FURTHER_COLUMNS)
+    """Returns a metric card as columns of ``scenes``; the columns of judges other than MuJoCo, and of a robot, are null."""
+    return asdict(card) | dict.fromkeys((*FURTHER_COLUMNS, *REACH_COLUMNS))
 
 
 def notice_row(notice: Notice) -> Row:

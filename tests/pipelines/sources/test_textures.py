@@ -7,13 +7,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipelines.correct.job import _carry_assets
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import Shard
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.sources.asset_copies import CopyAssets
 from pipelines.sources.assets import AssetLibraries
-from pipelines.sources.scenes import TableSource
+from pipelines.sources.carried_tables import carry_tables
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.looks import LookRows, look_rows
 from stable_data.assets.run_assets import RunAssets
@@ -89,7 +88,7 @@ def test_a_selection_has_the_textures_of_its_assets(run: RunFolder, tmp_path: Pa
 
 def test_jobs_that_change_scenes_carry_textures(run: RunFolder, tmp_path: Path) -> None:
     out = RunFolder(str(tmp_path / "out"))
-    assert _carry_assets(TableSource(run.root, RunAssets(run, tmp_path / "files")), out) == ["assets", "meshes", "textures"]
+    assert carry_tables(run, out) == ["assets", "meshes", "textures"]
     assert AssetStore(RunAssets(out, tmp_path / "files")).look("other")[0] is not None
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError
-from stable_data.robot.mounting import EDGES, best_mount, mount_at, mount_of
+from stable_data.robot.mounting import EDGES, best_mount, mount_at, mount_of, mount_setting
 from stable_data.robot.robots import ROBOTS
 from stable_data.scene import Scene, Tabletop
 from tests.stable_data.robot.tables import CAN, TABLE, laid_table
@@ -59,3 +59,11 @@ def test_other_settings_are_refused(setting: str) -> None:
     with pytest.raises(ConfigError, match="mount is") as error:
         mount_of(ROBOT, laid_table(), setting)
     assert error.value.code == "setting_invalid"
+
+
+@given(st.sampled_from(EDGES), st.floats(0, 1))
+def test_a_mount_is_stated_to_a_ten_thousandth_of_its_edge(edge: str, share: float) -> None:
+    mount = mount_at(ROBOT, TABLE, edge, share)
+    again = mount_of(ROBOT, laid_table(), mount_setting(mount, TABLE))
+    assert again.edge == edge
+    assert np.hypot(again.x - mount.x, again.y - mount.y) <= 1e-4 * max(TABLE.size_xy)
