@@ -7,12 +7,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.robot.assembly import RobotModel
-from stable_data.robot.clearance import Clearance
+from stable_data.robot.arm.assembly import RobotModel
+from stable_data.robot.arm.clearance import Clearance
+from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.motion import timed, tool_line
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.grasps import PRESHAPE, Grasps, PointPairs, grasps_at, opposite_pairs
-from stable_data.robot.kinematics import Arm
-from stable_data.robot.motion import timed, tool_line
-from stable_data.robot.world import RobotWorld
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import FloatArray
 

@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from stable_data.assets.run_assets import run_store
-from stable_data.robot.assembly import RobotModel, assemble
+from stable_data.robot.arm.assembly import RobotModel, assemble
+from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.mounting import mount_at
+from stable_data.robot.arm.robots import robot_named
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.grasp_trial import GraspFinder
-from stable_data.robot.kinematics import Arm
-from stable_data.robot.mounting import mount_at
-from stable_data.robot.robots import robot_named
-from stable_data.robot.world import RobotWorld
 from stable_data.scene import Scene, Tabletop, TaskInfo
 from stable_data.simulation.scene_geometry import SceneGeometry
 from tests.stable_data.export.runs import LYING, thing, write_run

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from stable_data.geometry.shape import Shape
-from stable_data.robot.clearance import SELF, HeldObject
+from stable_data.robot.arm.clearance import SELF, HeldObject
+from stable_data.robot.arm.robots import ROBOTS
 from stable_data.robot.grasp_trial import GraspOutcome
 from stable_data.robot.grasps import grasps_at, opposite_pairs
-from stable_data.robot.robots import ROBOTS
 from tests.scenes import ball, box, cup
 from tests.stable_data.export.runs import thing
 from tests.stable_data.robot.tables import BOX, CAN, MUG, PLATE, Bench, geometry_in, laid_table

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from stable_data.robot.mounting import Mount
-from stable_data.robot.robots import Robot, robot_spec
+from stable_data.robot.arm.mounting import Mount
+from stable_data.robot.arm.robots import Robot, robot_spec
 from stable_data.rotations import quat_of, wxyz, yaw_quat
 from stable_data.scene import FloatArray, IntArray
 from stable_data.simulation.mujoco_import import mujoco

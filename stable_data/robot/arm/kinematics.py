@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from stable_data.robot.robots import Robot, robot_spec
+from stable_data.robot.arm.robots import Robot, robot_spec
 from stable_data.rotations import rotation_matrix, wxyz
 from stable_data.scene import FloatArray
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
-from stable_data.robot.packages import MENAGERIE, SO101, RobotPackage
+from stable_data.robot.arm.packages import MENAGERIE, SO101, RobotPackage
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.simulation.mujoco_import import mujoco
 
