@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from stable_data.robot.assembly import CAMERAS
+from stable_data.robot.arm.assembly import CAMERAS
 from stable_data.robot.vector import make_vector_env, scenes_by_task
 
 _SIDE_BY_SIDE = 8

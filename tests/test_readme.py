@@ -11,6 +11,8 @@ import pytest
 
 from models.semantic_reasoner.engines.registry import EMBEDDED
 from stable_data.embedded_world import EmbeddedWorld, write_world
+from tests.stable_data.export.runs import write_run
+from tests.stable_data.robot.tables import asked_table
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
@@ -59,6 +61,7 @@ def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tm
     places |= {
         "/data/mesatask-clean": tmp_path / "clean",
         "/data/scenes": tmp_path / "scenes",
+        "/data/demonstrations": tmp_path / "demonstrations",
         "/data/apple": tmp_path / "apple",
         "/data/gazebo_models": ROOT / "tests" / "data" / "import" / "gazebo",
         "/data/gazebo-library": tmp_path / "library",
@@ -67,6 +70,11 @@ def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tm
     places |= {"audit.parquet": tmp_path / "audit.parquet", "/data/world": tmp_path / "world"}
     few = {"--scenes 1000": "--scenes 3", "COUNT=1000": "COUNT=3", "COUNT=200": "COUNT=3"}  # as many as a test has time for
     few["--workers 2"] = "--workers 0"  # `make preprocess` is the command that starts a Ray here
+    if "demonstrate" in command:
+        places["/data/scenes"] = Path(write_run(tmp_path / "asked", (asked_table(),)).root)
+        few["--robot panda"] = "--robot simple"  # whose files are part of the library
+    if command.startswith("stable-data robots"):
+        few[" --fetch panda"] = ""  # there may be no network: the command lists the robots
     for written, here in (places | few).items():
         command = command.replace(written, str(here))
     binaries = Path(sys.executable).parent
@@ -75,7 +83,7 @@ def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tm
     command += more
     if "--address" in command:
         command += " --dry-run"  # there is no cluster here
-    elif re.match(r"python -m pipelines (correct|generate)|stable-data import", command):
+    elif re.match(r"python -m pipelines (correct|generate|demonstrate)|stable-data import", command):
         command += " --workers 0"
     done = subprocess.run(
         ["bash", "-c", command],
@@ -86,7 +94,7 @@ def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tm
     )
     assert done.returncode == 0, done.stderr
     assert "error" not in done.stderr
-    assert list(tmp_path.iterdir()) or "--dry-run" in command
+    assert list(tmp_path.iterdir()) or "--dry-run" in command or "robots" in command
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"`?make ([a-z-]+)", TEXT))))

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from pipelines.correct.settings import CorrectorJobSettings
 from stable_data.assets.store import AssetStore
+from stable_data.robot.arm.robots import robot_named
 from stable_data.robot.reach import ReachOptions, survey_reach
 from stable_data.robot.reach_rows import grasp_rows, reach_columns
-from stable_data.robot.robots import robot_named
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage import schemas

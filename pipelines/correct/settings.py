@@ -16,8 +16,8 @@ from stable_data.judges.registry import check_judges, judge_names
 from stable_data.mesatask import PositionConvention
 from stable_data.metrics.judge_columns import columns_not_filled
 from stable_data.metrics.reach_columns import reach_columns_not_filled
-from stable_data.robot.mounting import AUTO, parse_mount
-from stable_data.robot.robots import robot_named
+from stable_data.robot.arm.mounting import AUTO, parse_mount
+from stable_data.robot.arm.robots import robot_named
 from stable_data.scene import Scene
 from stable_data.storage.filter_expression import FilterExpression
 

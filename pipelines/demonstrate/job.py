@@ -16,7 +16,7 @@ from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
-from stable_data.robot.robots import robot_named
+from stable_data.robot.arm.robots import robot_named
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.storage import schemas
 from stable_data.storage.row_groups import TableFiles

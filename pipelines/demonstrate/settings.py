@@ -7,11 +7,11 @@ from models.settings import Count, NonNegative, Positive, PositiveCount, Setting
 from pipelines.execution.shard_size import shard_size
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
-from stable_data.robot.assembly import CAMERAS
-from stable_data.robot.control import CONTROLS
+from stable_data.robot.arm.assembly import CAMERAS
+from stable_data.robot.arm.control import CONTROLS
+from stable_data.robot.arm.robots import described_robot
 from stable_data.robot.env import RobotOptions
 from stable_data.robot.randomization import RandomizationOptions
-from stable_data.robot.robots import described_robot
 
 _PARTS, _FEWEST, _MOST = 16, 1, 16  # shards of a small job, scenes of a shard
 

@@ -17,7 +17,7 @@ from pipelines.sources.carried_tables import CARRIED_TABLES, carry_tables
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
-from stable_data.robot.robots import robot_named
+from stable_data.robot.arm.robots import robot_named
 from stable_data.simulation.run_reader import RunScenes
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder

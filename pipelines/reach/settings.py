@@ -5,9 +5,9 @@ from typing import Any, ClassVar
 
 from models.settings import Count, Positive, Settings
 from pipelines.execution.shard_size import shard_size
-from stable_data.robot.mounting import AUTO, parse_mount
+from stable_data.robot.arm.mounting import AUTO, parse_mount
+from stable_data.robot.arm.robots import described_robot
 from stable_data.robot.reach import ReachOptions
-from stable_data.robot.robots import described_robot
 
 _PARTS, _FEWEST, _MOST = 16, 1, 32  # shards of a small job, scenes of a shard
 

@@ -7,9 +7,9 @@ from typing import ClassVar
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows
 from pipelines.reach.settings import ReachSettings
+from stable_data.robot.arm.robots import robot_named
 from stable_data.robot.reach import survey_reach
 from stable_data.robot.reach_rows import grasp_rows, reach_columns
-from stable_data.robot.robots import robot_named
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS

@@ -17,16 +17,16 @@ from gymnasium import spaces
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, SceneError
-from stable_data.robot.assembly import CAMERAS, assemble
-from stable_data.robot.clearance import Clearance
-from stable_data.robot.control import Controller
-from stable_data.robot.kinematics import Arm
-from stable_data.robot.mounting import AUTO, mount_of
+from stable_data.robot.arm.assembly import CAMERAS, assemble
+from stable_data.robot.arm.clearance import Clearance
+from stable_data.robot.arm.control import Controller
+from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.mounting import AUTO, mount_of
+from stable_data.robot.arm.robots import robot_named
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, FAR, environment_state, robot_state, state_names
 from stable_data.robot.randomization import Drawn, RandomizationOptions, Randomizer
-from stable_data.robot.robots import robot_named
 from stable_data.robot.task_progress import TaskProgress, target_places
-from stable_data.robot.world import RobotWorld
 from stable_data.scene import Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import Picture, open_renderer
@@ -54,7 +54,7 @@ class RobotOptions:
     Attributes:
         robot: Name of the robot, see ``stable-data robots``.
         mount: Where it stands: ``auto``, an edge of the table, or an edge and a share of its length, such as ``front:0.25``.
-        control: Meaning of an action, see :data:`stable_data.robot.control.CONTROLS`.
+        control: Meaning of an action, see :data:`stable_data.robot.arm.control.CONTROLS`.
         cameras: Cameras whose pictures are observed, of ``wrist``, ``front`` and ``top``.
         image_size: Width and height of the pictures, pixels.
         shadows: Whether pictures have shadows, which take five times as long without a graphics card.

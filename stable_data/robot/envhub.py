@@ -8,9 +8,9 @@ from typing import Any
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.json_text import json_value
+from stable_data.robot.arm.robots import described_robot
 from stable_data.robot.env import RobotOptions
 from stable_data.robot.randomization import RandomizationOptions
-from stable_data.robot.robots import described_robot
 from stable_data.robot.vector import SceneEnvs, make_vector_env, scenes_by_task
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.subset import select

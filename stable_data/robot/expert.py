@@ -9,7 +9,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from stable_data.robot.clearance import HeldObject
+from stable_data.robot.arm.clearance import HeldObject
+from stable_data.robot.arm.motion import plan_path, timed, tool_line
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.grasp_trial import (
     CLOSE_SECONDS,
     CONTROL_SECONDS,
@@ -18,8 +20,6 @@ from stable_data.robot.grasp_trial import (
     GraspOutcome,
     ReachableGrasp,
 )
-from stable_data.robot.motion import plan_path, timed, tool_line
-from stable_data.robot.world import RobotWorld
 from stable_data.rotations import quat_product, rotation_matrix, yaw_quat
 from stable_data.scene import FloatArray
 from stable_data.tasks.placing import TargetPose

@@ -7,17 +7,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.robot.assembly import RobotModel
-from stable_data.robot.clearance import Clearance
+from stable_data.robot.arm.assembly import RobotModel
+from stable_data.robot.arm.clearance import Clearance
+from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.motion import timed, tool_line
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.grasps import PRESHAPE, Grasps, PointPairs, grasps_at, opposite_pairs
-from stable_data.robot.kinematics import Arm
-from stable_data.robot.motion import timed, tool_line
-from stable_data.robot.world import RobotWorld
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import FloatArray
-
-PRE_GRASP = 0.10
-"""Distance of the pre-grasp from the grasp, back along the approach, metres."""
 
 LIFT = 0.10
 """How far an object is lifted in a trial, metres."""
@@ -189,8 +186,10 @@ class GraspFinder:
 
     def _solve(self, positions: FloatArray, rotations: FloatArray) -> list[_Option | None]:
         """Joints of the pre-grasp and of the grasp, and the rotation, of each candidate; None where the arm cannot reach."""
-        before = self.arm.solve(positions - PRE_GRASP * rotations[:, :, 2], rotations)
+        before = self.arm.solve(positions - self.built.robot.pre_grasp * rotations[:, :, 2], rotations)
         at = self.arm.solve(positions, rotations, before.joints, starts=0)
+        if not self.arm.is_full:  # it takes the object from the direction from which it can
+            _, rotations = self.arm.poses(at.joints)
         rows = zip(before.found & at.found, before.joints, at.joints, rotations, strict=True)
         return [(one, other, rotation) if is_found else None for is_found, one, other, rotation in rows]
 

@@ -11,8 +11,8 @@ import numpy as np
 from stable_data.geometry.mesh import Mesh, unit_normals
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import sample_oriented_surface
-from stable_data.robot.kinematics import BoolArray
-from stable_data.robot.robots import Hand
+from stable_data.robot.arm.kinematics import BoolArray
+from stable_data.robot.arm.robots import Hand
 from stable_data.scene import FloatArray, IntArray
 
 _RAY_SPREAD = 0.12  # standard deviation of the directions, radians
@@ -52,10 +52,6 @@ class Grasps:
 
     def __len__(self) -> int:
         return len(self.widths)
-
-    def chosen(self, rows: IntArray | BoolArray) -> "Grasps":
-        """Returns some of them, by index or mask."""
-        return Grasps(self.positions[rows], self.rotations[rows], self.widths[rows], self.scores[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

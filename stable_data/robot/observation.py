@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from stable_data.robot.assembly import RobotModel
-from stable_data.robot.control import COLUMNS
-from stable_data.robot.world import RobotWorld
+from stable_data.robot.arm.assembly import RobotModel
+from stable_data.robot.arm.control import COLUMNS
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import FloatArray
 

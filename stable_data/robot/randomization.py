@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from stable_data.errors import ConfigError
-from stable_data.robot.assembly import CAMERAS, RobotModel
+from stable_data.robot.arm.assembly import CAMERAS, RobotModel
 from stable_data.scene import TABLE, FloatArray
 from stable_data.simulation.mujoco_import import mujoco
 

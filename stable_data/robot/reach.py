@@ -14,13 +14,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import GoalError, MeshError
-from stable_data.robot.assembly import assemble
+from stable_data.robot.arm.assembly import assemble
+from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.mounting import AUTO, CHOSEN_EDGES, Mount, mount_of, mount_setting
+from stable_data.robot.arm.robots import Robot
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.grasp_trial import GraspFinder, GraspOutcome, ReachableGrasp
-from stable_data.robot.kinematics import Arm
-from stable_data.robot.mounting import AUTO, CHOSEN_EDGES, Mount, mount_of, mount_setting
-from stable_data.robot.robots import Robot
 from stable_data.robot.task_progress import scene_state, target_places
-from stable_data.robot.world import RobotWorld
 from stable_data.rotations import quat_of, wxyz
 from stable_data.scene import FloatArray, QuatXyzw, Scene, Vec3
 from stable_data.simulation.scene_geometry import SceneGeometry
@@ -141,7 +141,7 @@ class ReachOptions:
     """What is looked at.
 
     Attributes:
-        mount: Where the robot stands, see :func:`~stable_data.robot.mounting.mount_of`. If the task is not reachable from the place of
+        mount: Where the robot stands, see :func:`~stable_data.robot.arm.mounting.mount_of`. If the task is not reachable from the place of
             ``auto``, the middles of the edges are tried too.
         tries: Grasps of an object that are tried at most; 0 tries none.
         all_objects: Whether objects that the task does not need are looked at too.

@@ -5,7 +5,7 @@ from contextlib import suppress
 import numpy as np
 
 from stable_data.errors import GoalError
-from stable_data.robot.world import RobotWorld
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.scene import FloatArray
 from stable_data.tasks.checking import GoalChecker, SceneState, start_state
 from stable_data.tasks.geometry import TaskGeometry

@@ -23,7 +23,7 @@ from pipelines.sources.generation_tasks import TaskSource
 from stable_data.cli import app as stable_data
 from stable_data.errors import ConfigError
 from stable_data.metrics.reach_columns import REACH_COLUMNS
-from stable_data.robot.robots import Robot
+from stable_data.robot.arm.robots import Robot
 from stable_data.scene import Scene, Tabletop, TaskInfo
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.scripts import one_thing_a_stage

@@ -1,14 +1,16 @@
 """A table with a can, a mug, a box and a plate, and a robot at it, for tests."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from stable_data.assets.run_assets import run_store
-from stable_data.robot.assembly import RobotModel, assemble
+from stable_data.condition import Condition, ConditionKind
+from stable_data.robot.arm.assembly import RobotModel, assemble
+from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.mounting import mount_at
+from stable_data.robot.arm.robots import robot_named
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.grasp_trial import GraspFinder
-from stable_data.robot.kinematics import Arm
-from stable_data.robot.mounting import mount_at
-from stable_data.robot.robots import robot_named
-from stable_data.robot.world import RobotWorld
 from stable_data.scene import Scene, Tabletop, TaskInfo
 from stable_data.simulation.scene_geometry import SceneGeometry
 from tests.stable_data.export.runs import LYING, thing, write_run
@@ -27,6 +29,12 @@ def laid_table() -> Scene:
     )
     task = TaskInfo("A kitchen.", "Pick up the can.", action_sequence=("Pick(Can)",), task_objects=(CAN,))
     return Scene("laid", TABLE, objects, task)
+
+
+def asked_table() -> Scene:
+    """The laid table with a goal: the can is held."""
+    task = TaskInfo("", "Pick up the can.", task_objects=(CAN,), conditions=(Condition(CAN, ConditionKind.HELD),))
+    return replace(laid_table(), task=task)
 
 
 def geometry_in(folder: Path, scene: Scene) -> SceneGeometry:

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from stable_data.robot.kinematics import POSITION_TOLERANCE, ROTATION_TOLERANCE, Arm
-from stable_data.robot.robots import ROBOTS, robot_named, robot_spec
+from stable_data.robot.arm.kinematics import POSITION_TOLERANCE, ROTATION_TOLERANCE, Arm
+from stable_data.robot.arm.robots import ROBOTS, robot_named, robot_spec
 from stable_data.rotations import wxyz
 from stable_data.scene import FloatArray
 

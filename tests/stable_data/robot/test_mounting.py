@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError
-from stable_data.robot.mounting import EDGES, best_mount, mount_at, mount_of, mount_setting
-from stable_data.robot.robots import ROBOTS
+from stable_data.robot.arm.mounting import EDGES, best_mount, mount_at, mount_of, mount_setting
+from stable_data.robot.arm.robots import ROBOTS
 from stable_data.scene import Scene, Tabletop
 from tests.stable_data.robot.tables import CAN, TABLE, laid_table
 

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError
-from stable_data.robot.control import CONTROLS, MAX_JOINT, Controller
+from stable_data.robot.arm.control import CONTROLS, MAX_JOINT, Controller
+from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.motion import STEP, joint_line, plan_path, timed, tool_line
+from stable_data.robot.arm.robots import ROBOTS, robot_named
 from stable_data.robot.expert import Command, Expert, ExpertError
-from stable_data.robot.kinematics import Arm
-from stable_data.robot.motion import STEP, joint_line, plan_path, timed, tool_line
-from stable_data.robot.robots import ROBOTS, robot_named
 from stable_data.scene import FloatArray
 from stable_data.tasks.placing import TargetPose
 from tests.stable_data.robot.tables import BOX, CAN, PLATE, Bench

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from stable_data.errors import ConfigError
-from stable_data.robot.packages import RobotPackage, fetch_package
-from stable_data.robot.robots import ROBOTS, robot_named
+from stable_data.robot.arm.packages import RobotPackage, fetch_package
+from stable_data.robot.arm.robots import ROBOTS, robot_named
 from stable_data.simulation.scene_geometry import SceneGeometry
 from tests.stable_data.robot.tables import Bench
 

@@ -8,11 +8,11 @@ import pytest
 from stable_data.condition import Condition, ConditionKind
 from stable_data.errors import ConfigError
 from stable_data.metrics.reach_columns import REACH_COLUMNS
+from stable_data.robot.arm.mounting import mount_of
+from stable_data.robot.arm.robots import ROBOTS
 from stable_data.robot.grasp_trial import GraspFinder, GraspOutcome
-from stable_data.robot.mounting import mount_of
 from stable_data.robot.reach import ReachOptions, ReachRole, SceneReach, survey_reach
 from stable_data.robot.reach_rows import grasp_rows, reach_columns
-from stable_data.robot.robots import ROBOTS
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import TABLE, Scene, SceneObject, Tabletop, TaskInfo
 from stable_data.simulation.scene_geometry import SceneGeometry

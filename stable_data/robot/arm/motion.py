@@ -6,8 +6,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.robot.clearance import Clearance
-from stable_data.robot.kinematics import Arm
+from stable_data.robot.arm.clearance import Clearance
+from stable_data.robot.arm.kinematics import Arm
 from stable_data.scene import FloatArray
 
 _Test: TypeAlias = Callable[[FloatArray], bool]

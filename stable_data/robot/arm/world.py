@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stable_data.robot.assembly import RobotModel
-from stable_data.robot.robots import control_of, opening_of
+from stable_data.robot.arm.assembly import RobotModel
+from stable_data.robot.arm.robots import control_of, opening_of
 from stable_data.scene import TABLE, FloatArray
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.settling import has_exploded, without_log_file

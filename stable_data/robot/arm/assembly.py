@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from stable_data.robot.mounting import Mount
-from stable_data.robot.robots import Robot, robot_spec
+from stable_data.robot.arm.mounting import Mount
+from stable_data.robot.arm.robots import Robot, robot_spec
 from stable_data.rotations import quat_of, wxyz, yaw_quat
 from stable_data.scene import FloatArray, IntArray
 from stable_data.simulation.mujoco_import import mujoco
@@ -33,7 +33,7 @@ CAMERAS = (WRIST, "front", "top")
 _STAND_COLOUR = (0.28, 0.29, 0.31, 1.0)
 _STAND_HALF = 0.09  # half the width of the stand below the base, metres
 _WRIST_CAMERA = (0.08, 0.0, -0.06)  # in the tool frame, metres
-_WRIST_TARGET = 0.25  # how far before the tool frame the camera looks, metres
+_WRIST_TARGET = 0.12  # how far before the tool frame the camera looks, metres
 _WRIST_FIELD = 70.0  # degrees
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stable_data.robot.assembly import RobotModel
-from stable_data.robot.world import RobotWorld
+from stable_data.robot.arm.assembly import RobotModel
+from stable_data.robot.arm.world import RobotWorld
 from stable_data.rotations import wxyz
 from stable_data.scene import TABLE, FloatArray
 from stable_data.simulation.mujoco_import import mujoco

@@ -8,7 +8,7 @@ import numpy as np
 
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
-from stable_data.robot.robots import Robot
+from stable_data.robot.arm.robots import Robot
 from stable_data.rotations import rotate_xy
 from stable_data.scene import FloatArray, Scene, Tabletop
 

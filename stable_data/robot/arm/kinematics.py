@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from stable_data.robot.robots import Robot, robot_spec
+from stable_data.robot.arm.robots import Robot, robot_spec
 from stable_data.rotations import rotation_matrix, wxyz
 from stable_data.scene import FloatArray
 
@@ -20,12 +20,16 @@ POSITION_TOLERANCE = 1e-3
 """Largest error of a solution, metres."""
 
 ROTATION_TOLERANCE = 1e-2
-"""Largest error of a solution, radians."""
+"""Largest error of a solution, radians, for arms that can bring the tool to any pose."""
+
+FEW_JOINTS_TOLERANCE = 0.2
+"""Largest error of a solution, radians, for arms with fewer than six joints, which choose the nearest direction that they can."""
 
 _DAMPING = 0.03
 _MAX_STEP = 0.35  # radians of a joint in one iteration
 _ITERATIONS = 60
 _MARGIN = 0.02  # distance from the limits of the joints, radians
+_FULL, _TURN_WEIGHT = 6, 0.1  # joints; metres a radian
 _STARTS = 6  # further starts for poses that the first one does not reach
 
 
@@ -37,16 +41,18 @@ class Solutions:
         joints: (K, J) float64, radians.
         position_errors: (K,) metres.
         rotation_errors: (K,) radians.
+        rotation_tolerance: Largest error of a solution, radians.
     """
 
     joints: FloatArray
     position_errors: FloatArray
     rotation_errors: FloatArray
+    rotation_tolerance: float = ROTATION_TOLERANCE
 
     @property
     def found(self) -> BoolArray:
         """Which poses are reached, (K,) bool."""
-        return (self.position_errors <= POSITION_TOLERANCE) & (self.rotation_errors <= ROTATION_TOLERANCE)
+        return (self.position_errors <= POSITION_TOLERANCE) & (self.rotation_errors <= self.rotation_tolerance)
 
 
 class Arm:
@@ -59,6 +65,7 @@ class Arm:
         low: Lower limits of the joints, (J,) float64, radians, with a small margin.
         high: Upper limits.
         home: The joints at the start of an episode, (J,) float64.
+        is_full: Whether it has enough joints to bring the tool to any pose.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -92,6 +99,9 @@ class Arm:
         ranges = np.array([model.joint(name).range for name in robot.joints])
         self.low, self.high = ranges[:, 0] + _MARGIN, ranges[:, 1] - _MARGIN
         self.home = np.clip(np.array(robot.home), self.low, self.high)
+        self.is_full = len(robot.joints) >= _FULL
+        # With few joints the position comes first.
+        self._weights = np.array([1.0] * 3 + [1.0 if self.is_full else _TURN_WEIGHT] * 3)
 
     def poses(self, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Computes the pose of the tool.
@@ -183,12 +193,16 @@ class Arm:
             away, twist = positions[active] - position, _rotation_vectors(rotations[active] @ rotation.transpose(0, 2, 1))
             move[active], turn[active] = np.linalg.norm(away, axis=1), np.linalg.norm(twist, axis=1)
             # Well within the tolerances, so that a solution is not at their edge.
-            open_ = (move[active] > 0.1 * POSITION_TOLERANCE) | (turn[active] > 0.1 * ROTATION_TOLERANCE)
+            open_ = move[active] > 0.1 * POSITION_TOLERANCE
+            if self.is_full:
+                open_ |= turn[active] > 0.1 * ROTATION_TOLERANCE
+            elif left > _ITERATIONS // 2:
+                open_[:] = True  # the rotation comes as near as it can
             active = active[open_]
             if not len(active) or not left:
                 break
-            jacobian = _jacobian(position, axes, anchors)[open_]
-            error = np.concatenate([away, twist], axis=1)[open_]
+            jacobian = _jacobian(position, axes, anchors)[open_] * self._weights[:, None]
+            error = (np.concatenate([away, twist], axis=1) * self._weights)[open_]
             square = jacobian @ jacobian.transpose(0, 2, 1)
             damping = _DAMPING**2 * np.minimum(1.0, np.linalg.norm(error, axis=1) * 10)[:, None, None] * np.eye(
                 6
@@ -196,7 +210,7 @@ class Arm:
             step = (jacobian.transpose(0, 2, 1) @ np.linalg.solve(square + damping, error[:, :, None]))[:, :, 0]
             step *= np.minimum(1.0, _MAX_STEP / np.maximum(abs(step).max(axis=1), 1e-9))[:, None]
             joints[active] = np.clip(joints[active] + step, self.low, self.high)
-        return Solutions(joints, move, turn)
+        return Solutions(joints, move, turn, ROTATION_TOLERANCE if self.is_full else FEW_JOINTS_TOLERANCE)
 
 
 def _jacobian(position: FloatArray, axes: FloatArray, anchors: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
-from stable_data.robot.packages import MENAGERIE, SO101, RobotPackage
+from stable_data.robot.arm.packages import MENAGERIE, SO101, RobotPackage
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.simulation.mujoco_import import mujoco
 
@@ -85,6 +85,7 @@ class Robot:
         reach: Horizontal distance from the base up to which it can reach the table, metres.
         too_near: Distance below which it cannot, metres.
         base_front: How far its base reaches forwards, metres; it stands at least this far behind the table's edge.
+        pre_grasp: Distance of the pose before a grasp from the grasp, back along the approach, metres.
         hand_xml: MJCF file of a hand that replaces the one of ``xml``; empty: none.
         replaced: The body of ``xml`` whose place this hand takes.
     """
@@ -100,6 +101,7 @@ class Robot:
     reach: float
     too_near: float
     base_front: float
+    pre_grasp: float = 0.1
     hand_xml: str = ""
     replaced: str = ""
 
@@ -254,6 +256,7 @@ ROBOTS: Mapping[str, Robot] = {
             reach=0.29,
             too_near=0.12,
             base_front=0.06,
+            pre_grasp=0.04,
         ),
     )
 }

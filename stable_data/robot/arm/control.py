@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
-from stable_data.robot.kinematics import Arm
-from stable_data.robot.robots import Robot
+from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.robots import Robot
 from stable_data.scene import FloatArray
 
 Control: TypeAlias = Literal["ee_delta", "ee", "joint_delta", "joint"]
