@@ -8,7 +8,7 @@ from typing import Any
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.json_text import json_value
-from stable_data.robot.arm.robots import described_robot
+from stable_data.robot.arm.robots import robot_named
 from stable_data.robot.env import RobotOptions
 from stable_data.robot.randomization import RandomizationOptions
 from stable_data.robot.vector import SceneEnvs, make_vector_env, scenes_by_task
@@ -65,7 +65,9 @@ says whether the goal is fulfilled. The licences of the assets are in `run/asset
 
 
 def write_envhub(run: RunFolder, out: Path, where: str | None, options: RobotOptions) -> dict[str, int]:
-    """Writes a folder for EnvHub: the scenes with a checkable goal, ``env.py``, ``settings.json`` and ``README.md``.
+    """Writes a folder for EnvHub: ``env.py``, ``settings.json``, ``README.md``, and the scenes.
+
+    These are the scenes with a checkable goal in which the robot can start.
 
     Args:
         run: The run.
@@ -77,15 +79,18 @@ def write_envhub(run: RunFolder, out: Path, where: str | None, options: RobotOpt
         The number of scenes of each kind of task.
 
     Raises:
-        ConfigError: No scene has a checkable goal (``no_goal``), or the folder is not empty or cannot be written
-            (``output_unwritable``).
+        ConfigError: The files of the robot are missing (``robot_missing``), there is no such scene (``no_goal``), or the folder is
+            not empty or cannot be written (``output_unwritable``).
     """
     if out.exists() and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty, expected a new folder; choose another one", "output_unwritable")
-    robot = described_robot(options.robot)
-    kinds = scenes_by_task(run.uri, where=where)
+    robot = robot_named(options.robot)  # its files are needed to try the scenes
+    kinds = scenes_by_task(run.uri, where=where, options=options)
     if not kinds:
-        raise ConfigError(f"{run.uri}: no scene has a goal that can be checked; `stable-data tasks` says why", "no_goal")
+        raise ConfigError(
+            f"{run.uri}: no scene has a goal that can be checked, with room for the robot; `stable-data tasks` says why",
+            "no_goal",
+        )
     counts = {kind: len(ids) for kind, ids in kinds.items()}
     package = robot.package is not None
     readme = _README.format(
