@@ -671,7 +671,9 @@ def _versioned(name: str, schema: pa.Schema) -> pa.Schema:
 SCHEMAS = {name: _versioned(name, schema) for name, schema in SCHEMAS.items()}
 """Name of a table -> its schema."""
 
-NONE_IF_NULL = frozenset({"fixed", "surface", "task.conditions", *FURTHER_COLUMNS, *REACH_COLUMNS})
+NONE_IF_NULL = frozenset(
+    {"fixed", "surface", "task.conditions", "variant_of", "varied", "num_varied", *FURTHER_COLUMNS, *REACH_COLUMNS}
+)
 """Columns of which null says that there is none, also in runs that are older than they are."""
 
 _TABLETOP = ("table_type", "table_size", "restricted_zone")
