@@ -13,7 +13,7 @@ from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import SceneError, StableDataError
-from stable_data.robot.env import RobotEnv
+from stable_data.robot.env import RobotEnv, options_for
 from stable_data.robot.episodes import episode_row
 from stable_data.robot.grasp_trial import GraspFinder
 from stable_data.robot.pick_tasks import pick_order, with_pick_task
@@ -21,6 +21,7 @@ from stable_data.robot.recording import record_episode
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import scene_from_row
 
 _MOST_DRAWN = 6  # objects that are tried for a pick
@@ -68,20 +69,20 @@ class DemonstrateStep(ItemStep[EpisodeRef]):
         settings = self.settings
         seed = int(content_id(settings.seed, str(item)), 16) % 2**31
         progress.step = "scene"
-        geometry, split = _geometry(self.run, item.scene_id, settings.settled)
+        geometry, row = _geometry(self.run, item.scene_id, settings.settled)
         progress.step = "episode"
         env = _scene_env(self.run, item.scene_id, settings) if settings.task == "scene" else _pick_env(geometry, seed, settings)
-        episode = record_episode(env, number=item.number, seed=seed, split=split, noise=settings.noise)
+        episode = record_episode(env, number=item.number, seed=seed, split=row["split"], noise=settings.noise)
         return {"episodes": [episode_row(episode)]}
 
 
 @lru_cache(maxsize=1)
-def _geometry(run: str, scene_id: str, settled: bool) -> tuple[SceneGeometry, str | None]:
-    """A scene and its split, kept for its next episode."""
+def _geometry(run: str, scene_id: str, settled: bool) -> tuple[SceneGeometry, Row]:
+    """A scene and its row, kept for its next episode."""
     selection = SceneSelection(scene_ids=(scene_id,), settled=settled)
     scenes = RunScenes(RunFolder(run), selection, _store(run))
     row = scenes.row(0)
-    return scenes.geometry(scene_from_row(row), row), row["split"]
+    return scenes.geometry(scene_from_row(row), row), row
 
 
 @lru_cache(maxsize=1)
@@ -100,9 +101,9 @@ def _scene_env(run: str, scene_id: str, settings: DemonstrateSettings) -> RobotE
 @lru_cache(maxsize=1)
 def _opened(run: str, scene_id: str, settings: DemonstrateSettings) -> RobotEnv | StableDataError:
     """The environment of a scene with its own task, kept for its next episode."""
-    geometry, _ = _geometry(run, scene_id, settings.settled)
+    geometry, row = _geometry(run, scene_id, settings.settled)
     try:
-        return RobotEnv(geometry, options=settings.options())
+        return RobotEnv(geometry, options=options_for(row, settings.options()))
     except StableDataError as error:
         return error
 

@@ -6,7 +6,7 @@ The objects and their physics are those of the stability verdict; the task is th
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import gymnasium
@@ -33,6 +33,7 @@ from stable_data.simulation.offscreen import Picture, open_renderer
 from stable_data.simulation.run_reader import RunScenes, SceneSelection, SettledPoses
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder, Uri
+from stable_data.storage.table_rows import scene_from_row
 from stable_data.tasks.compiling import compile_goal
 from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal
@@ -262,6 +263,17 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         }
 
 
+def options_for(row: Mapping[str, Any], options: RobotOptions) -> RobotOptions:
+    """Returns the options for a scene: with ``mount=auto`` the robot stands where its row of ``scenes`` says that it reaches the task.
+
+    Args:
+        row: The row.
+        options: The robot.
+    """
+    is_stated = row.get("robot") == options.robot and row.get("robot_mount")
+    return replace(options, mount=row["robot_mount"]) if is_stated and options.mount == AUTO else options
+
+
 def make_robot_env(
     run: Uri,
     scene: str | Scene,
@@ -293,13 +305,15 @@ def make_robot_env(
         options["randomization"] = RandomizationOptions(**options["randomization"])
     if isinstance(options.get("cameras"), list):
         options["cameras"] = tuple(options["cameras"])
+    chosen = RobotOptions(**options)
     if isinstance(scene, str):
         scenes = RunScenes(RunFolder(run), SceneSelection(scene_ids=(scene,), settled=settled), store)
-        geometry = scenes.geometry(next(iter(scenes)))
+        row = scenes.row(0)
+        geometry, chosen = scenes.geometry(scene_from_row(row), row), options_for(row, chosen)
     else:
         rest = SettledPoses(RunFolder(run)).of(scene.scene_id) if settled else None
         geometry = SceneGeometry.of(scene, store or run_store(run), rest)
-    return RobotEnv(geometry, goal, RobotOptions(**options), render_mode)
+    return RobotEnv(geometry, goal, chosen, render_mode)
 
 
 gymnasium.register("stable_data/Robot-v0", entry_point="stable_data.robot.env:make_robot_env")

@@ -15,10 +15,11 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, GoalError, MeshError, SceneError
-from stable_data.robot.env import Observation, RobotEnv, RobotOptions
+from stable_data.robot.env import Observation, RobotEnv, RobotOptions, options_for
 from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.storage.run_folder import RunFolder, Uri
+from stable_data.storage.table_rows import scene_from_row
 from stable_data.tasks.compiling import compile_goal
 from stable_data.tasks.geometry import TaskGeometry
 
@@ -120,7 +121,9 @@ class ScenesEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
 
     def _open(self, scene_id: str) -> RobotEnv:
         scenes = RunScenes(RunFolder(self._run), SceneSelection(scene_ids=(scene_id,), settled=self._settled), self._store)
-        return RobotEnv(scenes.geometry(next(iter(scenes))), options=self._options, render_mode=self.render_mode)
+        row = scenes.row(0)
+        geometry = scenes.geometry(scene_from_row(row), row)
+        return RobotEnv(geometry, options=options_for(row, self._options), render_mode=self.render_mode)
 
 
 def make_vector_env(
@@ -171,13 +174,13 @@ def scenes_by_task(run: Uri, *, where: str | None = None, options: RobotOptions 
     """
     found: dict[str, list[str]] = {}
     scenes = RunScenes(RunFolder(run), SceneSelection(where=where))
-    for scene in scenes:
-        geometry = scenes.geometry(scene)
+    for row in scenes.rows():
+        geometry = scenes.geometry(scene_from_row(row), row)
         try:
             goal = compile_goal(TaskGeometry.of(geometry))
             if options is not None:
-                RobotEnv(geometry, goal, options).close()
+                RobotEnv(geometry, goal, options_for(row, options)).close()
         except (GoalError, SceneError, MeshError):
             continue
-        found.setdefault(str(goal.kind), []).append(scene.scene_id)
+        found.setdefault(str(goal.kind), []).append(row["scene_id"])
     return dict(sorted(found.items()))
