@@ -34,6 +34,7 @@ _RELEASE = 0.003  # height above its support at which an object is released, met
 _YAWS = 8  # that are tried for a placed object, beside the wanted one
 _MOST_TOUCHED = 3  # things that the arm may touch where a path begins
 _TURNED = 6  # places of which other headings are tried
+_MOST_DROPPED = 0.04  # how far above its place an object is let go where something is in the way, metres
 _DROP = 0.02  # an object that is released higher than this above its place is dropped, as into a container, metres
 _RETREAT = 0.10  # back along the approach after a release, metres
 _WAIT_SECONDS = 0.6  # at the end, until everything is at rest
@@ -225,12 +226,22 @@ class Expert:
         if not solved.found[0] or self._clearance.hits(over, 0.0) is not None:
             return None
         lowering = tool_line(self._arm, over, position, turn)
-        allowed = frozenset({place.support})
-        if lowering is None or not self._clearance.free_path(lowering, 0.0, allowed=allowed, allowed_depth=_IN_HAND):
+        if lowering is None:
+            return None
+        lowering = self._until_touch(lowering, frozenset({place.support}))
+        ends, _ = self._arm.poses(lowering[-1:])
+        if np.linalg.norm(ends[0] - position) > _MOST_DROPPED:
             return None
         touched = self._touched(start, 0.0)
         path = plan_path(self._arm, self._clearance, start, over, 0.0, allowed=touched, seed=self._seed)
         return None if path is None else (path, lowering)
+
+    def _until_touch(self, path: FloatArray, allowed: frozenset[str]) -> FloatArray:
+        """The part of a path down to a place before arm or object touch anything but the support: from there the object is let go."""
+        for k, joints in enumerate(path):
+            if self._clearance.hits(joints, 0.0, allowed=allowed, allowed_depth=_IN_HAND) is not None:
+                return path[: max(k, 1)]
+        return path
 
     def _turned(self, places: Sequence[TargetPose], *, may_turn: bool) -> Iterator[TargetPose]:
         """The places as they are, and then, if the object may be turned, the first ones at other headings."""
