@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from pipelines.demonstrate.commands import demonstrate
+from pipelines.evaluate_policy.commands import evaluate_policy
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
 from pipelines.retired import CommandGroup
 from pipelines.scene_files import commands as scene_files
@@ -472,6 +473,7 @@ app.command("repair")(scene_files.repair)
 app.command("import-scenes")(scene_files.import_scenes)
 app.command("supports")(supports)
 app.command("demonstrate", epilog=SETTINGS_HINT.format("demonstrate"))(demonstrate)
+app.command("evaluate-policy", epilog=SETTINGS_HINT.format("evaluate-policy"))(evaluate_policy)
 
 
 _ANY_SIZE = (100.0, 60.0)  # centimetres; the surface of a support replaces the table of an instruction
