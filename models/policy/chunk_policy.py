@@ -32,7 +32,7 @@ class Policy:
     def act(self, observation: Observation) -> FloatArray32:
         """Returns the next actions, (K, A) float32; K is ``execute`` of its training."""
         frame = TaskFrame(observation[AGENT][None], observation[ENVIRONMENT][None])
-        chunk = self._weights.network.plan(torch.from_numpy(frame.inputs()))
+        chunk = self._weights.network.plan(frame)
         return frame.to_actions(chunk.numpy())[0, : self._weights.execute]
 
 

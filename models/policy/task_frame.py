@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
@@ -25,7 +26,8 @@ NUM_ACTIONS = 7
 
 _MOVES = ("tool_x_delta", "tool_y_delta", "tool_z_delta", "turn_x_delta", "turn_y_delta", "turn_z_delta")
 _POSE = ("opening", "tool_x", "tool_y", "tool_z", *COLUMNS)  # the end of a state of the robot, of whatever joints
-_NEAR = 0.05  # distances below this are seen finely, metres
+_NEAR, _FINE = 0.05, 0.01  # distances below this are seen finely, metres
+_FINE_TURN = 0.1  # radians
 _SIDES = np.triu_indices(3)
 _LENGTH = 10.0  # extents and distances are small numbers of metres
 
@@ -72,7 +74,7 @@ class TaskFrame:
         angle = np.arctan2(ahead[:, 1], ahead[:, 0])
         cosine, sine, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
         turn = [[cosine, sine, zero], [-sine, cosine, zero], [zero, zero, one]]
-        self._turn = np.moveaxis(np.array(turn), 2, 0)  # (B, 3, 3), task frame from base
+        self._turn: FloatArray = np.moveaxis(np.array(turn), 2, 0)  # (B, 3, 3), task frame from base
 
     def inputs(self) -> FloatArray32:
         """What the network sees, (B, :data:`NUM_INPUTS`) float32."""
@@ -111,16 +113,55 @@ class TaskFrame:
         parts += [goal[:, :1], to_goal * 2, np.tanh(to_goal / _NEAR)]
         return np.concatenate(parts, axis=1).astype(np.float32)
 
+    def keys(self, positions: FloatArray, rotations: FloatArray) -> FloatArray32:
+        """Describes poses of the tool in the task frame: relative to the subject, or to the tool if there is none.
+
+        Args:
+            positions: (B, 3), metres, frame of the base.
+            rotations: (B, 3, 3), base from tool.
+
+        Returns:
+            (B, :data:`NUM_KEY`) float32: position, and the first two columns of the rotation.
+        """
+        turned = self._turn @ rotations
+        away = self._turned(positions - self._anchor())
+        return np.concatenate([away, turned[:, :, 0], turned[:, :, 1]], axis=1).astype(np.float32)
+
+    def key_inputs(self, keys: FloatArray32) -> FloatArray32:
+        """What the network sees of the pose that the tool shall reach, (B, :data:`NUM_KEY_INPUTS`) float32.
+
+        Args:
+            keys: As :meth:`keys` gives them; the columns need not be orthonormal.
+        """
+        found = np.asarray(keys, np.float64)
+        rotation, wanted = self._turn @ self._rotation, _orthonormal(found[:, 3:])
+        away = self._turned(self._anchor() - self._tool) + found[:, :3]
+        in_tool = np.einsum("bji,bj->bi", rotation, away)
+        turn = Rotation.from_matrix(wanted @ rotation.transpose(0, 2, 1)).as_rotvec()
+        turn_in_tool = np.einsum("bji,bj->bi", rotation, turn)
+        fine = [np.tanh(values / scale) for values in (away, in_tool) for scale in (_NEAR, _FINE)]
+        return np.concatenate([away * 2, *fine, turn, turn_in_tool, np.tanh(turn / _FINE_TURN), found[:, :3] * 5, wanted[:, :, 2]], axis=1).astype(
+            np.float32
+        )
+
+    def _anchor(self) -> FloatArray:
+        return np.where(self._has_subject[:, None], self._environment[:, 1:4], self._tool)
+
     def from_actions(self, actions: FloatArray32) -> FloatArray32:
         """Turns actions in the frame of the base, (B, H, 7), into the task frame."""
         return self._turned_actions(actions, self._turn)
+
+    @property
+    def tool_poses(self) -> tuple[FloatArray, FloatArray]:
+        """Position (B, 3), metres, and rotation (B, 3, 3) of the tool in the frame of the base."""
+        return self._tool, self._rotation
 
     def to_actions(self, actions: FloatArray32) -> FloatArray32:
         """Turns actions in the task frame, (B, H, 7), into the frame of the base."""
         return self._turned_actions(actions, self._turn.transpose(0, 2, 1))
 
     def _turned(self, vectors: FloatArray) -> FloatArray:
-        return np.einsum("bij,bj->bi", self._turn, vectors)
+        return np.asarray(np.einsum("bij,bj->bi", self._turn, vectors))
 
     def _turned_actions(self, actions: FloatArray32, turn: FloatArray) -> FloatArray32:
         found = np.array(actions, np.float64)
@@ -158,5 +199,20 @@ def _rotations(columns: FloatArray) -> FloatArray:
     return np.stack([first, second, np.cross(first, second)], axis=2)
 
 
-NUM_INPUTS = TaskFrame(*(np.zeros((1, len(names)), np.float32) for names in (_POSE, ENVIRONMENT_STATE_NAMES))).inputs().shape[1]
-"""Numbers that the network sees."""
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """The rotations (B, 3, 3) whose first two columns are nearest to given ones (B, 6): Gram and Schmidt's process."""
+    first = columns[:, :3] / np.linalg.norm(columns[:, :3], axis=1, keepdims=True).clip(1e-6)
+    second = columns[:, 3:] - (columns[:, 3:] * first).sum(axis=1, keepdims=True) * first
+    second = second / np.linalg.norm(second, axis=1, keepdims=True).clip(1e-6)
+    return _rotations(np.concatenate([first, second], axis=1))
+
+
+_EMPTY = TaskFrame(*(np.zeros((1, len(names)), np.float32) for names in (_POSE, ENVIRONMENT_STATE_NAMES)))
+NUM_INPUTS = _EMPTY.inputs().shape[1]
+"""Numbers that the network sees of a state."""
+
+NUM_KEY = 9
+"""Numbers of a pose of the tool."""
+
+NUM_KEY_INPUTS = 30
+"""Numbers that the network sees of the pose that the tool shall reach."""

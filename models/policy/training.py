@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from models.policy.network import PolicyNetwork, PolicyShape, best_chunks
-from models.policy.task_frame import NUM_ACTIONS, TaskFrame
+from models.policy.keyframes import next_key_frames
+from models.policy.network import PolicyNetwork, PolicyShape
+from models.policy.task_frame import TaskFrame
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
 from models.training.checkpoint import load_checkpoint, save_checkpoint
 from models.training.distributed import CPU, ProcessContext
@@ -104,11 +105,15 @@ class Frames:
         inputs: What the network sees, (F, D) float32.
         actions: The actions that followed, (F, H, A) float32, task frame.
         is_real: Whether an action is before the end of the episode, (F, H) bool.
+        keys: Pose of the tool in the next key frame, (F, K) float32, task frame.
+        key_inputs: What the network sees of it, (F, L) float32.
     """
 
     inputs: Tensor
     actions: Tensor
     is_real: Tensor
+    keys: Tensor
+    key_inputs: Tensor
 
     @classmethod
     def of(cls, episodes: Sequence[Episode], horizon: int) -> "Frames":
@@ -116,11 +121,16 @@ class Frames:
         chunks = EpisodeChunks(episodes, horizon)
         batch = chunks.batch(np.arange(len(chunks)))
         frame = TaskFrame(batch["states"], batch["environment_states"])
-        return cls(
-            torch.from_numpy(frame.inputs()),
-            torch.from_numpy(frame.from_actions(batch["actions"])),
-            torch.from_numpy(~batch["is_padding"]),
-        )
+        positions, rotations = frame.tool_poses
+        following = next_key_frames(chunks)
+        keys = frame.keys(positions[following], rotations[following])
+        parts = (frame.inputs(), frame.from_actions(batch["actions"]), ~batch["is_padding"], keys, frame.key_inputs(keys))
+        return cls(*map(torch.from_numpy, parts))
+
+    def chosen(self, rows: Tensor, device: torch.device) -> "Frames":
+        """Returns some of them on a device."""
+        parts = (self.inputs, self.actions, self.is_real, self.keys, self.key_inputs)
+        return Frames(*(part[rows].to(device) for part in parts))
 
     def __len__(self) -> int:
         """Number of frames F."""
@@ -207,6 +217,8 @@ class PolicyTrainer:
         network, first = self.network, self._train.actions[:, 0]
         network.input_mean.copy_(self._train.inputs.mean(0))
         network.input_scale.copy_(self._train.inputs.std(0, correction=0).clamp_min(_LEAST_SPREAD[0]))
+        network.key_mean.copy_(self._train.keys.mean(0))
+        network.key_scale.copy_(self._train.keys.std(0, correction=0).clamp_min(_LEAST_SPREAD[0]))
         network.action_mean[_MOVES:] = first.mean(0)[_MOVES:]  # no move stays no move
         network.action_scale.copy_((first - network.action_mean).square().mean(0).sqrt().clamp_min(_LEAST_SPREAD[1]))
 
@@ -215,11 +227,12 @@ class PolicyTrainer:
         settings, network, device = self._settings, self.network, self.place.device
         torch.manual_seed(named_seed(settings.seed, "step", self.step))  # so that a resumed training draws the same
         rows = torch.randint(len(self._train), (settings.batch,))
-        frames = Frames(*(part[rows].to(device) for part in (self._train.inputs, self._train.actions, self._train.is_real)))
+        frames = self._train.chosen(rows, device)
         for group in self._optimizer.param_groups:
             group["lr"] = settings.rate_at(self.step)
         network.train()
-        loss = chunk_loss(network, frames, settings.path_weight)
+        where, how = key_loss(network, frames), chunk_loss(network, frames, settings.path_weight)
+        loss = where + how
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(network.parameters(), settings.clip)
@@ -232,7 +245,7 @@ class PolicyTrainer:
         found = float(loss.detach())
         self._loss_sum += found
         self._since += 1
-        return {"imitation": found}
+        return {"where": float(where.detach()), "how": float(how.detach())}
 
     def note(self) -> dict[str, float]:
         """Adds a row to the curve: the mean loss since the last row, and the errors of the first action in held-out scenes."""
@@ -276,36 +289,46 @@ class PolicyTrainer:
         self._loss_sum, self._since = torch.tensor(state["since"][0]), state["since"][1]
 
 
+def key_loss(network: PolicyNetwork, frames: Frames) -> Tensor:
+    """Returns the loss of where the hand opens or closes next: that of the best proposal, and of the scores that shall find it."""
+    keys, scores = network.keys(frames.inputs)
+    wanted = (frames.keys - network.key_mean) / network.key_scale
+    each = (keys - wanted[:, None]).abs().mean(-1)  # (B, M)
+    best = each.detach().argmin(dim=1)
+    chosen = each.gather(1, best[:, None])[:, 0]
+    return ((1 - _RELAXED) * chosen + _RELAXED * each.mean(1)).mean() + _CHOICE * cross_entropy(scores, best)
+
+
 def chunk_loss(network: PolicyNetwork, frames: Frames, path_weight: float) -> Tensor:
-    """Returns the loss of some frames: that of the best of the proposed chunks, and of the scores that shall find it.
+    """Returns the loss of the actions on the way to the next key frame.
 
     Args:
         network: The network.
         frames: The frames.
         path_weight: Weight of the error of the path.
     """
-    chunks, scores = network(frames.inputs)
-    is_real = frames.is_real.float()[:, None, :, None]
-    errors = (chunks - network.normalised(frames.actions)[:, None]) * is_real  # (B, M, H, A)
-    count = is_real.sum(dim=(2, 3))
-    path = errors[..., :_MOVES].cumsum(dim=2) * is_real / math.sqrt(errors.shape[2])
-    each = (errors.abs().mean(-1) + path_weight * path.abs().mean(-1)).sum(-1) / count  # (B, M)
-    best = each.detach().argmin(dim=1)
-    chosen = each.gather(1, best[:, None])[:, 0]
-    return ((1 - _RELAXED) * chosen + _RELAXED * each.mean(1)).mean() + _CHOICE * cross_entropy(scores, best)
+    is_real = frames.is_real.float()[..., None]
+    wanted = (frames.actions - network.action_mean) / network.action_scale
+    errors = (network.chunks(frames.inputs, frames.key_inputs) - wanted) * is_real  # (B, H, A)
+    path = errors[..., :_MOVES].cumsum(dim=1) * is_real / math.sqrt(errors.shape[1])
+    return (errors.abs().mean(-1).sum() + path_weight * path.abs().mean(-1).sum()) / is_real.sum()
 
 
 @torch.no_grad()
 def held_out_errors(network: PolicyNetwork, frames: Frames | None) -> dict[str, float]:
-    """Returns mean errors of the first planned action: of the tool's move, of its turn, and of the opening; NaN without frames."""
+    """Returns mean errors: of the first action, given the next key frame, and of the key frame itself; NaN without frames."""
+    names = ("move_mm", "turn_deg", "opening_mm", "key_mm", "key_deg")
     if frames is None:
-        return dict.fromkeys(("move_mm", "turn_deg", "opening_mm"), math.nan)
-    chunks, scores = network(frames.inputs)
-    found = best_chunks(chunks, scores)[:, 0] * network.action_scale + network.action_mean
+        return dict.fromkeys(names, math.nan)
+    found = network.chunks(frames.inputs, frames.key_inputs)[:, 0] * network.action_scale + network.action_mean
     away = found - frames.actions[:, 0]
-    assert away.shape[1] == NUM_ACTIONS
+    keys, scores = network.keys(frames.inputs)
+    chosen = keys[torch.arange(len(keys)), scores.argmax(dim=1)] * network.key_scale + network.key_mean
+    facing = torch.cosine_similarity(chosen[:, 6:], frames.keys[:, 6:], dim=1).clamp(-1, 1)  # of the closing directions
     return {
         "move_mm": 1e3 * float(away[:, :3].norm(dim=1).mean()),
         "turn_deg": math.degrees(float(away[:, 3:_MOVES].norm(dim=1).mean())),
         "opening_mm": 1e3 * float(away[:, _MOVES].abs().mean()),
+        "key_mm": 1e3 * float((chosen - frames.keys)[:, :3].norm(dim=1).mean()),
+        "key_deg": math.degrees(float(facing.acos().mean())),
     }

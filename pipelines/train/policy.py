@@ -29,6 +29,9 @@ from stable_data.errors import ConfigError
 from stable_data.robot.episodes import Episode, read_episodes
 from stable_data.storage.run_folder import RunFolder, absolute_uri
 
+COLUMNS = ("step", "loss", "move_mm", "turn_deg", "opening_mm", "key_mm", "key_deg")
+"""Columns of the curve."""
+
 _Demonstrations = tuple[list[Episode], list[Episode]]
 
 
@@ -96,7 +99,7 @@ class PolicyTrainingJob(TrainingJob):
                 monitor.count(losses, learning_rate=settings.rate_at(training.step - 1))
                 if training.step % self.note_every == 0 or training.step == settings.steps:
                     row = training.note()
-                    monitor.log({f"held_out/{name}": row[name] for name in ("move_mm", "turn_deg", "opening_mm")})
+                    monitor.log({f"held_out/{name}": row[name] for name in COLUMNS[2:]})
                 if monitor.wants_save():
                     monitor.save()
             monitor.save()
@@ -145,7 +148,7 @@ def _assets(episodes: Sequence[Episode]) -> frozenset[str] | None:
 
 def _curve_text(curve: Sequence[dict[str, float]]) -> str:
     text = io.StringIO()
-    writer = csv.DictWriter(text, ("step", "loss", "move_mm", "turn_deg", "opening_mm"), lineterminator="\n")
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
     for row in curve:
         writer.writerow({name: "" if math.isnan(value) else f"{value:g}" for name, value in row.items()})
@@ -164,13 +167,12 @@ def _report(name: str, manifest: dict[str, Any], curve: Sequence[dict[str, str]]
         (f"{manifest['steps_done']} / {manifest['settings']['steps']}", "steps"),
     ]
     left_out = [[key.removeprefix("left_out_"), str(n)] for key, n in manifest.items() if key.startswith("left_out_")]
-    columns = ("step", "loss", "move_mm", "turn_deg", "opening_mm")
     body = [
         f"<h1>{Path(name).name}</h1>",
         tiles(figures),
         "<h2>Training</h2>",
         '<p class="note">Loss: mean since the row before. Errors: of the first action, in held-out scenes.</p>',
-        table(columns, [[row[column] for column in columns] for row in curve]),
+        table(COLUMNS, [[row[column] for column in COLUMNS] for row in curve]),
         "<h2>Left out</h2>",
         table(["reason", "episodes"], left_out),
     ]
