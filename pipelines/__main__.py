@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
+from pipelines.policy_commands import evaluate_policy
 from pipelines.retired import CommandGroup
 from pipelines.robot_commands import demonstrate, reach
 from pipelines.scene_files import commands as scene_files
@@ -489,6 +490,7 @@ app.command("import-scenes")(scene_files.import_scenes)
 app.command("supports")(supports)
 app.command("reach", epilog=SETTINGS_HINT.format("reach"))(reach)
 app.command("demonstrate", epilog=SETTINGS_HINT.format("demonstrate"))(demonstrate)
+app.command("evaluate-policy", epilog=SETTINGS_HINT.format("evaluate-policy"))(evaluate_policy)
 
 
 _ANY_SIZE = (100.0, 60.0)  # centimetres; the surface of a support replaces the table of an instruction

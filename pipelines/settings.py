@@ -61,6 +61,7 @@ JOBS: Mapping[str, SettingsLocation] = {
     "generate": SettingsLocation("pipelines.generate.settings:GenerateSettings"),
     "demonstrate": SettingsLocation("pipelines.demonstrate.settings:DemonstrateSettings"),
     "reach": SettingsLocation("pipelines.reach.settings:ReachSettings"),
+    "evaluate-policy": SettingsLocation("pipelines.evaluate_policy.settings:EvaluatePolicySettings"),
     "train-corrector": SettingsLocation(
         "models.physics_corrector.training.settings:CorrectorTrainingSettings",
         "models.physics_corrector.training.settings:training_preset",
@@ -72,6 +73,7 @@ JOBS: Mapping[str, SettingsLocation] = {
         "embedded",
     ),
     "train-reader": SettingsLocation("models.instruction_reader.training:ReaderTrainingSettings"),
+    "train-policy": SettingsLocation("models.policy.training:PolicyTrainingSettings"),
 }
 """The jobs with settings, by verb."""
 

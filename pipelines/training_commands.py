@@ -163,3 +163,32 @@ def train_reader(
 
     settings = resolve_settings(ReaderTrainingSettings, "train_reader", config, set_ or [])
     typer.echo(ReaderTrainingJob(frames, out, settings, minutes).run())
+
+
+@app.command("train-policy", epilog=SETTINGS_HINT.format("train-policy"))
+@with_clear_errors
+def train_policy(
+    episodes: Annotated[
+        list[str],
+        typer.Option(
+            help="A run with the table episodes, such as one of demonstrate. May be repeated: one training on several."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, curve and report.")],
+    where: Annotated[str, typer.Option(help="Which episodes, such as \"task_kind == 'pick' and split == 'train'\".")] = "",
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_policy is read.")] = None,
+    set_: JobSettings = None,
+    minutes: Minutes = 0.0,
+) -> None:
+    """Train a policy by cloning the demonstrations of runs. Run again to continue after a stop.
+
+    It sees the states of robot and environment, not pictures, and takes minutes on one core. evaluate-policy measures its success.
+    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
+    """
+    from models.policy.training import PolicyTrainingSettings
+    from pipelines.settings import resolve_settings
+    from pipelines.train.policy import PolicyTrainingJob
+
+    settings = resolve_settings(PolicyTrainingSettings, "train_policy", config, set_ or [])
+    job = PolicyTrainingJob(episodes[0], out, also=tuple(episodes[1:]), where=where, settings=settings, minutes=minutes)
+    typer.echo(job.run())

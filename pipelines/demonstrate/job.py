@@ -3,23 +3,21 @@
 from collections import Counter
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import stable_data
+from pipelines.demonstrate.environments import EpisodeRef
 from pipelines.demonstrate.report import write_demonstrate_report
+from pipelines.demonstrate.run_scenes import ScenesOfRun
 from pipelines.demonstrate.settings import DemonstrateSettings
-from pipelines.demonstrate.shard import DemonstrateStep, EpisodeRef
+from pipelines.demonstrate.shard import DemonstrateStep
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError
 from stable_data.robot.arm.robots import robot_named
-from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.storage import schemas
-from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
 
 
@@ -47,36 +45,28 @@ class DemonstrateJob(ShardJob):
 
     def __init__(self, scenes: str, settings: DemonstrateSettings, where: str = "") -> None:
         robot_named(settings.robot)
-        self.settings, self.where = settings, where
-        self.folder = RunFolder(scenes)
-        self.run = self.folder.root if self.folder.is_local else self.folder.uri
-        self.dataset = Path(self.folder.root).name
-        RunScenes(self.folder, SceneSelection(settled=settings.settled))  # refuses what is missing
-        if not self._scene_ids:
-            condition = f" where {where}" if where else ""
-            raise ConfigError(
-                f"{scenes}: has no scenes{condition}, expected some; choose another run or condition", "source_empty"
-            )
-
-    @cached_property
-    def _scene_ids(self) -> Sequence[str]:
-        rows = TableFiles(self.folder.uri, "scenes", ["scene_id"], where=self.where or None)
-        return [name for group in range(len(rows.groups)) for name in rows.read([group])["scene_id"].to_pylist()]
+        self.settings, self._scenes = settings, ScenesOfRun(scenes, where, settled=settings.settled)
+        self.dataset = self._scenes.name
 
     def inputs(self) -> dict[str, Any]:
         """Hashes of the tables, and the condition."""
-        tables = ("scenes", "meshes", "assets", *(("settled",) if self.settings.settled else ()))
-        found: dict[str, Any] = {name: content_id(sorted(self.folder.shard_ids(name))) for name in tables}
-        return found | {"where": self.where}
+        return self._scenes.inputs() | ({"lead": self._lead} if self.settings.lead else {})
+
+    @cached_property
+    def _lead(self) -> str:
+        """Fingerprint of the policy that acts first."""
+        from models.policy.chunk_policy import open_policy  # takes seconds to import
+
+        return open_policy(self.settings.lead).fingerprint
 
     def about(self) -> dict[str, Any]:
         """The number of scenes and of episodes."""
-        return {"num_scenes": len(self._scene_ids), "num_episodes": len(self._scene_ids) * self.settings.episodes}
+        return {"num_scenes": len(self._scenes.ids), "num_episodes": len(self._scenes.ids) * self.settings.episodes}
 
     def plan(self) -> Sequence[StepShards[Any]]:
         """The step of all episodes; those of a scene are in one shard."""
         shaping = self.settings.shaping() | {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
-        groups = split_groups(self._scene_ids, self.settings.shard_size(len(self._scene_ids)))
+        groups = split_groups(self._scenes.ids, self.settings.shard_size(len(self._scenes.ids)))
         tables = self.inputs()
         shards = [
             Shard(
@@ -85,11 +75,11 @@ class DemonstrateJob(ShardJob):
             )
             for group in groups
         ]
-        return [StepShards(DemonstrateStep(str(self.run), self.settings), shards)]
+        return [StepShards(DemonstrateStep(self._scenes.run, self.settings), shards)]
 
     def expected(self) -> Sequence[ExpectedItems]:
         """All episodes."""
-        ids = [str(EpisodeRef(s, n)) for s in self._scene_ids for n in range(self.settings.episodes)]
+        ids = [str(EpisodeRef(s, n)) for s in self._scenes.ids for n in range(self.settings.episodes)]
         return [ExpectedItems("episodes", "episode_id", ids, "failed_episodes")]
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:

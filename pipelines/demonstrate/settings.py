@@ -1,4 +1,4 @@
-"""Settings of the demonstrate job: the robot, what it sees, and how episodes vary."""
+"""Settings of episodes, the robot, what it sees, and how they vary; and those of the demonstrate job."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Literal
@@ -40,10 +40,11 @@ class VariationSettings(Settings):
 
 
 @dataclass(frozen=True, slots=True)
-class DemonstrateSettings(Settings):
-    """Settings of the demonstrate job, from ``--set key=value`` or the table ``[demonstrate]`` of a TOML file."""
+class EpisodeSettings(Settings):
+    """Settings of jobs that make episodes: the robot, what it sees, its task, and how episodes vary."""
 
-    section: ClassVar[str] = "demonstrate"
+    section: ClassVar[str] = ""
+    ASIDE: ClassVar[tuple[str, ...]] = ("num_pictures", "seconds_per_item")
 
     robot: str = "panda"
     """The robot: ``panda``, ``panda_2f85``, ``so101`` or ``simple``; ``stable-data robots`` lists them."""
@@ -79,11 +80,6 @@ class DemonstrateSettings(Settings):
     max_steps: PositiveCount = 600
     """Longest episode, actions."""
 
-    noise: Share = 0.0
-    """Standard deviation of what is added to each action, as a share of the largest action: the expert corrects it, so that policies
-    see how to come back.
-    """
-
     variation: VariationSettings = field(default_factory=VariationSettings)
     """What is varied from episode to episode."""
 
@@ -111,19 +107,18 @@ class DemonstrateSettings(Settings):
         described_robot(self.robot)
         if self.control not in CONTROLS:
             raise ConfigError(
-                f"setting demonstrate.control is {quote_value(self.control)}, expected one of {', '.join(CONTROLS)}",
+                f"setting {self.section}.control is {quote_value(self.control)}, expected one of {', '.join(CONTROLS)}",
                 "setting_invalid",
             )
         if strange := sorted(self.cameras - set(CAMERAS)):
             raise ConfigError(
-                f"setting demonstrate.cameras has {quote_value(strange[0])}, expected some of {', '.join(CAMERAS)}",
+                f"setting {self.section}.cameras has {quote_value(strange[0])}, expected some of {', '.join(CAMERAS)}",
                 "setting_invalid",
             )
 
     def shaping(self) -> dict[str, Any]:
         """The settings that shape rows; a run is resumed only if they are equal."""
-        aside = ("num_pictures", "seconds_per_item")
-        return {k: sorted(v) if isinstance(v, frozenset) else v for k, v in asdict(self).items() if k not in aside}
+        return {k: sorted(v) if isinstance(v, frozenset) else v for k, v in asdict(self).items() if k not in self.ASIDE}
 
     def options(self) -> RobotOptions:
         """The robot as the environment takes it."""
@@ -141,3 +136,23 @@ class DemonstrateSettings(Settings):
     def shard_size(self, num_scenes: int) -> int:
         """Scenes of a shard."""
         return self.scenes_per_shard or shard_size(num_scenes, parts=_PARTS, fewest=_FEWEST, most=_MOST)
+
+
+@dataclass(frozen=True, slots=True)
+class DemonstrateSettings(EpisodeSettings):
+    """Settings of the demonstrate job, from ``--set key=value`` or the table ``[demonstrate]`` of a TOML file."""
+
+    section: ClassVar[str] = "demonstrate"
+
+    noise: Share = 0.0
+    """Standard deviation of what is added to each action, as a share of the largest action: the expert corrects it, so that policies
+    see how to come back.
+    """
+
+    lead: str = ""
+    """A policy that acts before the expert in each episode, so that there are demonstrations from where the policy comes to: a folder
+    of train-policy, or ``module:function``. Its actions are not recorded. Empty: none.
+    """
+
+    lead_actions: Count = 120
+    """Actions of that policy at most; their number is drawn from 0 to this."""

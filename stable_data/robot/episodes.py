@@ -104,6 +104,9 @@ class Episode:
         image_size: Height and width of the pictures, pixels; None if and only if there are no pictures.
         randomization: What the domain randomisation drew, a JSON object as text; None without one.
         split: Split of the scene; None if it has none.
+        policy: Name of the policy that acted; None: the scripted expert.
+        asset_ids: Asset of each of the instances, empty for one that has none; None: not known.
+        subjects: The instances that the steps of the goal act on; None: not known.
 
     Raises:
         EpisodeError: A value is missing, not finite or not as described (``episode_invalid``).
@@ -133,9 +136,13 @@ class Episode:
     image_size: tuple[int, int] | None = None
     randomization: str | None = None
     split: str | None = None
+    policy: str | None = None
+    asset_ids: tuple[str, ...] | None = None
+    subjects: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         self._check_texts()
+        self._check_origin()
         num_steps = np.shape(self.actions)[0] if np.ndim(self.actions) else 0
         if num_steps < 1:
             raise self._invalid(f"actions has shape {np.shape(self.actions)}", "at least one action, (T, A)")
@@ -160,6 +167,13 @@ class Episode:
     def num_steps(self) -> int:
         """Number of actions T."""
         return len(self.actions)
+
+    @property
+    def subject_assets(self) -> tuple[str, ...] | None:
+        """Assets of the subjects; None: not known."""
+        if self.asset_ids is None or self.subjects is None:
+            return None
+        return tuple(self.asset_ids[self.instances.index(name)] for name in self.subjects)
 
     @property
     def features(self) -> EpisodeFeatures:
@@ -199,6 +213,17 @@ class Episode:
             raise self._invalid(f"split is {quote_value(self.split)}", f"one of {', '.join(SPLITS)}, or None")
         if self.randomization is not None and not _is_json_object(self.randomization):
             raise self._invalid(f"randomization is {quote_value(self.randomization)}", "a JSON object as text")
+
+    def _check_origin(self) -> None:
+        for name in ("asset_ids", "subjects"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, tuple(getattr(self, name)))
+        if self.asset_ids is not None and len(self.asset_ids) != len(self.instances):
+            raise self._invalid(f"asset_ids has {len(self.asset_ids)} ids", f"{len(self.instances)}, one for each instance")
+        if strange := set(self.subjects or ()) - set(self.instances):
+            raise self._invalid(f"subjects has {quote_value(min(strange))}", "some of the instances")
+        if self.policy is not None and not self.policy.strip():
+            raise self._invalid("policy is empty", "a name, or None for the scripted expert")
 
     def _checked(self, name: str, shape: tuple[int, ...]) -> FloatArray32:
         with np.errstate(over="ignore"):  # beyond the range of float32: not finite
@@ -279,7 +304,9 @@ def episode_from_row(row: Mapping[str, Any]) -> Episode:
     for name in ("state_names", "environment_state_names", "action_names", "instances"):
         values[name] = tuple(row[name])
     names = ("scene_id", "seed", "number", "robot", "task_kind", "instruction", "success", "fps", "control", "rewards")
-    values |= {name: row[name] for name in names} | {name: row.get(name) for name in ("reason", "randomization", "split")}
+    values |= {name: row[name] for name in names} | {
+        name: row.get(name) for name in ("reason", "randomization", "split", "policy", "asset_ids", "subjects")
+    }
     size, cameras = row.get("image_size"), row.get("pictures") or []
     return Episode(
         episode_id=row["episode_id"],

@@ -121,8 +121,7 @@ class Expert:
                     return
             failed.append(grasp)
             reason, detail = ExpertFailure.MISSED, instance
-            yield from self._wait(CLOSE_SECONDS, self._built.robot.hand.max_opening)
-            yield from self._rise(self._built.robot.hand.max_opening)
+            yield from self.withdraw()
         raise ExpertError(reason, detail)
 
     def place(self, instance: str, places: Sequence[TargetPose], *, may_turn: bool = True) -> Iterator[Command]:
@@ -153,8 +152,12 @@ class Expert:
             self._clearance.hold(None)
         if instance not in self._world.contacts().gripped:
             raise ExpertError(ExpertFailure.LOST, instance)
-        yield from self._wait(CLOSE_SECONDS, self._built.robot.hand.max_opening)
         self._held = None
+        yield from self.withdraw()
+
+    def withdraw(self) -> Iterator[Command]:
+        """Opens the hand and moves it back along its approach, away from whatever is between or beside the fingers."""
+        yield from self._wait(CLOSE_SECONDS, self._built.robot.hand.max_opening)
         yield from self._rise(self._built.robot.hand.max_opening)
 
     def rest(self) -> Iterator[Command]:

@@ -637,6 +637,9 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "pictures of each camera before each action, T PNG files of 8-bit RGB; null if they were not kept",
             ),
             _column("randomization", _text, "what the domain randomisation drew, as JSON; null without one"),
+            _column("policy", _text, "name of the policy that acted; null: the scripted expert"),
+            _column("asset_ids", _texts, "asset of each of the instances, empty for one that has none; null: not known"),
+            _column("subjects", _texts, "instances that the steps of the goal act on; null: not known"),
         ]
     ),
     "warnings": pa.schema(
@@ -692,7 +695,9 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "measured": ("asset_id", "category", "extents"),
     "textures": ("sha256", "image"),
     "episodes": tuple(
-        name for name in SCHEMAS["episodes"].names if name not in ("split", "reason", "image_size", "pictures", "randomization")
+        name
+        for name in SCHEMAS["episodes"].names
+        if name not in ("split", "reason", "image_size", "pictures", "randomization", "policy", "asset_ids", "subjects")
     ),
 }
 """Name of a table -> the columns that every file needs. Any other column may be missing: it is read as null."""

@@ -1,0 +1,113 @@
+"""The file of a policy: one safetensors file with weights, normalisation, what it observes and commands, and what it was trained on."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from models.policy.network import PolicyNetwork, PolicyShape
+from models.settings import fill_settings
+from stable_data.atomic_files import write_file_atomically
+from stable_data.errors import ConfigError
+from stable_data.json_text import quote_value
+from stable_data.robot.episodes import EpisodeFeatures
+
+FILE = "weights/policy.safetensors"
+"""The file in the folder of a training."""
+
+_KEYS = ("network", "features", "execute", "assets")
+_NAMES = ("state_names", "environment_state_names", "action_names")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolicyWeights:
+    """A trained policy.
+
+    Attributes:
+        network: The network, in evaluation mode, on the CPU.
+        shape: Its shape.
+        features: What it observes and commands.
+        execute: Actions of a chunk that are carried out.
+        assets: Assets that the demonstrations acted on; None: not known.
+        notes: Further notes of the header, such as the number of demonstrations.
+    """
+
+    network: PolicyNetwork
+    shape: PolicyShape
+    features: EpisodeFeatures
+    execute: int
+    assets: frozenset[str] | None
+    notes: Mapping[str, str]
+
+
+def save_policy(path: Path, policy: PolicyWeights) -> None:
+    """Writes a policy atomically; equal policies give equal bytes."""
+    features = {name: getattr(policy.features, name) for name in ("robot", "fps", "control", *_NAMES)}
+    header = {
+        "network": json.dumps(asdict(policy.shape), sort_keys=True),
+        "features": json.dumps(features, sort_keys=True),
+        "execute": json.dumps(policy.execute),
+        "assets": json.dumps(None if policy.assets is None else sorted(policy.assets)),
+    }
+    tensors = {name: value.detach().cpu().contiguous() for name, value in policy.network.state_dict().items()}
+    content = save(tensors, {**policy.notes, **header})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file_atomically(path, _with_sorted_header(content))
+
+
+def _with_sorted_header(content: bytes) -> bytes:
+    """Sorts the metadata of a safetensors file, which the library writes in a random order."""
+    length = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    ordered = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    assert len(ordered) <= length  # the same entries; padding keeps the offsets of the tensors
+    return content[:8] + ordered.ljust(length) + content[8 + length :]
+
+
+def load_policy(path: Path) -> PolicyWeights:
+    """Reads a policy from its file.
+
+    Raises:
+        ConfigError: The file cannot be read, is of something else, or has values that are not finite (``weights_invalid``).
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = dict(file.metadata() or {})
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+        found = {key: json.loads(header.pop(key)) for key in _KEYS}
+        features = found["features"]
+        known = EpisodeFeatures(**{name: tuple(v) if name in _NAMES else v for name, v in features.items()})
+        shape = fill_settings(PolicyShape, found["network"], "network")
+        network = PolicyNetwork(shape)
+        network.load_state_dict(tensors)
+    except (OSError, SafetensorError) as error:
+        raise ConfigError(f"{path}: cannot be read as safetensors ({error})", "weights_invalid") from error
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        line = " ".join(str(error).split())[:200]
+        raise ConfigError(f"{path}: {line}; expected the file of a policy, see train-policy", "weights_invalid") from error
+    if broken := [name for name, value in tensors.items() if not value.isfinite().all()]:
+        raise ConfigError(f"{path}: {broken[0]} has values that are not finite, expected finite weights", "weights_invalid")
+    assets = found["assets"]
+    return PolicyWeights(
+        network.eval(), shape, known, int(found["execute"]), None if assets is None else frozenset(assets), header
+    )
+
+
+def check_environment(policy: EpisodeFeatures, environment: EpisodeFeatures, name: str) -> None:
+    """Refuses an environment that shows or takes something else than the policy was trained with.
+
+    Raises:
+        ConfigError: A feature differs (``policy_mismatch``).
+    """
+    for key in ("robot", "control", "fps", *_NAMES):
+        was, now = getattr(policy, key), getattr(environment, key)
+        if was != now:
+            raise ConfigError(
+                f"policy {name}: its {key} is {quote_value(was)}, but that of the environment is {quote_value(now)}, expected the "
+                "same; train on episodes of this environment, or choose the robot and control of the policy",
+                "policy_mismatch",
+            )

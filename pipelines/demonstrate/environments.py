@@ -1,0 +1,129 @@
+"""Environments of episodes: which scene, which task, which seed. Demonstrations and evaluations take them from here."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pipelines.demonstrate.settings import EpisodeSettings
+from stable_data.assets.run_assets import run_store
+from stable_data.assets.store import AssetStore
+from stable_data.content_id import content_id
+from stable_data.errors import SceneError, StableDataError
+from stable_data.robot.env import RobotEnv, options_for
+from stable_data.robot.grasp_trial import GraspFinder
+from stable_data.robot.pick_tasks import pick_order, with_pick_task
+from stable_data.simulation.run_reader import RunScenes, SceneSelection
+from stable_data.simulation.scene_geometry import SceneGeometry
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import scene_from_row
+
+_MOST_DRAWN = 6  # objects that are tried for a pick
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class EpisodeRef:
+    """An episode that is to be recorded.
+
+    Attributes:
+        scene_id: Its scene.
+        number: Its number among the episodes of the scene.
+    """
+
+    scene_id: str
+    number: int
+
+    def __str__(self) -> str:
+        """Its id."""
+        return f"{self.scene_id}/{self.number}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenedEpisode:
+    """An episode that can begin.
+
+    Attributes:
+        env: Its environment.
+        seed: Its seed.
+        split: Split of its scene.
+    """
+
+    env: RobotEnv
+    seed: int
+    split: str | None
+
+
+def open_episode(run: str, ref: EpisodeRef, settings: EpisodeSettings) -> OpenedEpisode:
+    """Opens the environment of an episode; the scene is kept for its next one.
+
+    Args:
+        run: The run of the scenes.
+        ref: The episode.
+        settings: The robot and the task.
+
+    Raises:
+        SceneError, GoalError, MeshError: The episode cannot begin, see :class:`RobotEnv`; or the robot reaches no object
+            (``nothing_reachable``).
+    """
+    seed = int(content_id(settings.seed, str(ref)), 16) % 2**31
+    geometry, row = _geometry(run, ref.scene_id, settings.settled)
+    env = _scene_env(run, ref.scene_id, settings) if settings.task == "scene" else _pick_env(geometry, seed, settings)
+    return OpenedEpisode(env, seed, row["split"])
+
+
+@lru_cache(maxsize=1)
+def _geometry(run: str, scene_id: str, settled: bool) -> tuple[SceneGeometry, Row]:
+    """A scene and its row, kept for its next episode."""
+    selection = SceneSelection(scene_ids=(scene_id,), settled=settled)
+    scenes = RunScenes(RunFolder(run), selection, _store(run))
+    row = scenes.row(0)
+    return scenes.geometry(scene_from_row(row), row), row
+
+
+@lru_cache(maxsize=1)
+def _store(run: str) -> AssetStore:
+    """The meshes of the run."""
+    return run_store(run)
+
+
+def _scene_env(run: str, scene_id: str, settings: EpisodeSettings) -> RobotEnv:
+    found = _opened(run, scene_id, settings)
+    if isinstance(found, StableDataError):  # the other episodes of the scene fail for the same reason
+        raise found
+    return found
+
+
+@lru_cache(maxsize=1)
+def _opened(run: str, scene_id: str, settings: EpisodeSettings) -> RobotEnv | StableDataError:
+    """The environment of a scene with its own task, kept for its next episode."""
+    geometry, row = _geometry(run, scene_id, settings.settled)
+    try:
+        return RobotEnv(geometry, options=options_for(row, settings.options()))
+    except StableDataError as error:
+        return error
+
+
+def _pick_env(geometry: SceneGeometry, seed: int, settings: EpisodeSettings) -> RobotEnv:
+    """The environment with the task to pick up an object that the robot reaches.
+
+    Raises:
+        SceneError: There is no such object among the first few that are drawn (``nothing_reachable``).
+    """
+    names = pick_order(geometry.scene, np.random.default_rng((seed, 2)))
+    reasons = []
+    for name in names[:_MOST_DRAWN]:
+        try:
+            env = RobotEnv(with_pick_task(geometry, name), options=settings.options())
+        except SceneError as error:
+            reasons.append(error.code)
+            continue
+        survey = GraspFinder(env.built, env.arm, env.clearance).survey(env.world, name)
+        if survey.reachable:
+            return env
+        reasons.append(f"{name} {survey.reason}")
+    raise SceneError(
+        f"{geometry.scene.scene_id}: the robot reaches none of the objects that were drawn ({'; '.join(reasons) or 'there are none'}); "
+        "choose another scene, mount or robot",
+        "nothing_reachable",
+    )
