@@ -159,8 +159,15 @@ def leaderboard_text(lines: Sequence[Line]) -> str:
     """Returns the lines as a text table."""
     head = ["scenes", "task", "robot", "policy", "successes", "rate", "95 %"]
     rows = [
-        [line.scenes + (f" where {line.where}" if line.where else ""), line.task, line.robot, line.policy]
-        + [f"{line.successes}/{line.attempts}", f"{line.successes / line.attempts:.0%}", f"{line.low:.0%} - {line.high:.0%}"]
+        [
+            line.scenes + (f" where {line.where}" if line.where else ""),
+            line.task,
+            line.robot,
+            line.policy,
+            f"{line.successes}/{line.attempts}",
+            f"{line.successes / line.attempts:.0%}",
+            f"{line.low:.0%} - {line.high:.0%}",
+        ]
         for line in lines
     ]
     return align_columns([head, *rows], 4)

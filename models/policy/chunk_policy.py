@@ -12,7 +12,10 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.robot.env import AGENT, ENVIRONMENT, Observation
 from stable_data.robot.episodes import EpisodeFeatures, FloatArray32
+from stable_data.robot.grasps import PRESHAPE
 from stable_data.robot.policies import ActingPolicy, import_policy, policy_source
+
+_CLOSING = PRESHAPE  # an opening below this is none that demonstrations hold: the hand closes, metres
 
 
 class Policy:
@@ -33,7 +36,9 @@ class Policy:
         """Returns the next actions, (K, A) float32; K is ``execute`` of its training."""
         frame = TaskFrame(observation[AGENT][None], observation[ENVIRONMENT][None])
         chunk = self._weights.network.plan(frame)
-        return frame.to_actions(chunk.numpy())[0, : self._weights.execute]
+        actions = frame.to_actions(chunk.numpy())[0, : self._weights.execute]
+        actions[actions[:, -1] < _CLOSING, -1] = 0.0
+        return actions
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -140,9 +140,8 @@ class TaskFrame:
         turn = Rotation.from_matrix(wanted @ rotation.transpose(0, 2, 1)).as_rotvec()
         turn_in_tool = np.einsum("bji,bj->bi", rotation, turn)
         fine = [np.tanh(values / scale) for values in (away, in_tool) for scale in (_NEAR, _FINE)]
-        return np.concatenate(
-            [away * 2, *fine, turn, turn_in_tool, np.tanh(turn / _FINE_TURN), found[:, :3] * 5, wanted[:, :, 2]], axis=1
-        ).astype(np.float32)
+        turns = [turn, turn_in_tool, np.tanh(turn / _FINE_TURN)]
+        return np.concatenate([away * 2, *fine, *turns, found[:, :3] * 5, wanted[:, :, 2]], axis=1).astype(np.float32)
 
     def _anchor(self) -> FloatArray:
         return np.where(self._has_subject[:, None], self._environment[:, 1:4], self._tool)

@@ -80,7 +80,8 @@ def load_policy(path: Path) -> PolicyWeights:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
         found = {key: json.loads(header.pop(key)) for key in _KEYS}
         features = found["features"]
-        known = EpisodeFeatures(**{name: tuple(v) if name in _NAMES else v for name, v in features.items()})
+        names = {name: tuple(features[name]) for name in _NAMES}
+        known = EpisodeFeatures(features["robot"], features["fps"], features["control"], **names)
         shape = fill_settings(PolicyShape, found["network"], "network")
         network = PolicyNetwork(shape)
         network.load_state_dict(tensors)

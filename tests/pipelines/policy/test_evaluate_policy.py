@@ -1,0 +1,108 @@
+"""Evaluations of policies: counted once, the same in one process and with Ray, and kept in a leaderboard."""
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from benchmarks import leaderboard
+from models.policy.network import PolicyShape
+from models.policy.training import PolicyTrainingSettings
+from pipelines.evaluate_policy.job import EvaluatePolicyJob, evaluate_policy
+from pipelines.evaluate_policy.settings import EvaluatePolicySettings
+from pipelines.execution.ray_executor import WorkerPool
+from stable_data.errors import ConfigError
+from stable_data.robot.success_rate import wilson_interval
+from stable_data.storage.run_folder import RunFolder
+from tests.pipelines.policy.test_train_policy import train
+
+POLICIES = "tests.pipelines.policy.policies"
+SIMPLE = EvaluatePolicySettings(robot="simple", task="pick", max_steps=6)
+
+
+def test_a_policy_that_does_nothing_never_succeeds(two_scenes: Path, tmp_path: Path) -> None:
+    manifest = evaluate_policy(f"{POLICIES}:StayingPolicy", str(two_scenes), str(tmp_path / "out"), SIMPLE, WorkerPool())
+    counts = manifest["counts"]
+    assert (counts["successes"], counts["attempts"], counts["by_reason"]) == (0, 2, {"too_long": 2})
+    assert counts["by_assets"] == {"not known": [0, 2]}
+    rows = RunFolder(str(tmp_path / "out")).table("episodes", ["policy", "num_steps", "reason"]).to_pylist()
+    assert [(row["policy"], row["num_steps"]) for row in rows] == [(f"{POLICIES}:StayingPolicy", 6)] * 2
+    assert "0% – 66%" in (tmp_path / "out/report/index.html").read_text("utf-8")
+
+
+def test_what_was_shown_is_repeated(two_scenes: Path, demonstrations: Path, tmp_path: Path) -> None:
+    shape = PolicyShape(width=96, depth=2, modes=1, dropout=0.0)
+    policy = train(demonstrations, tmp_path / "policy", PolicyTrainingSettings(shape, steps=600, batch=32, held_out=0.0))
+    settings = EvaluatePolicySettings(robot="simple", task="pick", max_steps=150)  # the same seeds as the demonstrations
+    counts = evaluate_policy(str(policy), str(two_scenes), str(tmp_path / "out"), settings, WorkerPool())["counts"]
+    assert counts["by_assets"] == {"seen in training": [2, 2]}
+
+
+@pytest.mark.slow
+def test_the_expert_is_a_line_of_reference(two_scenes: Path, tmp_path: Path) -> None:
+    settings = EvaluatePolicySettings(robot="simple", task="pick")
+    counts = evaluate_policy("expert", str(two_scenes), str(tmp_path / "out"), settings, WorkerPool())["counts"]
+    assert counts["successes"] == counts["attempts"] == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "words"),
+    [
+        ("BrokenPolicy", "policy_failed", "act.. raised RuntimeError: no idea"),
+        ("ShortPolicy", "policy_invalid", "gave shape .3,., expected finite numbers of shape .7,."),
+        ("nothing", "policy_invalid", "expected module:function"),
+    ],
+)
+def test_a_policy_that_fails_ends_the_run(name: str, code: str, words: str, two_scenes: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=words) as caught:
+        evaluate_policy(f"{POLICIES}:{name}", str(two_scenes), str(tmp_path / "out"), SIMPLE, WorkerPool())
+    assert caught.value.code == code
+
+
+def test_a_trained_policy_fits_its_robot_alone(two_scenes: Path, demonstrations: Path, tmp_path: Path) -> None:
+    out = train(demonstrations, tmp_path / "policy")
+    counts = evaluate_policy(str(out), str(two_scenes), str(tmp_path / "out"), SIMPLE, WorkerPool())["counts"]
+    assert counts["attempts"] == 2
+    assert sum(total for _, total in counts["by_assets"].values()) == 2
+    assert "not known" not in counts["by_assets"]
+    with pytest.raises(ConfigError, match=r"its control is ee_delta, but setting evaluate_policy.control is joint"):
+        EvaluatePolicyJob(str(out), str(two_scenes), EvaluatePolicySettings(robot="simple", control="joint"))
+
+
+@pytest.mark.slow
+@pytest.mark.ray
+def test_with_ray_the_same(two_scenes: Path, demonstrations: Path, tmp_path: Path) -> None:
+    out = train(demonstrations, tmp_path / "policy")
+    tables = []
+    for name, workers in (("alone", WorkerPool()), ("ray", WorkerPool(2))):
+        evaluate_policy(str(out), str(two_scenes), str(tmp_path / name), SIMPLE, workers, report=False)
+        tables.append(pl.read_parquet(f"{tmp_path}/{name}/episodes/*.parquet").sort("episode_id"))
+    assert tables[0].equals(tables[1])
+
+
+def test_the_leaderboard_keeps_the_newest_line_of_a_policy(
+    two_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, file = str(tmp_path / "out"), tmp_path / "leaderboard.csv"
+    evaluate_policy(f"{POLICIES}:StayingPolicy", str(two_scenes), run, SIMPLE, WorkerPool(), report=False)
+    for name in ("still", "still again"):
+        leaderboard.main(["--file", str(file), "add", run, "--name", name])
+    (line,) = leaderboard.read_lines(file)
+    assert (line.policy, line.successes, line.attempts, line.scenes) == ("still again", 0, 2, "run")
+    leaderboard.write_lines(tmp_path / "again.csv", [line])
+    assert (tmp_path / "again.csv").read_bytes() == file.read_bytes()
+    leaderboard.main(["--file", str(file), "show"])
+    assert "0/2" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        leaderboard.main(["--file", str(file), "add", str(two_scenes)])
+    file.write_text("a,b\n", "utf-8")
+    with pytest.raises(ConfigError, match="has columns"):
+        leaderboard.read_lines(file)
+
+
+def test_wilson_intervals() -> None:
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+    low, high = wilson_interval(8, 10)
+    assert (round(low, 3), round(high, 3)) == (0.49, 0.943)  # Wilson 1927
+    with pytest.raises(ValueError, match="3 successes of 2"):
+        wilson_interval(3, 2)
