@@ -63,7 +63,7 @@ def test_each_episode_is_a_row_or_a_failure(made: Path) -> None:
     assert rows["far/0"] is not None
     assert rows["far/0"].startswith("no_grasp")
     [failure] = RunFolder(str(made)).table("failures").to_pylist()
-    assert (failure["id"], failure["step"], failure["code"]) == ("untold/0", "episode", "no_goal")
+    assert (failure["id"], failure["step"], failure["code"]) == ("untold/0", "scene", "no_goal")
     counts = json.loads((made / "manifest.json").read_text("utf-8"))["counts"]
     assert (counts["successes"], counts["episodes"], counts["failed_episodes"]) == (1, 2, 1)
     page = (made / "report" / "index.html").read_text("utf-8")
