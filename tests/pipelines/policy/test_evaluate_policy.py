@@ -30,6 +30,7 @@ def test_a_policy_that_does_nothing_never_succeeds(two_scenes: Path, tmp_path: P
     assert "0% – 66%" in (tmp_path / "out/report/index.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_what_was_shown_is_repeated(two_scenes: Path, demonstrations: Path, tmp_path: Path) -> None:
     shape = PolicyShape(width=96, depth=2, modes=1, dropout=0.0)
     policy = train(demonstrations, tmp_path / "policy", PolicyTrainingSettings(shape, steps=600, batch=32, held_out=0.0))
