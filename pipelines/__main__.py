@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from pipelines.demonstrate.commands import demonstrate
-from pipelines.evaluate_policy.commands import evaluate_policy
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
 from pipelines.retired import CommandGroup
+from pipelines.robot_commands import demonstrate, evaluate_policy
 from pipelines.scene_files import commands as scene_files
 from pipelines.supports.commands import supports
 from pipelines.training_commands import app as training

@@ -12,10 +12,10 @@ from models.policy.task_frame import TaskFrame
 from models.policy.weights import FILE, PolicyWeights, load_policy
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.robot.acting.policies import ActingPolicy, import_policy, policy_source
 from stable_data.robot.env import AGENT, ENVIRONMENT, Observation
 from stable_data.robot.episodes import EpisodeFeatures, FloatArray32
 from stable_data.robot.grasps import PRESHAPE
-from stable_data.robot.policies import ActingPolicy, import_policy, policy_source
 
 _PATIENCE = 80  # actions for which an aim is kept
 _CLOSING = PRESHAPE  # an opening below this is none that demonstrations hold: the hand closes, metres

@@ -65,4 +65,4 @@ def opening_before(chunks: EpisodeChunks, frames: IntArray) -> FloatArray32:
     """
     before = np.maximum(frames - 1, 0)
     before = np.where(chunks.episodes[before] == chunks.episodes[frames], before, frames)
-    return chunks.actions[before, -1]
+    return np.asarray(chunks.actions[before, -1])

@@ -131,7 +131,7 @@ class TaskFrame:
         """
         turned = self._turn @ rotations
         away = self._turned(positions - self._anchor())
-        parts = [away, turned[:, :, 0], turned[:, :, 1], np.asarray(openings)[:, None]]
+        parts: list[FloatArray] = [away, turned[:, :, 0], turned[:, :, 1], np.asarray(openings, np.float64)[:, None]]
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     def key_inputs(self, keys: FloatArray32) -> FloatArray32:

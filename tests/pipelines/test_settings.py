@@ -169,7 +169,7 @@ def test_a_file_that_is_no_toml_is_an_error(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[sampel]\nsteps = 7\n", "sampel is not a known table; did you mean sample"),
-        ("[sample]\n[training]\n", "training is not a known table; known are sample, import, preprocess"),
+        ("[sample]\n[weather]\n", "weather is not a known table; known are sample, import, preprocess"),
         ("steps = 7\n", "steps is not a known table"),
         ("sample = 7\n", r"expected a table \[sample\]"),
         ("", r"has no table \[sample\]"),

@@ -57,7 +57,7 @@ def test_a_policy_knows_its_features_and_assets(demonstrations: Path, tmp_path: 
     weights = load_policy(train(demonstrations, tmp_path / "out") / FILE)
     episodes = list(read_episodes(str(demonstrations)))
     assert weights.features == episodes[0].features
-    assert weights.assets == {asset for e in episodes for asset in e.subject_assets or ()}
+    assert weights.assets == frozenset(asset for e in episodes for asset in e.subject_assets or ())
     other = replace(weights.features, robot="panda")
     with pytest.raises(ConfigError, match=r"its robot is .simple., but that of the environment is .panda.") as caught:
         check_environment(weights.features, other, "mine")
