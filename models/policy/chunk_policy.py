@@ -4,22 +4,28 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 
+from models.policy.keyframes import HandMemory
 from models.policy.task_frame import TaskFrame
 from models.policy.weights import FILE, PolicyWeights, load_policy
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.robot.acting.policies import ActingPolicy, import_policy, policy_source
 from stable_data.robot.env import AGENT, ENVIRONMENT, Observation
 from stable_data.robot.episodes import EpisodeFeatures, FloatArray32
 from stable_data.robot.grasps import PRESHAPE
-from stable_data.robot.policies import ActingPolicy, import_policy, policy_source
 
+_PATIENCE = 80  # actions for which an aim is kept
 _CLOSING = PRESHAPE  # an opening below this is none that demonstrations hold: the hand closes, metres
 
 
 class Policy:
-    """Plans a chunk of actions from what it observes; it remembers nothing.
+    """Aims at a pose relative to the subject, and plans a chunk of actions that brings the tool there.
+
+    It keeps its aim until the hand closes or opens, the subject is another one or held, or the aim is old: an aim that moves with
+    every look is never reached.
 
     Args:
         weights: The trained policy.
@@ -27,17 +33,32 @@ class Policy:
 
     def __init__(self, weights: PolicyWeights) -> None:
         self._weights = weights
+        self.reset()
 
     def reset(self) -> None:
         """Begins a new episode."""
+        self._aim: FloatArray32 | None = None
+        self._memory, self._has_subject, self._left = HandMemory(), False, 0
 
     @torch.no_grad()
     def act(self, observation: Observation) -> FloatArray32:
         """Returns the next actions, (K, A) float32; K is ``execute`` of its training."""
+        network = self._weights.network
         frame = TaskFrame(observation[AGENT][None], observation[ENVIRONMENT][None])
-        chunk = self._weights.network.plan(frame)
-        actions = frame.to_actions(chunk.numpy())[0, : self._weights.execute]
-        actions[actions[:, -1] < _CLOSING, -1] = 0.0
+        inputs = frame.inputs(np.array([self._memory.values], np.float32))
+        has_subject = bool(observation[ENVIRONMENT][0] > 0.5)
+        if self._aim is None or self._left <= 0 or has_subject != self._has_subject:
+            self._aim, self._left, self._has_subject = network.aim(inputs), _PATIENCE, has_subject
+        actions = frame.to_actions(network.plan(inputs, frame.key_inputs(self._aim)))[0, : self._weights.execute]
+        is_open = actions[:, -1] >= _CLOSING
+        # That of the aim: one that follows from the measured opening drifts.
+        actions[:, -1] = np.where(is_open, max(float(self._aim[0, -1]), _CLOSING), 0.0)
+        self._left -= len(actions)
+        for opening in actions[:, -1].tolist():
+            before = self._memory.values[0]
+            self._memory.told(opening)
+            if self._memory.values[0] != before:
+                self._left = 0  # the hand begins to close or to open: a new aim
         return actions
 
 

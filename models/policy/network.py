@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from models.policy.task_frame import NUM_ACTIONS, NUM_INPUTS, NUM_KEY, NUM_KEY_INPUTS, TaskFrame
+from models.policy.task_frame import NUM_ACTIONS, NUM_INPUTS, NUM_KEY, NUM_KEY_INPUTS
 from models.settings import PositiveCount, Settings, Share
+from stable_data.robot.episodes import FloatArray32
 
 _WIDEST = 5.0  # inputs farther from the mean are clipped to this, standard deviations
 
@@ -29,7 +30,7 @@ class PolicyShape(Settings):
     horizon: PositiveCount = 16
     """Actions of a chunk."""
 
-    dropout: Share = 0.1
+    dropout: Share = 0.2
     """Share of the hidden values that are dropped in training."""
 
 
@@ -71,13 +72,23 @@ class PolicyNetwork(nn.Module):
     def _seen(self, inputs: Tensor) -> Tensor:
         return ((inputs - self.input_mean) / self.input_scale).clamp(-_WIDEST, _WIDEST)
 
-    def plan(self, frame: TaskFrame) -> Tensor:
-        """Returns the actions that it would carry out in some states, (B, H, A), task frame."""
-        inputs = torch.from_numpy(frame.inputs())
-        keys, scores = self.keys(inputs)
+    def aim(self, inputs: FloatArray32) -> FloatArray32:
+        """Returns where the hand shall close or open next, (B, K) float32, see :meth:`TaskFrame.keys`, for inputs (B, D)."""
+        keys, scores = self.keys(torch.from_numpy(inputs))
         best = keys[torch.arange(len(keys)), scores.argmax(dim=1)] * self.key_scale + self.key_mean
-        key_inputs = torch.from_numpy(frame.key_inputs(best.numpy()))
-        return self.chunks(inputs, key_inputs) * self.action_scale + self.action_mean
+        found: FloatArray32 = best.numpy()
+        return found
+
+    def plan(self, inputs: FloatArray32, key_inputs: FloatArray32) -> FloatArray32:
+        """Returns the actions that bring the tool to given poses, (B, H, A), task frame.
+
+        Args:
+            inputs: (B, D), see :meth:`TaskFrame.inputs`.
+            key_inputs: The poses, (B, L), see :meth:`TaskFrame.key_inputs`.
+        """
+        chunks = self.chunks(torch.from_numpy(inputs), torch.from_numpy(key_inputs))
+        found: FloatArray32 = (chunks * self.action_scale + self.action_mean).numpy()
+        return found
 
 
 class _Residual(nn.Module):

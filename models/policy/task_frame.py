@@ -76,8 +76,12 @@ class TaskFrame:
         turn = [[cosine, sine, zero], [-sine, cosine, zero], [zero, zero, one]]
         self._turn: FloatArray = np.moveaxis(np.array(turn), 2, 0)  # (B, 3, 3), task frame from base
 
-    def inputs(self) -> FloatArray32:
-        """What the network sees, (B, :data:`NUM_INPUTS`) float32."""
+    def inputs(self, memory: FloatArray32) -> FloatArray32:
+        """What the network sees, (B, :data:`NUM_INPUTS`) float32.
+
+        Args:
+            memory: What is remembered of the hand, (B, 2), see :class:`models.policy.keyframes.HandMemory`.
+        """
         tool, rotation = self._turned(self._tool), self._turn @ self._rotation
         subject = self._slot(0)
         offset = self._turned(subject.position - self._tool) * subject.present
@@ -108,24 +112,27 @@ class TaskFrame:
             away = self._turned(other.position - subject.position) * other.present
             sides = (self._turn @ other.extents @ self._turn.transpose(0, 2, 1))[:, *_SIDES]
             parts += [other.present, np.tanh(2 * away), np.tanh(away / (2 * _NEAR)), sides * _LENGTH]
+        parts.append(np.asarray(memory, np.float64))
         goal = self._environment[:, -len(GOAL_NAMES) :]
         to_goal = self._turned(goal[:, 1:] - self._tool) * goal[:, :1]
         parts += [goal[:, :1], to_goal * 2, np.tanh(to_goal / _NEAR)]
         return np.concatenate(parts, axis=1).astype(np.float32)
 
-    def keys(self, positions: FloatArray, rotations: FloatArray) -> FloatArray32:
+    def keys(self, positions: FloatArray, rotations: FloatArray, openings: FloatArray32) -> FloatArray32:
         """Describes poses of the tool in the task frame: relative to the subject, or to the tool if there is none.
 
         Args:
             positions: (B, 3), metres, frame of the base.
             rotations: (B, 3, 3), base from tool.
+            openings: Of the hand on the way there, (B,), metres.
 
         Returns:
-            (B, :data:`NUM_KEY`) float32: position, and the first two columns of the rotation.
+            (B, :data:`NUM_KEY`) float32: position, the first two columns of the rotation, and the opening.
         """
         turned = self._turn @ rotations
         away = self._turned(positions - self._anchor())
-        return np.concatenate([away, turned[:, :, 0], turned[:, :, 1]], axis=1).astype(np.float32)
+        parts: list[FloatArray] = [away, turned[:, :, 0], turned[:, :, 1], np.asarray(openings, np.float64)[:, None]]
+        return np.concatenate(parts, axis=1).astype(np.float32)
 
     def key_inputs(self, keys: FloatArray32) -> FloatArray32:
         """What the network sees of the pose that the tool shall reach, (B, :data:`NUM_KEY_INPUTS`) float32.
@@ -134,14 +141,16 @@ class TaskFrame:
             keys: As :meth:`keys` gives them; the columns need not be orthonormal.
         """
         found = np.asarray(keys, np.float64)
-        rotation, wanted = self._turn @ self._rotation, _orthonormal(found[:, 3:])
+        rotation, wanted = self._turn @ self._rotation, _orthonormal(found[:, 3:9])
         away = self._turned(self._anchor() - self._tool) + found[:, :3]
         in_tool = np.einsum("bji,bj->bi", rotation, away)
         turn = Rotation.from_matrix(wanted @ rotation.transpose(0, 2, 1)).as_rotvec()
         turn_in_tool = np.einsum("bji,bj->bi", rotation, turn)
         fine = [np.tanh(values / scale) for values in (away, in_tool) for scale in (_NEAR, _FINE)]
         turns = [turn, turn_in_tool, np.tanh(turn / _FINE_TURN)]
-        return np.concatenate([away * 2, *fine, *turns, found[:, :3] * 5, wanted[:, :, 2]], axis=1).astype(np.float32)
+        return np.concatenate(
+            [away * 2, *fine, *turns, found[:, :3] * 5, wanted[:, :, 2], found[:, 9:] * _LENGTH], axis=1
+        ).astype(np.float32)
 
     def _anchor(self) -> FloatArray:
         return np.where(self._has_subject[:, None], self._environment[:, 1:4], self._tool)
@@ -207,11 +216,11 @@ def _orthonormal(columns: FloatArray) -> FloatArray:
 
 
 _EMPTY = TaskFrame(*(np.zeros((1, len(names)), np.float32) for names in (_POSE, ENVIRONMENT_STATE_NAMES)))
-NUM_INPUTS = _EMPTY.inputs().shape[1]
+NUM_INPUTS = _EMPTY.inputs(np.zeros((1, 2), np.float32)).shape[1]
 """Numbers that the network sees of a state."""
 
-NUM_KEY = 9
-"""Numbers of a pose of the tool."""
+NUM_KEY = 10
+"""Numbers of a pose of the tool with the opening of the hand."""
 
-NUM_KEY_INPUTS = 30
+NUM_KEY_INPUTS = 31
 """Numbers that the network sees of the pose that the tool shall reach."""

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cross_entropy
 
-from models.policy.keyframes import next_key_frames
+from models.policy.keyframes import hand_memories, next_key_frames, opening_before
 from models.policy.network import PolicyNetwork, PolicyShape
 from models.policy.task_frame import TaskFrame
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
@@ -35,7 +35,7 @@ class PolicyTrainingSettings(Settings):
     network: PolicyShape = field(default_factory=PolicyShape)
     """The shape of the network."""
 
-    steps: PositiveCount = 3000
+    steps: PositiveCount = 1000
     """Steps of the training."""
 
     batch: PositiveCount = 256
@@ -59,7 +59,7 @@ class PolicyTrainingSettings(Settings):
     average: Share = 0.01
     """Share of the newest weights in the moving average that is written."""
 
-    held_out: Share = 0.1
+    held_out: Share = 0.05
     """Share of the scenes that are not trained on; the errors on them are in the table of the training."""
 
     max_episodes: Count = 0
@@ -105,7 +105,7 @@ class Frames:
         inputs: What the network sees, (F, D) float32.
         actions: The actions that followed, (F, H, A) float32, task frame.
         is_real: Whether an action is before the end of the episode, (F, H) bool.
-        keys: Pose of the tool in the next key frame, (F, K) float32, task frame.
+        keys: Pose of the tool in the next key frame, and the opening on the way, (F, K) float32, task frame.
         key_inputs: What the network sees of it, (F, L) float32.
     """
 
@@ -123,8 +123,14 @@ class Frames:
         frame = TaskFrame(batch["states"], batch["environment_states"])
         positions, rotations = frame.tool_poses
         following = next_key_frames(chunks)
-        keys = frame.keys(positions[following], rotations[following])
-        parts = (frame.inputs(), frame.from_actions(batch["actions"]), ~batch["is_padding"], keys, frame.key_inputs(keys))
+        keys = frame.keys(positions[following], rotations[following], opening_before(chunks, following))
+        parts = (
+            frame.inputs(hand_memories(chunks)),
+            frame.from_actions(batch["actions"]),
+            ~batch["is_padding"],
+            keys,
+            frame.key_inputs(keys),
+        )
         return cls(*map(torch.from_numpy, parts))
 
     def chosen(self, rows: Tensor, device: torch.device) -> "Frames":
@@ -324,7 +330,7 @@ def held_out_errors(network: PolicyNetwork, frames: Frames | None) -> dict[str, 
     away = found - frames.actions[:, 0]
     keys, scores = network.keys(frames.inputs)
     chosen = keys[torch.arange(len(keys)), scores.argmax(dim=1)] * network.key_scale + network.key_mean
-    facing = torch.cosine_similarity(chosen[:, 6:], frames.keys[:, 6:], dim=1).clamp(-1, 1)  # of the closing directions
+    facing = torch.cosine_similarity(chosen[:, 6:9], frames.keys[:, 6:9], dim=1).clamp(-1, 1)  # of the closing directions
     return {
         "move_mm": 1e3 * float(away[:, :3].norm(dim=1).mean()),
         "turn_deg": math.degrees(float(away[:, 3:_MOVES].norm(dim=1).mean())),

@@ -8,8 +8,8 @@ from pipelines.demonstrate.environments import EpisodeRef, open_episode
 from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows
+from stable_data.robot.acting.recording import Lead, record_episode
 from stable_data.robot.episodes import episode_row
-from stable_data.robot.recording import Lead, record_episode
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,8 @@ from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.robot.acting.success_rate import wilson_interval
 from stable_data.robot.arm.robots import robot_named
-from stable_data.robot.success_rate import wilson_interval
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 

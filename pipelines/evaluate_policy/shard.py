@@ -10,11 +10,11 @@ from pipelines.demonstrate.environments import EpisodeRef, open_episode
 from pipelines.evaluate_policy.settings import EvaluatePolicySettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows
+from stable_data.robot.acting.episode_log import features_of
+from stable_data.robot.acting.recording import record_episode
+from stable_data.robot.acting.rollout import run_policy
 from stable_data.robot.env import RobotEnv
-from stable_data.robot.episode_log import features_of
 from stable_data.robot.episodes import episode_row
-from stable_data.robot.recording import record_episode
-from stable_data.robot.rollout import run_policy
 
 EXPERT = "expert"
 """Name of the scripted expert, which knows the simulation's state; a line of reference."""

@@ -12,7 +12,7 @@ from pipelines.evaluate_policy.job import EvaluatePolicyJob, evaluate_policy
 from pipelines.evaluate_policy.settings import EvaluatePolicySettings
 from pipelines.execution.ray_executor import WorkerPool
 from stable_data.errors import ConfigError
-from stable_data.robot.success_rate import wilson_interval
+from stable_data.robot.acting.success_rate import wilson_interval
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.policy.test_train_policy import train
 

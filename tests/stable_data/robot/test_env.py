@@ -12,13 +12,13 @@ from gymnasium.vector import AutoresetMode
 
 from stable_data.condition import Condition, ConditionKind
 from stable_data.errors import ConfigError, GoalError, SceneError
+from stable_data.robot.acting.recording import record_episode, replayed_poses
 from stable_data.robot.env import RobotEnv, RobotOptions, make_robot_env
 from stable_data.robot.envhub import make_suites, write_envhub
 from stable_data.robot.episodes import Episode
 from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, SLOT_SIZE
 from stable_data.robot.pick_tasks import pick_order, with_pick_task
 from stable_data.robot.randomization import RandomizationOptions
-from stable_data.robot.recording import record_episode, replayed_poses
 from stable_data.robot.vector import make_vector_env, scenes_by_task
 from stable_data.scene import Scene, Tabletop, TaskInfo
 from stable_data.simulation.offscreen import can_render

@@ -8,12 +8,12 @@ import numpy as np
 
 from stable_data.condition import ConditionKind
 from stable_data.errors import GoalError
+from stable_data.robot.acting.episode_log import EpisodeLog
+from stable_data.robot.acting.policies import ActingPolicy, actions_of
 from stable_data.robot.env import Observation, RobotEnv
-from stable_data.robot.episode_log import EpisodeLog
 from stable_data.robot.episodes import Episode
 from stable_data.robot.expert import Command, Expert, ExpertError, ExpertFailure
 from stable_data.robot.grasp_trial import GraspFinder
-from stable_data.robot.policies import ActingPolicy, actions_of
 from stable_data.tasks.goal import StepAction
 
 

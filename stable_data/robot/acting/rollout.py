@@ -4,10 +4,10 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from stable_data.errors import ConfigError, StableDataError
+from stable_data.robot.acting.episode_log import EpisodeLog
+from stable_data.robot.acting.policies import ActingPolicy, actions_of
 from stable_data.robot.env import RobotEnv
-from stable_data.robot.episode_log import EpisodeLog
 from stable_data.robot.episodes import Episode
-from stable_data.robot.policies import ActingPolicy, actions_of
 
 R = TypeVar("R")
 
