@@ -8,10 +8,9 @@ from typing import Annotated
 
 import typer
 
-from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, worker_count
-from pipelines.policy_commands import evaluate_policy
+from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, NumWorkers, RunOut, worker_count
 from pipelines.retired import CommandGroup
-from pipelines.robot_commands import demonstrate, reach
+from pipelines.robot_commands import demonstrate, evaluate_policy, reach
 from pipelines.scene_files import commands as scene_files
 from pipelines.supports.commands import supports
 from pipelines.training_commands import app as training
@@ -77,13 +76,6 @@ AllowedLicence = Annotated[
 ]
 Scenes = Annotated[
     str, typer.Option(help="A folder in the MesaTask-10K format, or a run with a table scenes; every node must see it.")
-]
-RunOut = Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")]
-NumWorkers = Annotated[
-    int,
-    typer.Option(
-        help="Worker processes on a local Ray, or shards at once with --address. -1: one for each core. 0: this process."
-    ),
 ]
 Assets = Annotated[
     list[str] | None,

@@ -10,6 +10,13 @@ from stable_data.errors import ConfigError
 SETTINGS_HINT = "python -m pipelines settings {} lists every key of --set and of the file with its default, unit and meaning."
 """Last line of a verb's help; its gap is the verb."""
 
+RunOut = Annotated[str, typer.Option(help="Run folder: a path that every node sees, or a URI such as s3://bucket/prefix.")]
+NumWorkers = Annotated[
+    int,
+    typer.Option(
+        help="Worker processes on a local Ray, or shards at once with --address. -1: one for each core. 0: this process."
+    ),
+]
 JobSettings = Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the file; may be repeated.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
 

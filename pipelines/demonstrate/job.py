@@ -1,23 +1,15 @@
 """The demonstrate job: episodes of a scripted expert in the scenes of a run, as the table ``episodes``."""
 
 from collections import Counter
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
-import stable_data
-from pipelines.demonstrate.environments import EpisodeRef
+from pipelines.demonstrate.episodes_job import EpisodesJob
 from pipelines.demonstrate.report import write_demonstrate_report
-from pipelines.demonstrate.run_scenes import ScenesOfRun
 from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.demonstrate.shard import DemonstrateStep
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
-from pipelines.execution.shard_size import split_groups
-from pipelines.execution.shard_step import Shard, StepShards
-from stable_data.content_id import content_id
-from stable_data.robot.arm.robots import robot_named
-from stable_data.storage import schemas
+from pipelines.execution.shard_job import run_job
 from stable_data.storage.run_folder import RunFolder
 
 
@@ -28,29 +20,19 @@ def demonstrate(
     return run_job(DemonstrateJob(scenes, settings, where), out, workers, report=report)
 
 
-class DemonstrateJob(ShardJob):
-    """Records episodes in the scenes of a run.
-
-    Args:
-        scenes: The run, with the tables ``scenes``, ``assets`` and ``meshes``; every node of a cluster must see it.
-        settings: The job's settings.
-        where: A condition on ``scenes``; empty: all of them.
-
-    Raises:
-        ConfigError: The run lacks a table, the condition is none or selects nothing, or the files of the robot are missing.
-    """
+class DemonstrateJob(EpisodesJob):
+    """Records episodes of the scripted expert in the scenes of a run; the arguments are those of :class:`EpisodesJob`."""
 
     name = "demonstrate"
     settings: DemonstrateSettings
 
-    def __init__(self, scenes: str, settings: DemonstrateSettings, where: str = "") -> None:
-        robot_named(settings.robot)
-        self.settings, self._scenes = settings, ScenesOfRun(scenes, where, settled=settings.settled)
-        self.dataset = self._scenes.name
+    def step(self) -> DemonstrateStep:
+        """The step that records episodes."""
+        return DemonstrateStep(self.scenes.run, self.settings)
 
     def inputs(self) -> dict[str, Any]:
         """Hashes of the tables, and the condition."""
-        return self._scenes.inputs() | ({"lead": self._lead} if self.settings.lead else {})
+        return self.scenes.inputs() | ({"lead": self._lead} if self.settings.lead else {})
 
     @cached_property
     def _lead(self) -> str:
@@ -58,29 +40,6 @@ class DemonstrateJob(ShardJob):
         from models.policy.chunk_policy import open_policy  # takes seconds to import
 
         return open_policy(self.settings.lead).fingerprint
-
-    def about(self) -> dict[str, Any]:
-        """The number of scenes and of episodes."""
-        return {"num_scenes": len(self._scenes.ids), "num_episodes": len(self._scenes.ids) * self.settings.episodes}
-
-    def plan(self) -> Sequence[StepShards[Any]]:
-        """The step of all episodes; those of a scene are in one shard."""
-        shaping = self.settings.shaping() | {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
-        groups = split_groups(self._scenes.ids, self.settings.shard_size(len(self._scenes.ids)))
-        tables = self.inputs()
-        shards = [
-            Shard(
-                content_id("demonstrate", shaping, tables, list(group)),
-                tuple(EpisodeRef(scene_id, number) for scene_id in group for number in range(self.settings.episodes)),
-            )
-            for group in groups
-        ]
-        return [StepShards(DemonstrateStep(self._scenes.run, self.settings), shards)]
-
-    def expected(self) -> Sequence[ExpectedItems]:
-        """All episodes."""
-        ids = [str(EpisodeRef(s, n)) for s in self._scenes.ids for n in range(self.settings.episodes)]
-        return [ExpectedItems("episodes", "episode_id", ids, "failed_episodes")]
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:
         """Counts episodes by kind of task and by result."""

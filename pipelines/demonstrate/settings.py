@@ -9,6 +9,7 @@ from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
 from stable_data.robot.arm.assembly import CAMERAS
 from stable_data.robot.arm.control import CONTROLS
+from stable_data.robot.arm.mounting import parse_mount
 from stable_data.robot.arm.robots import described_robot
 from stable_data.robot.env import RobotOptions
 from stable_data.robot.randomization import RandomizationOptions
@@ -105,6 +106,7 @@ class EpisodeSettings(Settings):
             ConfigError: See above (``setting_invalid``).
         """
         described_robot(self.robot)
+        parse_mount(self.mount)
         if self.control not in CONTROLS:
             raise ConfigError(
                 f"setting {self.section}.control is {quote_value(self.control)}, expected one of {', '.join(CONTROLS)}",

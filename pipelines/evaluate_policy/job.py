@@ -2,7 +2,6 @@
 
 import sys
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -10,22 +9,16 @@ from typing import Any
 
 import polars as pl
 
-import stable_data
 from models.policy.chunk_policy import OpenedPolicy, open_policy
-from pipelines.demonstrate.environments import EpisodeRef
-from pipelines.demonstrate.run_scenes import ScenesOfRun
+from pipelines.demonstrate.episodes_job import EpisodesJob
 from pipelines.evaluate_policy.report import write_evaluation_report
 from pipelines.evaluate_policy.settings import EvaluatePolicySettings
 from pipelines.evaluate_policy.shard import EXPERT, OPENING, EvaluatePolicyStep
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
-from pipelines.execution.shard_size import split_groups
-from pipelines.execution.shard_step import Shard, StepShards
+from pipelines.execution.shard_job import run_job
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.robot.acting.success_rate import wilson_interval
-from stable_data.robot.arm.robots import robot_named
-from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 
 SEEN, UNSEEN, UNKNOWN = "seen in training", "not seen in training", "not known"
@@ -57,7 +50,7 @@ def settings_for(policy: str) -> EvaluatePolicySettings:
     return found if features is None else replace(found, robot=features.robot, control=features.control)
 
 
-class EvaluatePolicyJob(ShardJob):
+class EvaluatePolicyJob(EpisodesJob):
     """Lets a policy act in the scenes of a run.
 
     Args:
@@ -75,7 +68,7 @@ class EvaluatePolicyJob(ShardJob):
     settings: EvaluatePolicySettings
 
     def __init__(self, policy: str, scenes: str, settings: EvaluatePolicySettings, where: str = "") -> None:
-        robot_named(settings.robot)
+        super().__init__(scenes, settings, where)
         folder = Path(policy).expanduser()
         self.policy = str(folder.resolve()) if folder.exists() else policy
         self.opened: OpenedPolicy | None = None if policy == EXPERT else open_policy(self.policy)
@@ -91,42 +84,24 @@ class EvaluatePolicyJob(ShardJob):
                         "leave the setting out",
                         "policy_mismatch",
                     )
-        self.settings, self._scenes = settings, ScenesOfRun(scenes, where, settled=settings.settled)
-        self.dataset = self._scenes.name
 
     def inputs(self) -> dict[str, Any]:
         """Hashes of the policy and of the tables, and the condition."""
         fingerprint = EXPERT if self.opened is None else self.opened.fingerprint
-        return {"policy": fingerprint, **self._scenes.inputs()}
+        return {"policy": fingerprint, **self.scenes.inputs()}
 
     def about(self) -> dict[str, Any]:
         """The policy, and the number of scenes and of episodes."""
-        count = len(self._scenes.ids)
         return {
             "policy": EXPERT if self.opened is None else self.opened.name,
-            "scenes_fingerprint": content_id(self._scenes.inputs()),
+            "scenes_fingerprint": content_id(self.scenes.inputs()),
             "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-            "num_scenes": count,
-            "num_episodes": count * self.settings.episodes,
+            **super().about(),
         }
 
-    def plan(self) -> Sequence[StepShards[Any]]:
-        """The step of all episodes; those of a scene are in one shard."""
-        shaping = self.settings.shaping() | {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
-        ids, inputs = self._scenes.ids, self.inputs()
-        shards = [
-            Shard(
-                content_id("evaluate-policy", shaping, inputs, list(group)),
-                tuple(EpisodeRef(scene_id, number) for scene_id in group for number in range(self.settings.episodes)),
-            )
-            for group in split_groups(ids, self.settings.shard_size(len(ids)))
-        ]
-        return [StepShards(EvaluatePolicyStep(self._scenes.run, self.policy, self.settings), shards)]
-
-    def expected(self) -> Sequence[ExpectedItems]:
-        """All episodes."""
-        ids = [str(EpisodeRef(s, n)) for s in self._scenes.ids for n in range(self.settings.episodes)]
-        return [ExpectedItems("episodes", "episode_id", ids, "failed_episodes")]
+    def step(self) -> EvaluatePolicyStep:
+        """The step that lets the policy act."""
+        return EvaluatePolicyStep(self.scenes.run, self.policy, self.settings)
 
     @cached_property
     def assets(self) -> frozenset[str] | None:

@@ -1,8 +1,6 @@
 """The reach job: the scenes of a run with what a robot reaches and holds in them, as columns of ``scenes`` and the table ``grasps``."""
 
 from collections.abc import Sequence
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import stable_data
@@ -14,11 +12,10 @@ from pipelines.reach.report import write_reach_report
 from pipelines.reach.settings import ReachSettings
 from pipelines.reach.shard import ReachStep
 from pipelines.sources.carried_tables import CARRIED_TABLES, carry_tables
+from pipelines.sources.run_scenes import ScenesOfRun
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
 from stable_data.robot.arm.robots import robot_named
-from stable_data.simulation.run_reader import RunScenes
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 
@@ -46,39 +43,31 @@ class ReachJob(ShardJob):
 
     def __init__(self, scenes: str, settings: ReachSettings) -> None:
         robot_named(settings.robot)
-        self.settings, self.source = settings, RunFolder(scenes)
-        self.run = str(self.source.root if self.source.is_local else self.source.uri)
-        self.dataset = Path(self.source.root).name
-        RunScenes(self.source)  # refuses what is missing
-        if not self._scene_ids:
-            raise ConfigError(f"{scenes}: has no scenes, expected some; choose another run", "source_empty")
-
-    @cached_property
-    def _scene_ids(self) -> Sequence[str]:
-        return [str(name) for name in self.source.table("scenes", ["scene_id"])["scene_id"].to_pylist()]
+        self.settings, self._scenes = settings, ScenesOfRun(scenes)
+        self.dataset = self._scenes.name
 
     def inputs(self) -> dict[str, Any]:
         """Hashes of the tables."""
-        return {name: content_id(sorted(self.source.shard_ids(name))) for name in ("scenes", "assets", "meshes")}
+        return self._scenes.inputs()
 
     def about(self) -> dict[str, Any]:
         """The number of scenes."""
-        return {"num_scenes": len(self._scene_ids)}
+        return {"num_scenes": len(self._scenes.ids)}
 
     def plan(self) -> Sequence[StepShards[Any]]:
         """One step over the scenes."""
         shaping = self.settings.shaping() | {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
-        groups, tables = split_groups(self._scene_ids, self.settings.shard_size(len(self._scene_ids))), self.inputs()
+        groups, tables = split_groups(self._scenes.ids, self.settings.shard_size(len(self._scenes.ids))), self.inputs()
         shards = [Shard(content_id("reach", shaping, tables, list(group)), tuple(group)) for group in groups]
-        return [StepShards(ReachStep(self.run, self.settings), shards)]
+        return [StepShards(ReachStep(self._scenes.run, self.settings), shards)]
 
     def expected(self) -> Sequence[ExpectedItems]:
         """All scenes."""
-        return [ExpectedItems("scenes", "scene_id", self._scene_ids, "failed_scenes")]
+        return [ExpectedItems("scenes", "scene_id", self._scenes.ids, "failed_scenes")]
 
     def finish(self, folder: RunFolder) -> dict[str, Any]:
         """Copies the tables of assets, and of the poses after settling; counts the scenes by verdict."""
-        carried = carry_tables(self.source, folder, _CARRIED)
+        carried = carry_tables(RunFolder(self._scenes.run), folder, _CARRIED)
         rows = folder.table("scenes", [REACHABLE, GRASPABLE])
         counts = {table: folder.num_rows(table) for table in carried}
         return counts | {name: rows[name].to_pylist().count(True) for name in (REACHABLE, GRASPABLE)}

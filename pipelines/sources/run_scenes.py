@@ -27,7 +27,7 @@ class ScenesOfRun:
         ConfigError: The run lacks a table, or the condition is none or selects nothing (``source_empty``).
     """
 
-    def __init__(self, run: str, where: str, *, settled: bool) -> None:
+    def __init__(self, run: str, where: str = "", *, settled: bool = False) -> None:
         self._where, self._settled, self._folder = where, settled, RunFolder(run)
         self.run = str(self._folder.root if self._folder.is_local else self._folder.uri)
         self.name = Path(self._folder.root).name
