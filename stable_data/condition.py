@@ -46,7 +46,7 @@ SIDE_KINDS = frozenset({ConditionKind.LEFT_OF, ConditionKind.RIGHT_OF, Condition
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Condition:
+class GoalCondition:
     """One condition on the state of a scene.
 
     ========================================  ======================================================================================
@@ -98,7 +98,7 @@ class Condition:
         return tuple(self.target.split(NAME_SEPARATOR)) if self.target else ()
 
 
-def condition_document(condition: Condition) -> dict[str, Any]:
+def condition_document(condition: GoalCondition) -> dict[str, Any]:
     """Returns a condition as values of JSON."""
     return {
         "subject": condition.subject,
@@ -109,7 +109,7 @@ def condition_document(condition: Condition) -> dict[str, Any]:
     }
 
 
-def condition_of(document: object) -> Condition:
+def condition_of(document: object) -> GoalCondition:
     """Returns the condition of a value that :func:`condition_document` made; ``distance`` and ``is_negated`` may be missing.
 
     Raises:
@@ -127,7 +127,7 @@ def condition_of(document: object) -> Condition:
             and is_length
             and is_negated in (None, False, True)
         ):
-            return Condition(
+            return GoalCondition(
                 subject, ConditionKind(str(kind)), target, None if distance is None else float(distance), bool(is_negated)
             )
     expected = f"subject, kind (one of {', '.join(ConditionKind)}), target, distance in metres and is_negated"

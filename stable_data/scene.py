@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from stable_data.condition import Condition
+from stable_data.condition import GoalCondition
 from stable_data.errors import SceneError
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
@@ -231,7 +231,7 @@ class TaskInfo:
     relations: tuple[Relation, ...] = ()
     origin: str = "file"
     source: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
-    conditions: tuple[Condition, ...] = ()
+    conditions: tuple[GoalCondition, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from stable_data.condition import Condition, ConditionKind, condition_of
+from stable_data.condition import ConditionKind, GoalCondition, condition_of
 from stable_data.errors import GoalError, SceneError
 from stable_data.json_text import ReadLog, are_finite, is_unicode, numbers, quote_value
 from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, TaskInfo
@@ -178,7 +178,7 @@ def relations_in(document: Mapping[str, Any], log: ReadLog, what: str = "task in
     return tuple(relations)
 
 
-def conditions_in(document: Mapping[str, Any], log: ReadLog, what: str = "task info") -> tuple[Condition, ...]:
+def conditions_in(document: Mapping[str, Any], log: ReadLog, what: str = "task info") -> tuple[GoalCondition, ...]:
     """Reads the conditions of a document.
 
     Raises:

@@ -287,9 +287,11 @@ def _look(text: str) -> frozenset[str]:
 
 
 def _is_alike(one: TaskInfo, other: TaskInfo) -> bool:
-    """Whether two tasks ask for the same; where actions and goal of one are unknown, tasks with the same objects count as that."""
+    """Whether two tasks ask for the same; where the goal of one is unknown, tasks with the same objects count as that."""
     if " ".join(one.task.lower().split()) == " ".join(other.task.lower().split()):
         return True
+    if one.conditions and other.conditions:
+        return set(one.conditions) == set(other.conditions)
     if not (one.action_sequence and other.action_sequence):
         return set(one.task_objects) == set(other.task_objects)
     return (one.action_sequence, set(one.goal)) == (other.action_sequence, set(other.goal))

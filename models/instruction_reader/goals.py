@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 
 from models.instruction_reader.reading import InstructionReading, MentionedRelation
-from stable_data.condition import NAME_SEPARATOR, Condition, ConditionKind
+from stable_data.condition import NAME_SEPARATOR, ConditionKind, GoalCondition
 
 K = ConditionKind
 
@@ -46,7 +46,7 @@ _CORNERS = frozenset({"front_left", "front_right", "back_left", "back_right"})
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?) ?(?:cm|centimet\w+)\b")
 
 
-def conditions_of_reading(reading: InstructionReading, instruction: str, names: Mapping[int, str]) -> tuple[Condition, ...]:
+def conditions_of_reading(reading: InstructionReading, instruction: str, names: Mapping[int, str]) -> tuple[GoalCondition, ...]:
     """Returns the conditions that hold when an instruction is done; none if not all that it asks for can be stated.
 
     Args:
@@ -67,7 +67,7 @@ class _Goal:
     def __init__(self, reading: InstructionReading, text: str, instruction: str, names: Mapping[int, str]) -> None:
         self._reading, self._text, self._instruction, self._names = reading, text, instruction, names
 
-    def conditions(self) -> tuple[Condition, ...]:
+    def conditions(self) -> tuple[GoalCondition, ...]:
         """All conditions; none if one of them names an object that was not found."""
         if _SWAP.search(self._text):
             return self._swapped()
@@ -78,20 +78,20 @@ class _Goal:
         found = [*self._relations(), *self._regions(), *self._emptied(), *self._taken()]
         return () if None in found else tuple(dict.fromkeys(c for c in found if c is not None))
 
-    def _condition(self, subject: int, kind: ConditionKind, *targets: int) -> Condition | None:
+    def _condition(self, subject: int, kind: ConditionKind, *targets: int) -> GoalCondition | None:
         names = [self._names.get(k) for k in (subject, *targets)]
         known = [name for name in names if name is not None]
         if len(known) < len(names) or len(set(known)) < len(names):
             return None
-        return Condition(known[0], kind, NAME_SEPARATOR.join(known[1:]))
+        return GoalCondition(known[0], kind, NAME_SEPARATOR.join(known[1:]))
 
-    def _swapped(self) -> tuple[Condition, ...]:
+    def _swapped(self) -> tuple[GoalCondition, ...]:
         names = list(self._names.values())
         if len(self._reading.objects) != 2 or len(set(names)) != 2:
             return ()
-        return tuple(Condition(a, K.AT, b) for a, b in (names, names[::-1]))
+        return tuple(GoalCondition(a, K.AT, b) for a, b in (names, names[::-1]))
 
-    def _relations(self) -> Iterator[Condition | None]:
+    def _relations(self) -> Iterator[GoalCondition | None]:
         ends: dict[int, list[int]] = {}
         for r in self._reading.goal:
             if r.score < _SURE:
@@ -127,7 +127,7 @@ class _Goal:
         first = [min((s for s, _ in self._reading.objects[k].mentions), default=0) for k in (r.subject, r.target)]
         return first[0] <= first[1]
 
-    def _regions(self) -> Iterator[Condition | None]:
+    def _regions(self) -> Iterator[GoalCondition | None]:
         slide = _SLIDE.search(self._text)
         for k, o in enumerate(self._reading.objects):
             if not o.goal_region:
@@ -139,11 +139,11 @@ class _Goal:
             elif not any(r.subject == k and r.kind in ("in", "on") for r in self._reading.goal):
                 region = self._region(o.goal_region)
                 is_corner = "corner" not in self._text or region in _CORNERS
-                yield Condition(self._names[k], K.AT, region) if is_corner else None
+                yield GoalCondition(self._names[k], K.AT, region) if is_corner else None
 
-    def _slid(self, name: str, slide: re.Match[str]) -> Condition:
+    def _slid(self, name: str, slide: re.Match[str]) -> GoalCondition:
         length = _LENGTH.search(self._text)
-        return Condition(name, K.MOVED, slide["way"], float(length[1]) / 100 if length and float(length[1]) > 0 else None)
+        return GoalCondition(name, K.MOVED, slide["way"], float(length[1]) / 100 if length and float(length[1]) > 0 else None)
 
     def _region(self, cell: str) -> str:
         """The part of the table that the words mean: a reading only has ninths."""
@@ -160,14 +160,14 @@ class _Goal:
             return f"{side}_edge"
         return f"{side}_half" if re.search(rf"\b{side}[- ](?:hand )?half\b", self._text) else side
 
-    def _emptied(self) -> Iterator[Condition | None]:
+    def _emptied(self) -> Iterator[GoalCondition | None]:
         """Containers whose unnamed contents go, with no place stated for them."""
         if _EMPTY.search(self._text):
             for k, o in enumerate(self._reading.objects):
                 if o.is_filled:
-                    yield Condition(self._names[k], K.EMPTY) if k in self._names else None
+                    yield GoalCondition(self._names[k], K.EMPTY) if k in self._names else None
 
-    def _taken(self) -> Iterator[Condition | None]:
+    def _taken(self) -> Iterator[GoalCondition | None]:
         """Objects that are to be taken, with no place stated: out of or off another one, or into the gripper."""
         placed = {r.subject for r in self._reading.goal}
         for k, o in enumerate(self._reading.objects):
@@ -178,8 +178,8 @@ class _Goal:
                 yield None
             elif place is not None and _REMOVE.search(self._text):
                 found = self._condition(k, _KINDS[place.kind], place.target)
-                yield None if found is None else Condition(found.subject, found.kind, found.target, is_negated=True)
+                yield None if found is None else GoalCondition(found.subject, found.kind, found.target, is_negated=True)
             elif _PICK.search(self._text):
-                yield Condition(self._names[k], K.HELD)
+                yield GoalCondition(self._names[k], K.HELD)
             else:
                 yield None

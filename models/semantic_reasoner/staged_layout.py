@@ -14,7 +14,7 @@ from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
 from models.semantic_reasoner.replies.to_scene import objects_of_reply
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject
-from stable_data.condition import Condition
+from stable_data.condition import GoalCondition
 from stable_data.errors import SceneError
 from stable_data.metrics.alignment import AlignmentReference, reference_of
 from stable_data.scene import Scene, SceneObject, Stage, SupportFrame, Tabletop, TaskInfo
@@ -77,7 +77,7 @@ class LayoutTask:
     table: Tabletop
     details: TaskInfo | None = None
     reference: AlignmentReference | None = None
-    conditions: tuple[Condition, ...] = ()
+    conditions: tuple[GoalCondition, ...] = ()
     surroundings: tuple[SceneObject, ...] = ()
     frame: SupportFrame | None = None
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import SceneError
 from stable_data.instructions import containing, dining, picking, placing, sorting, stacking, tidying, using
 from stable_data.instructions.kind import TaskDraft, TaskKind
@@ -140,5 +140,5 @@ def _fallback(scene: Scene, steady: list[str], namer: ObjectNamer) -> TaskDraft:
         (best.instance,),
         (noun,),
         (),
-        conditions=(Condition(best.instance, ConditionKind.HELD),),
+        conditions=(GoalCondition(best.instance, ConditionKind.HELD),),
     )

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from stable_data.condition import GROUP_KINDS, NAME_SEPARATOR, Condition, ConditionKind
+from stable_data.condition import GROUP_KINDS, NAME_SEPARATOR, ConditionKind, GoalCondition
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class End:
     is_negated: bool = False
     is_chain: bool = False
 
-    def filled(self, by_role: Mapping[str, Sequence[str]], words: Mapping[str, object]) -> Iterator[Condition]:
+    def filled(self, by_role: Mapping[str, Sequence[str]], words: Mapping[str, object]) -> Iterator[GoalCondition]:
         """Yields the conditions for the instances of the roles.
 
         Args:
@@ -48,6 +48,6 @@ class End:
             subjects = (NAME_SEPARATOR.join(subjects),)
         for subject in subjects:
             if target or not self.is_chain:
-                yield Condition(subject, kind, target, distance, self.is_negated)
+                yield GoalCondition(subject, kind, target, distance, self.is_negated)
             if self.is_chain:
                 target = subject

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from stable_data.condition import Condition
+from stable_data.condition import GoalCondition
 from stable_data.instructions.ends import End
 from stable_data.instructions.naming import WEIGHTS, Distinction, ObjectName, ObjectNamer, holds_relation
 from stable_data.instructions.situation import TaskContext
@@ -99,7 +99,7 @@ class TaskDraft:
     nouns: tuple[str, ...]
     relations: tuple[Relation, ...]
     theme: str = ""
-    conditions: tuple[Condition, ...] = ()
+    conditions: tuple[GoalCondition, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

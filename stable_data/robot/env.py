@@ -19,8 +19,8 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, SceneError
 from stable_data.robot.arm.assembly import CAMERAS, assemble
 from stable_data.robot.arm.clearance import Clearance
-from stable_data.robot.arm.control import Controller
-from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.control import CONTROL_SECONDS, Controller
+from stable_data.robot.arm.kinematics import arm_of
 from stable_data.robot.arm.mounting import AUTO, mount_of
 from stable_data.robot.arm.robots import robot_named
 from stable_data.robot.arm.world import RobotWorld
@@ -40,9 +40,6 @@ from stable_data.tasks.goal import Goal
 
 Observation: TypeAlias = dict[str, Any]
 """Name -> array, as in ``RobotEnv.observation_space``."""
-
-CONTROL_SECONDS = 0.05
-"""Simulated time of one action."""
 
 AGENT, ENVIRONMENT, PIXELS = "agent_pos", "environment_state", "pixels"
 """Names in an observation."""
@@ -138,7 +135,7 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         wanted = {name for step in self.goal.steps for name in (step.subject, *(t for c in step.conditions for t in c.targets))}
         mount = mount_of(robot, geometry.scene, options.mount, wanted, target_places(self.goal, task))
         self.built = assemble(geometry, robot, mount, options.image_size)
-        self.arm = Arm(robot)
+        self.arm = arm_of(robot)
         self.clearance = Clearance(self.built)
         hit = self.clearance.hits(self.arm.home, robot.hand.max_opening)
         if hit is not None:

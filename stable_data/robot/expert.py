@@ -10,11 +10,11 @@ from enum import StrEnum
 import numpy as np
 
 from stable_data.robot.arm.clearance import HeldObject
+from stable_data.robot.arm.control import CONTROL_SECONDS
 from stable_data.robot.arm.motion import plan_path, timed, tool_line
 from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.grasp_trial import (
     CLOSE_SECONDS,
-    CONTROL_SECONDS,
     STILL_SECONDS,
     GraspFinder,
     GraspOutcome,
@@ -91,7 +91,7 @@ class Expert:
     def __init__(self, finder: GraspFinder, world: RobotWorld, seed: int = 0) -> None:
         self._finder, self._world, self._seed = finder, world, seed
         self._arm, self._clearance, self._built = finder.arm, finder.clearance, finder.built
-        self._held: tuple[HeldObject, ReachableGrasp] | None = None
+        self._is_holding = False
 
     def pick(self, instance: str) -> Iterator[Command]:
         """Grasps an object and lifts it.
@@ -117,7 +117,7 @@ class Expert:
             if instance in self._world.contacts().gripped:
                 yield from self._follow(self._finder.lift(grasp), 0.0, SLOW)
                 if instance in self._world.contacts().gripped:
-                    self._held = self._in_hand(instance), grasp
+                    self._is_holding = True
                     return
             failed.append(grasp)
             reason, detail = ExpertFailure.MISSED, instance
@@ -135,7 +135,7 @@ class Expert:
         Raises:
             ExpertError: The object is not held, or no place is reached.
         """
-        if self._held is None or instance not in self._world.contacts().gripped:
+        if not self._is_holding or instance not in self._world.contacts().gripped:
             raise ExpertError(ExpertFailure.LOST, instance)
         held = self._in_hand(instance)
         self._clearance.look(self._world)
@@ -152,7 +152,7 @@ class Expert:
             self._clearance.hold(None)
         if instance not in self._world.contacts().gripped:
             raise ExpertError(ExpertFailure.LOST, instance)
-        self._held = None
+        self._is_holding = False
         yield from self.withdraw()
 
     def withdraw(self) -> Iterator[Command]:
@@ -162,21 +162,15 @@ class Expert:
 
     def rest(self) -> Iterator[Command]:
         """Waits until everything is at rest."""
-        yield from self._wait(_WAIT_SECONDS, 0.0 if self._held is not None else self._built.robot.hand.max_opening)
+        yield from self._wait(_WAIT_SECONDS, 0.0 if self._is_holding else self._built.robot.hand.max_opening)
 
     def _choose(self, instance: str, failed: Sequence[ReachableGrasp]) -> ReachableGrasp | None:
         """The best grasp that holds in a trial; the best one at all if none does."""
         survey = self._finder.survey(self._world, instance)
         new = [g for g in survey.reachable if not any(_is_same(g, old) for old in failed)]
-        state = self._world.snapshot()
-        try:
-            for grasp in new[:_TRIED]:
-                outcome = self._finder.try_grasp(self._world, grasp)
-                self._world.restore(state)
-                if outcome is GraspOutcome.HELD:
-                    return grasp
-        finally:
-            self._world.restore(state)
+        for grasp, outcome in self._finder.trials(self._world, new, _TRIED):
+            if outcome is GraspOutcome.HELD:
+                return grasp
         return new[0] if new else None
 
     def _path_to(self, joints: FloatArray, opening: float) -> FloatArray | None:

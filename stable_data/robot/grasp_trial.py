@@ -9,6 +9,7 @@ import numpy as np
 
 from stable_data.robot.arm.assembly import RobotModel
 from stable_data.robot.arm.clearance import Clearance
+from stable_data.robot.arm.control import CONTROL_SECONDS
 from stable_data.robot.arm.kinematics import Arm
 from stable_data.robot.arm.motion import timed, tool_line
 from stable_data.robot.arm.world import RobotWorld
@@ -18,9 +19,6 @@ from stable_data.scene import FloatArray
 
 LIFT = 0.10
 """How far an object is lifted in a trial, metres."""
-
-CONTROL_SECONDS = 0.05
-"""Time between two commands to the arm."""
 
 STILL_SECONDS = 0.25
 """How long the arm is given to arrive where it was commanded before the hand moves; its joints lag by a tenth of a second."""
@@ -98,14 +96,14 @@ class GraspSurvey:
 
     @property
     def reason(self) -> str | None:
-        """Why the object cannot be grasped, one word with a detail; None if a grasp is reachable."""
+        """Why the object cannot be grasped, a code with details after a colon; None if a grasp is reachable."""
         if self.reachable:
             return None
         if not self.num_candidates:
             return "too_wide"
         if self.blocked_by and sum(self.blocked_by.values()) >= self.num_out_of_reach:
             most = max(self.blocked_by, key=lambda name: (self.blocked_by[name], name))
-            return f"blocked by {most}"
+            return f"blocked: by {most}"
         return "out_of_reach"
 
 
@@ -252,16 +250,18 @@ class GraspFinder:
                 return path
         return grasp.approach[::-1]
 
-    def trials(self, world: RobotWorld, survey: GraspSurvey, tries: int) -> Iterator[tuple[ReachableGrasp, GraspOutcome]]:
-        """Tries the best grasps of a survey one after the other, each in the scene as it is now, and restores the scene.
+    def trials(
+        self, world: RobotWorld, grasps: Sequence[ReachableGrasp], tries: int
+    ) -> Iterator[tuple[ReachableGrasp, GraspOutcome]]:
+        """Tries the first of some grasps one after the other, each in the scene as it is now, and restores the scene.
 
         Args:
             world: The simulation.
-            survey: The grasps.
+            grasps: The grasps, the best first.
             tries: How many are tried at most.
         """
         state = world.snapshot()
-        for grasp in survey.reachable[:tries]:
+        for grasp in grasps[:tries]:
             outcome = self.try_grasp(world, grasp)
             world.restore(state)
             yield grasp, outcome

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.scene import Scene, TaskInfo
-from stable_data.scene_graph.relations import scene_graph
+from stable_data.scene_graph.relations import contacts_of, scene_graph
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.tasks.geometry import TaskGeometry
 
@@ -27,7 +27,7 @@ def with_pick_task(geometry: SceneGeometry, instance: str) -> SceneGeometry:
         goal=(f"{words[0].upper()}{words[1:]} is held above the table.",),
         task_objects=(instance,),
         origin="template",
-        conditions=(Condition(instance, ConditionKind.HELD),),
+        conditions=(GoalCondition(instance, ConditionKind.HELD),),
     )
     return replace(geometry, scene=replace(scene, task=task))
 
@@ -41,8 +41,7 @@ def pick_order(scene: Scene, rng: np.random.Generator) -> tuple[str, ...]:
 
 def _name(scene: Scene, geometry: SceneGeometry, instance: str) -> str:
     """Words for an object that single it out if there are such words, else its category."""
-    contacts = {o.instance: (o.support,) for o in scene.objects if o.support is not None}
-    graph = scene_graph(scene, contacts, containers=TaskGeometry.of(geometry).containers)
+    graph = scene_graph(scene, contacts_of(scene), containers=TaskGeometry.of(geometry).containers)
     names = ObjectNamer(scene, graph).names(instance)
     if names:
         return min(names, key=lambda name: (name.anchor is not None, len(name.words), name.words)).words

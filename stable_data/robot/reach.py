@@ -8,14 +8,13 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import GoalError, MeshError
 from stable_data.robot.arm.assembly import assemble
-from stable_data.robot.arm.kinematics import Arm
+from stable_data.robot.arm.kinematics import arm_of
 from stable_data.robot.arm.mounting import AUTO, CHOSEN_EDGES, Mount, mount_of, mount_setting
 from stable_data.robot.arm.robots import Robot
 from stable_data.robot.arm.world import RobotWorld
@@ -277,12 +276,6 @@ def one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-@lru_cache(maxsize=4)
-def arm_of(robot: Robot) -> Arm:
-    """Returns the kinematics of a robot, made once in a process."""
-    return Arm(robot)
-
-
 def _verdict(found: SceneReach, faults: Collection[str]) -> SceneReach:
     """The survey with its verdict on the task.
 
@@ -354,14 +347,12 @@ class _Survey:
             return
         survey = self._finder.survey(self._world, name)
         outcomes = []
-        for number, (grasp, outcome) in enumerate(self._finder.trials(self._world, survey, self._tries)):
+        for number, (grasp, outcome) in enumerate(self._finder.trials(self._world, survey.reachable, self._tries)):
             outcomes.append(outcome)
             self.tried.append(self._row(grasp, number, outcome))
         held = sum(outcome is GraspOutcome.HELD for outcome in outcomes)
-        reason = None
-        if not survey.reachable:
-            reason = _survey_reason(survey.reason or "out_of_reach")
-        elif outcomes and not held:
+        reason = survey.reason
+        if outcomes and not held:
             most = Counter(outcomes).most_common(1)[0][0]
             reason = f"{most}: held in 0 of {len(outcomes)} trials"
         self.found[name] = ObjectReach(
@@ -439,11 +430,6 @@ class _Survey:
         x, y, z = mount.to_scene(grasp.position).tolist()
         quat = quat_of(Rotation.from_matrix(mount.rotation @ grasp.rotation))
         return TriedGrasp(grasp.instance, number, (x, y, z), quat, grasp.width, grasp.opening, grasp.score, outcome)
-
-
-def _survey_reason(reason: str) -> str:
-    """The reason of a survey as ``code: details``."""
-    return f"blocked: by {reason.removeprefix('blocked by ')}" if reason.startswith("blocked by ") else reason
 
 
 def _wish(step: Step) -> str:

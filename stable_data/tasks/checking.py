@@ -11,11 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from stable_data.condition import GROUP_KINDS, Condition, ConditionKind
+from stable_data.condition import GROUP_KINDS, ConditionKind, GoalCondition
 from stable_data.errors import GoalError
 from stable_data.rotations import yaw_quat
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, SceneObject
-from stable_data.scene_graph.relations import are_even, direction_of, facing_of, is_between, is_held, on_in_relations
+from stable_data.scene_graph.relations import (
+    are_even,
+    contacts_of,
+    direction_of,
+    facing_of,
+    is_between,
+    is_held,
+    on_in_relations,
+)
 from stable_data.tasks.geometry import PosedObject, TaskGeometry, outline_of
 from stable_data.tasks.goal import Goal, Step, StepAction
 from stable_data.tasks.regions import DIRECTIONS, EDGES, NEAR_EDGE, REGIONS, edge_distance, is_in_region, region_bounds
@@ -92,8 +100,7 @@ def start_state(geometry: TaskGeometry) -> SceneState:
     """Returns the state of a scene at its start, with the supports that it states."""
     poses = geometry.scene.poses()
     quats = np.array([yaw_quat(yaw) for yaw in poses[:, 3]]).reshape(-1, 4)
-    touching = {o.instance: (o.support,) for o in geometry.scene.objects if o.support is not None}
-    return SceneState(poses[:, :3], quats, touching)
+    return SceneState(poses[:, :3], quats, contacts_of(geometry.scene))
 
 
 class StateView:
@@ -228,7 +235,7 @@ class GoalChecker:
 
     def _is_done(self, step: Step, view: StateView) -> bool:
         if step.action is StepAction.PICK:
-            return self._predicates.holds(Condition(step.subject, ConditionKind.HELD), view)
+            return self._predicates.holds(GoalCondition(step.subject, ConditionKind.HELD), view)
         if step.conditions:
             return all(self._predicates.holds(c, view) for c in step.conditions)
         row = self.geometry.rows[step.subject]
@@ -254,7 +261,7 @@ class GoalChecker:
         return near
 
 
-def check_condition(condition: Condition, geometry: TaskGeometry) -> None:
+def check_condition(condition: GoalCondition, geometry: TaskGeometry) -> None:
     """Refuses a condition about an instance, a region or a direction that does not exist (GoalError, ``goal_unresolved``)."""
     kind, instances = condition.kind, geometry.rows.keys()
     words: frozenset[str] = frozenset()
@@ -303,7 +310,7 @@ class ConditionPredicates:
         self.start = start_state(geometry)
         self.first = StateView(geometry, self.start)
         kind = ConditionKind
-        self._tests: dict[ConditionKind, Callable[[Condition, StateView], bool]] = {
+        self._tests: dict[ConditionKind, Callable[[GoalCondition, StateView], bool]] = {
             kind.HELD: self._is_lifted,
             kind.ON: self._is_on_or_in,
             kind.IN: self._is_on_or_in,
@@ -321,7 +328,7 @@ class ConditionPredicates:
             kind.ORDERED: lambda c, view: bool((np.diff(self._centres(c, view)[:, 0]) > 0).all()),
             kind.EVEN: lambda c, view: are_even(sorted(self._centres(c, view)[:, 0].tolist())),
         }
-        self._distances: dict[ConditionKind, Callable[[Condition, StateView], float]] = {
+        self._distances: dict[ConditionKind, Callable[[GoalCondition, StateView], float]] = {
             kind.HELD: lambda c, view: LIFT - self.lift(c.subject, view),
             kind.ON: self._distance_to_support,
             kind.IN: self._distance_to_support,
@@ -340,7 +347,7 @@ class ConditionPredicates:
             kind.EVEN: lambda c, view: float(np.ptp(np.diff(np.sort(self._centres(c, view)[:, 0])))),
         }
 
-    def holds(self, condition: Condition, view: StateView) -> bool:
+    def holds(self, condition: GoalCondition, view: StateView) -> bool:
         """Whether a condition holds; an object that is to be somewhere must be released there and be on the table."""
         if condition.kind is ConditionKind.HELD:
             return self._is_lifted(condition, view) != condition.is_negated
@@ -350,7 +357,7 @@ class ConditionPredicates:
             return False
         return self._tests[condition.kind](condition, view) != condition.is_negated
 
-    def distance(self, condition: Condition, view: StateView) -> float:
+    def distance(self, condition: GoalCondition, view: StateView) -> float:
         """How far a state is from a condition, metres or what counts as much; 0 if it holds but for the release."""
         holds = self._tests[condition.kind](condition, view)
         if holds != condition.is_negated:
@@ -363,15 +370,15 @@ class ConditionPredicates:
 
     # --- the start ---
 
-    def holds_at_start(self, condition: Condition) -> bool:
+    def holds_at_start(self, condition: GoalCondition) -> bool:
         """Whether a condition holds at the start."""
         return self.holds(condition, self.first)
 
-    def contents_at_start(self, condition: Condition) -> list[str]:
+    def contents_at_start(self, condition: GoalCondition) -> list[str]:
         """The objects that are in or on the subject of a condition ``empty`` at the start."""
         return self.contents(condition, self.first)
 
-    def staying(self, condition: Condition) -> frozenset[str]:
+    def staying(self, condition: GoalCondition) -> frozenset[str]:
         """The members of a group that stay: the ends of an even row, and the first of those that come together."""
         if condition.kind is ConditionKind.EVEN:
             ordered = sorted(condition.subjects, key=lambda name: self.first.item(name).position[0])
@@ -380,41 +387,41 @@ class ConditionPredicates:
 
     # --- predicates ---
 
-    def _is_lifted(self, c: Condition, view: StateView) -> bool:
+    def _is_lifted(self, c: GoalCondition, view: StateView) -> bool:
         return c.subject in view.state.held and self.lift(c.subject, view) >= LIFT
 
-    def _is_on_or_in(self, c: Condition, view: StateView) -> bool:
+    def _is_on_or_in(self, c: GoalCondition, view: StateView) -> bool:
         relation = Relation(c.subject, RelationKind(str(c.kind)), c.target)
         if c.target == TABLE:
             return relation in view.on_in((c.subject,))
         return is_held(view.on_in((c.subject, c.target)), relation)
 
-    def _is_in_direction(self, c: Condition, view: StateView) -> bool:
+    def _is_in_direction(self, c: GoalCondition, view: StateView) -> bool:
         dx, dy, _ = np.subtract(view.item(c.subject).position, view.item(c.target).position)
         return direction_of(dx, dy) == str(c.kind)
 
-    def _is_beside(self, c: Condition, view: StateView) -> bool:
+    def _is_beside(self, c: GoalCondition, view: StateView) -> bool:
         if view.gap(c.subject, c.target) > BESIDE:
             return False
         on_in = view.on_in((c.subject, c.target))
         stacked = (Relation(a, RelationKind.ON, b) for a, b in ((c.subject, c.target), (c.target, c.subject)))
         return not any(is_held(on_in, relation) for relation in stacked)
 
-    def _is_between(self, c: Condition, view: StateView) -> bool:
+    def _is_between(self, c: GoalCondition, view: StateView) -> bool:
         return is_between(*(view.item(name).position for name in (c.subject, *c.targets)))
 
-    def _is_at(self, c: Condition, view: StateView) -> bool:
+    def _is_at(self, c: GoalCondition, view: StateView) -> bool:
         posed, size = view.posed(c.subject), self.geometry.scene.table.size_xy
         if c.target in REGIONS:
             return is_in_region(c.target, posed.item.position, posed.points, size)
         return self._distance_to_region(c, view) <= SAME_PLACE
 
-    def _is_facing(self, c: Condition, view: StateView) -> bool:
+    def _is_facing(self, c: GoalCondition, view: StateView) -> bool:
         if c.target in self.geometry.rows:
             return self._angle(c, view) <= FACING_ANGLE
         return facing_of(view.item(c.subject).yaw) == c.target
 
-    def _has_moved(self, c: Condition, view: StateView) -> bool:
+    def _has_moved(self, c: GoalCondition, view: StateView) -> bool:
         along, across = self._displacement(c, view)
         if across > max(along, 0.0):
             return False
@@ -422,7 +429,7 @@ class ConditionPredicates:
             return along >= LEAST_MOVE
         return abs(along - c.distance) <= max(_LEAST_TOLERANCE, _MOVE_TOLERANCE * c.distance)
 
-    def contents(self, c: Condition, view: StateView) -> list[str]:
+    def contents(self, c: GoalCondition, view: StateView) -> list[str]:
         """The objects that are in or on the subject of a condition ``empty``."""
         near = view.near(c.subject)
         kinds = {RelationKind(c.target)} if c.target else {RelationKind.IN, RelationKind.ON}
@@ -433,12 +440,12 @@ class ConditionPredicates:
 
     # --- measures ---
 
-    def _apart(self, c: Condition, view: StateView) -> float:
+    def _apart(self, c: GoalCondition, view: StateView) -> float:
         if c.target in EDGES:
             return edge_distance(c.target, view.posed(c.subject).points, self.geometry.scene.table.size_xy)
         return view.gap(c.subject, c.target)
 
-    def _angle(self, c: Condition, view: StateView) -> float:
+    def _angle(self, c: GoalCondition, view: StateView) -> float:
         """The angle of the facing of an object to what it is to face, radians."""
         item = view.item(c.subject)
         if c.target in self.geometry.rows:
@@ -453,14 +460,14 @@ class ConditionPredicates:
         x, y, z, w = view.state.quats_xyzw[row].tolist()
         return math.acos(max(-1.0, min(1.0, float(self.geometry.up(row, (x, y, z, w))[2]))))
 
-    def _displacement(self, c: Condition, view: StateView) -> tuple[float, float]:
+    def _displacement(self, c: GoalCondition, view: StateView) -> tuple[float, float]:
         """The displacement since the start along a direction and across it, metres."""
         axis, sign = DIRECTIONS[c.target]
         row = self.geometry.rows[c.subject]
         step = view.state.positions[row] - self.start.positions[row]
         return float(sign * step[axis]), abs(float(step[1 - axis]))
 
-    def _links(self, c: Condition, view: StateView) -> list[float]:
+    def _links(self, c: GoalCondition, view: StateView) -> list[float]:
         """Distances that connect the subjects, each to the nearest one that is connected already, metres."""
         joined, rest, links = [c.subjects[0]], list(c.subjects[1:]), []
         while rest:
@@ -470,12 +477,12 @@ class ConditionPredicates:
             rest.remove(name)
         return links
 
-    def _centres(self, c: Condition, view: StateView) -> FloatArray:
+    def _centres(self, c: GoalCondition, view: StateView) -> FloatArray:
         return np.array([view.item(name).position[:2] for name in c.subjects])
 
     # --- distances ---
 
-    def _distance_to_support(self, c: Condition, view: StateView) -> float:
+    def _distance_to_support(self, c: GoalCondition, view: StateView) -> float:
         item = view.item(c.subject)
         if c.target == TABLE:
             outside = np.maximum(0.0, np.maximum(np.negative(item.position[:2]), np.subtract(item.position[:2], self._size)))
@@ -492,16 +499,16 @@ class ConditionPredicates:
     def _size(self) -> tuple[float, float]:
         return self.geometry.scene.table.size_xy
 
-    def _distance_to_direction(self, c: Condition, view: StateView) -> float:
+    def _distance_to_direction(self, c: GoalCondition, view: StateView) -> float:
         step = np.subtract(view.item(c.subject).position, view.item(c.target).position)
         axis, sign = DIRECTIONS[SIDE_NAMES[c.kind]]
         return max(0.0, float(abs(step[1 - axis]) - sign * step[axis])) / math.sqrt(2)
 
-    def _distance_to_middle(self, c: Condition, view: StateView) -> float:
+    def _distance_to_middle(self, c: GoalCondition, view: StateView) -> float:
         one, other = (np.array(view.item(name).position[:2]) for name in c.targets)
         return float(np.linalg.norm(view.item(c.subject).position[:2] - (one + other) / 2))
 
-    def _distance_to_region(self, c: Condition, view: StateView) -> float:
+    def _distance_to_region(self, c: GoalCondition, view: StateView) -> float:
         posed = view.posed(c.subject)
         if c.target in EDGES:
             return edge_distance(c.target, posed.points, self._size) - NEAR_EDGE

@@ -6,11 +6,11 @@ instances. Where it has none, as in files of MesaTask, its ``Goal`` sentences an
 
 from collections.abc import Mapping, Sequence
 
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import GoalError
 from stable_data.instructions.task_info import resolve_task_objects
 from stable_data.scene import Scene
-from stable_data.scene_graph.relations import scene_graph
+from stable_data.scene_graph.relations import contacts_of, scene_graph
 from stable_data.tasks.checking import ConditionPredicates, GoalChecker
 from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal
@@ -40,7 +40,7 @@ def compile_goal(geometry: TaskGeometry) -> Goal:
         raise GoalError(f"{where}{error}", error.code) from error
 
 
-def stated_conditions(scene: Scene, containers: Mapping[str, bool | None]) -> tuple[Condition, ...]:
+def stated_conditions(scene: Scene, containers: Mapping[str, bool | None]) -> tuple[GoalCondition, ...]:
     """Reads the conditions that the goal sentences and actions of a scene's task info state.
 
     Args:
@@ -57,14 +57,13 @@ def stated_conditions(scene: Scene, containers: Mapping[str, bool | None]) -> tu
             "asks for what cannot be checked has none",
             "no_goal" if task is not None else "no_task",
         )
-    contacts = {o.instance: (o.support,) for o in scene.objects if o.support is not None}
-    graph = scene_graph(scene, contacts, containers=containers)
+    graph = scene_graph(scene, contacts_of(scene), containers=containers)
     known = task if task.task_objects else resolve_task_objects(task, scene, graph)[0]
     resolver = ObjectResolver(scene, graph, known.task_objects)
     return GoalSentences(task, resolver, lambda name: containers.get(name) is True).conditions()
 
 
-def goal_from_conditions(conditions: Sequence[Condition], geometry: TaskGeometry) -> Goal:
+def goal_from_conditions(conditions: Sequence[GoalCondition], geometry: TaskGeometry) -> Goal:
     """Makes a goal of conditions: plans its steps, finds its kind, and checks that it can be reached and is not reached yet.
 
     Raises:
@@ -88,7 +87,7 @@ def goal_from_conditions(conditions: Sequence[Condition], geometry: TaskGeometry
     return Goal(checker.goal.kind, tuple(conditions), planner.plan(conditions))
 
 
-def _refuse_unreachable(conditions: Sequence[Condition], geometry: TaskGeometry) -> None:
+def _refuse_unreachable(conditions: Sequence[GoalCondition], geometry: TaskGeometry) -> None:
     """Refuses goals that no state fulfils, or that move what is fixed."""
     for c in conditions:
         if c.kind is ConditionKind.IN and not c.is_negated and geometry.containers.get(c.target) is False:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from stable_data.condition import NAME_SEPARATOR, SIDE_KINDS, Condition, ConditionKind, condition_document, condition_of
+from stable_data.condition import NAME_SEPARATOR, SIDE_KINDS, ConditionKind, GoalCondition, condition_document, condition_of
 from stable_data.errors import GoalError
 
 
@@ -31,7 +31,7 @@ class Step:
 
     action: StepAction
     subject: str
-    conditions: tuple[Condition, ...] = ()
+    conditions: tuple[GoalCondition, ...] = ()
 
     def __str__(self) -> str:
         """Returns the step in words."""
@@ -66,7 +66,7 @@ class Goal:
     """
 
     kind: GoalKind
-    conditions: tuple[Condition, ...]
+    conditions: tuple[GoalCondition, ...]
     steps: tuple[Step, ...]
 
     def __str__(self) -> str:
@@ -78,7 +78,9 @@ _ALWAYS_INSTANCES = SIDE_KINDS | {ConditionKind.IN, ConditionKind.BESIDE, Condit
 _INSTANCES_OR_WORDS = frozenset({ConditionKind.ON, ConditionKind.AT, ConditionKind.APART, ConditionKind.FACING})
 
 
-def rename_conditions(conditions: Sequence[Condition], names: Mapping[str, str], known: Set[str]) -> tuple[Condition, ...]:
+def rename_conditions(
+    conditions: Sequence[GoalCondition], names: Mapping[str, str], known: Set[str]
+) -> tuple[GoalCondition, ...]:
     """Returns conditions between the instances of another scene; none if an instance has no counterpart there.
 
     The order of sizes may be another one there, so ``ordered`` has no counterpart. What is to leave an object that shall be empty

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import shapely
 
-from stable_data.condition import GROUP_KINDS, SIDE_KINDS, Condition, ConditionKind
+from stable_data.condition import GROUP_KINDS, SIDE_KINDS, ConditionKind, GoalCondition
 from stable_data.errors import GoalError
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.surface_sampling import sample_surface
@@ -198,7 +198,7 @@ class _Search:
         lift: QuatXyzw = (0.0, half, 0.0, half) if length >= width else (half, 0.0, 0.0, half)
         return quat_product(yaw_quat(yaw), quat_product(lift, quat_product(yaw_quat(-yaw), quat)))
 
-    def _yaw_for(self, facing: Condition) -> float:
+    def _yaw_for(self, facing: GoalCondition) -> float:
         if facing.target in self.geometry.rows:
             step = np.subtract(self.view.item(facing.target).position, self.view.item(self.name).position)
             return math.atan2(step[1], step[0]) + math.pi / 2
@@ -360,7 +360,7 @@ class _Search:
                 cost += 10.0 * ((centres >= low) & (centres < high)).all(axis=1)
         return cost
 
-    def _cost_of(self, c: Condition, spots: FloatArray, centres: FloatArray, outline: FloatArray) -> FloatArray:
+    def _cost_of(self, c: GoalCondition, spots: FloatArray, centres: FloatArray, outline: FloatArray) -> FloatArray:
         zeros = np.zeros(len(spots))
         if c.kind is K.AT and c.target in EDGES:
             axis, sign = DIRECTIONS[c.target.removesuffix("_edge")]
@@ -409,7 +409,7 @@ class _Search:
 
     # --- groups ---
 
-    def _spots_of_group(self, c: Condition, outline: FloatArray) -> FloatArray:
+    def _spots_of_group(self, c: GoalCondition, outline: FloatArray) -> FloatArray:
         """Spots for one member of a group, the best first, as part of an arrangement of all that depends on the start alone."""
         middle = (outline.max(axis=0) + outline.min(axis=0)) / 2
         if c.kind is K.EVEN:
@@ -422,7 +422,7 @@ class _Search:
             return self._spots_together(c, outline)
         return np.asarray(self._spots_in_row(c) - middle)
 
-    def _spots_together(self, c: Condition, outline: FloatArray) -> FloatArray:
+    def _spots_together(self, c: GoalCondition, outline: FloatArray) -> FloatArray:
         """Spots close to the members that are together already; the first member stays where it is."""
         here = self.view.state.positions[self.row, :2]
         before = c.subjects[: c.subjects.index(self.name)]
@@ -434,7 +434,7 @@ class _Search:
         spots, gaps = spots[(gaps > CLEARANCE) & (gaps <= 0.045)], gaps[(gaps > CLEARANCE) & (gaps <= 0.045)]
         return np.asarray(spots[np.argsort(gaps, kind="stable")])
 
-    def _spots_in_row(self, c: Condition) -> FloatArray:
+    def _spots_in_row(self, c: GoalCondition) -> FloatArray:
         """The centre of one member in a row that is free of all other objects, (M, 2); empty if there is no such row.
 
         A row along x is preferred to one along y, which has no order from left to right.

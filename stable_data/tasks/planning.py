@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
-from stable_data.condition import GROUP_KINDS, SIDE_KINDS, Condition, ConditionKind
+from stable_data.condition import GROUP_KINDS, SIDE_KINDS, ConditionKind, GoalCondition
 from stable_data.scene import TABLE
 from stable_data.scene_graph.support_tree import ancestors
 from stable_data.tasks.goal import GoalKind, Step, StepAction
@@ -18,15 +18,15 @@ _ARRANGED = frozenset({K.IN_A_ROW, K.ORDERED, K.EVEN, K.TOGETHER})
 class StartFacts(Protocol):
     """What the planner asks about the start."""
 
-    def holds_at_start(self, condition: Condition) -> bool:
+    def holds_at_start(self, condition: GoalCondition) -> bool:
         """Whether a condition holds at the start."""
         ...
 
-    def contents_at_start(self, condition: Condition) -> Sequence[str]:
+    def contents_at_start(self, condition: GoalCondition) -> Sequence[str]:
         """What is in or on the subject of a condition ``empty`` at the start."""
         ...
 
-    def staying(self, condition: Condition) -> frozenset[str]:
+    def staying(self, condition: GoalCondition) -> frozenset[str]:
         """The members of a group that stay where they are, because the others are put in order about them."""
         ...
 
@@ -42,9 +42,9 @@ class StepPlanner:
     def __init__(self, supports: Mapping[str, str | None], facts: StartFacts) -> None:
         self._supports, self._facts = dict(supports), facts
         self._steps: list[Step] = []
-        self._waiting: dict[str, list[Condition]] = {}
+        self._waiting: dict[str, list[GoalCondition]] = {}
 
-    def plan(self, conditions: Sequence[Condition]) -> tuple[Step, ...]:
+    def plan(self, conditions: Sequence[GoalCondition]) -> tuple[Step, ...]:
         """Returns the steps, each object's at the first of its conditions; held objects come last."""
         self._waiting = self._by_object(conditions)
         held = [c.subject for c in conditions if c.kind is K.HELD and not c.is_negated]
@@ -53,9 +53,9 @@ class StepPlanner:
         self._steps += [Step(StepAction.PICK, name) for name in held]
         return tuple(self._steps)
 
-    def _by_object(self, conditions: Sequence[Condition]) -> dict[str, list[Condition]]:
+    def _by_object(self, conditions: Sequence[GoalCondition]) -> dict[str, list[GoalCondition]]:
         """The conditions on each object that must be moved, in the order in which they are first stated."""
-        found: dict[str, list[Condition]] = {}
+        found: dict[str, list[GoalCondition]] = {}
         for c in conditions:
             if c.kind is K.HELD:
                 continue
@@ -89,7 +89,7 @@ class StepPlanner:
         wanted = tuple(conditions)
         if not any(not c.is_negated and c.kind is not K.FACING for c in wanted) and not _is_region(wanted):
             # Taken out or off, with no place stated: on the table. What shall only face elsewhere stays.
-            wanted += () if any(c.kind is K.FACING for c in wanted) else (Condition(name, K.ON, TABLE),)
+            wanted += () if any(c.kind is K.FACING for c in wanted) else (GoalCondition(name, K.ON, TABLE),)
         action = StepAction.TURN if wanted and all(c.kind in _TURNS for c in wanted) else StepAction.PLACE
         self._steps += [Step(StepAction.PICK, name), Step(action, name, wanted)]
         self._supports[name] = next((c.target for c in wanted if c.kind in (K.ON, K.IN) and not c.is_negated), TABLE)
@@ -100,17 +100,17 @@ class StepPlanner:
         top = chain[chain.index(base) - 1]
         self._steps += [
             Step(StepAction.PICK, top),
-            Step(StepAction.PLACE, top, (Condition(top, K.ON, TABLE),)),
+            Step(StepAction.PLACE, top, (GoalCondition(top, K.ON, TABLE),)),
         ]
         self._supports[top] = TABLE
 
 
-def _is_region(conditions: Iterable[Condition]) -> bool:
+def _is_region(conditions: Iterable[GoalCondition]) -> bool:
     """Whether an object only has to leave a region of the table."""
     return any(c.is_negated and c.kind not in (K.ON, K.IN) for c in conditions)
 
 
-def kind_of(conditions: Sequence[Condition], categories: Mapping[str, str]) -> GoalKind:
+def kind_of(conditions: Sequence[GoalCondition], categories: Mapping[str, str]) -> GoalKind:
     """Returns the kind of a goal.
 
     Args:
@@ -131,7 +131,7 @@ def kind_of(conditions: Sequence[Condition], categories: Mapping[str, str]) -> G
     return GoalKind.SEVERAL
 
 
-def _kind_of_one(c: Condition, categories: Mapping[str, str]) -> GoalKind:
+def _kind_of_one(c: GoalCondition, categories: Mapping[str, str]) -> GoalKind:
     if c.is_negated:
         return GoalKind.CLEAR
     if c.kind is K.ON and c.target != TABLE:

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 
-from stable_data.condition import NAME_SEPARATOR, Condition, ConditionKind
+from stable_data.condition import NAME_SEPARATOR, ConditionKind, GoalCondition
 from stable_data.errors import GoalError
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.wording.vocabulary import answers_to
@@ -33,7 +33,7 @@ _HOW = r"inside|in(?! front of)|on top of|on"
 _SIDE = r"(?:to the |on the )?(?P<side>left|right)(?: side)? of|(?P<other_side>in front of|behind)"
 _TOWARDS = {"front edge": "front", "back edge": "back", "left edge": "left", "right edge": "right"}
 
-Handler = Callable[["GoalSentences", "re.Match[str]"], Iterator[Condition]]
+Handler = Callable[["GoalSentences", "re.Match[str]"], Iterator[GoalCondition]]
 
 
 class ObjectResolver:
@@ -147,7 +147,7 @@ class GoalSentences:
     def __init__(self, task: TaskInfo, resolver: ObjectResolver, is_container: Callable[[str], bool]) -> None:
         self._task, self._resolver, self._is_container = task, resolver, is_container
 
-    def conditions(self) -> tuple[Condition, ...]:
+    def conditions(self) -> tuple[GoalCondition, ...]:
         """The conditions that its sentences state; those of its actions if it has no sentences.
 
         Raises:
@@ -161,7 +161,7 @@ class GoalSentences:
             found = list(self._of_actions())
         return tuple(dict.fromkeys(found))
 
-    def of_sentence(self, sentence: str) -> tuple[Condition, ...]:
+    def of_sentence(self, sentence: str) -> tuple[GoalCondition, ...]:
         """The conditions that one sentence states.
 
         Raises:
@@ -179,83 +179,83 @@ class GoalSentences:
                 failure = failure or error
         raise failure or not_checkable(sentence, "its form is unknown")
 
-    def _each(self, words: str, kind: ConditionKind, target: str = "", *, negated: bool = False) -> Iterator[Condition]:
-        return (Condition(name, kind, target, is_negated=negated) for name in self._resolver.several(words))
+    def _each(self, words: str, kind: ConditionKind, target: str = "", *, negated: bool = False) -> Iterator[GoalCondition]:
+        return (GoalCondition(name, kind, target, is_negated=negated) for name in self._resolver.several(words))
 
     # --- forms of sentences ---
 
-    def _held(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _held(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.HELD)
 
-    def _on_table(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _on_table(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.ON, TABLE)
 
-    def _in_or_on(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _in_or_on(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.IN if m["how"].startswith("in") else K.ON, self._resolver.one(m["b"]))
 
-    def _not_in_or_on(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _not_in_or_on(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         kind = K.IN if m["how"].startswith("in") else K.ON
         return self._each(m["a"], kind, self._resolver.one(m["b"]), negated=True)
 
-    def _nothing_in_or_on(self, m: re.Match[str]) -> Iterator[Condition]:
-        yield Condition(self._resolver.one(m["b"]), K.EMPTY, "in" if m["how"].startswith("in") else "on")
+    def _nothing_in_or_on(self, m: re.Match[str]) -> Iterator[GoalCondition]:
+        yield GoalCondition(self._resolver.one(m["b"]), K.EMPTY, "in" if m["how"].startswith("in") else "on")
 
-    def _stacked(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _stacked(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         below = self._resolver.one(m["b"])
         for name in self._resolver.several(m["a"]):
-            yield Condition(name, K.ON, below)
+            yield GoalCondition(name, K.ON, below)
             below = name
 
-    def _aside(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _aside(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         target = self._resolver.one(m["b"])
         side = m["other_side"] or f"{m['side']} of"
         for name in self._resolver.several(m["a"]):
-            yield Condition(name, _SIDES[side], target)
+            yield GoalCondition(name, _SIDES[side], target)
             if m["close"]:
-                yield Condition(name, K.BESIDE, target)
+                yield GoalCondition(name, K.BESIDE, target)
 
-    def _beside(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _beside(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.BESIDE, self._resolver.one(m["b"]))
 
-    def _between(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _between(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         ends = self._resolver.several(m["b"])
         if len(ends) != 2:
             raise not_checkable(m[0], f"{len(ends)} objects have a place between them, expected two")
         return self._each(m["a"], K.BETWEEN, NAME_SEPARATOR.join(ends))
 
-    def _at_cell(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _at_cell(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.AT, f"{m['row']}_{m['column']}".replace("rear", "back"))
 
-    def _at_middle(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _at_middle(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.AT, "middle_middle")
 
-    def _at_part(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _at_part(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.AT, m["part"])
 
-    def _at_half(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _at_half(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.AT, f"{m['part']}_half")
 
-    def _at_edge(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _at_edge(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.AT, f"{m['part']}_edge")
 
-    def _where_was(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _where_was(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.AT, self._resolver.one(m["b"]))
 
-    def _off_edge(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _off_edge(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.APART, f"{m['part']}_edge")
 
-    def _apart(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _apart(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         pair = self._resolver.several(m["a"])
         if len(pair) != 2:
             raise not_checkable(m[0], f"{len(pair)} objects are to be apart, expected two")
-        yield Condition(pair[0], K.APART, pair[1])
+        yield GoalCondition(pair[0], K.APART, pair[1])
 
-    def _moved(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _moved(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         direction = m["part"]
         stated = m["cm"]
         for name in self._resolver.several(m["a"]):
             distance = float(stated) / 100 if stated else self._pushed(name, direction)
-            yield Condition(name, K.MOVED, direction, distance)
+            yield GoalCondition(name, K.MOVED, direction, distance)
 
     def _pushed(self, name: str, direction: str) -> float | None:
         """The distance of the push of an object among the actions, metres."""
@@ -265,47 +265,47 @@ class GoalSentences:
                 return float(m["cm"]) / 100
         return None
 
-    def _upright(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _upright(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.UPRIGHT)
 
-    def _faces(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _faces(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         words = re.sub(r"^the ", "", m["b"])
         target = _TOWARDS.get(words) or self._resolver.one(m["b"])
         return self._each(m["a"], K.FACING, target)
 
-    def _group(self, kind: ConditionKind, words: str) -> Iterator[Condition]:
+    def _group(self, kind: ConditionKind, words: str) -> Iterator[GoalCondition]:
         names = self._resolver.several(words)
         if len(names) < 2:
             raise not_checkable(words, "one object is arranged, expected several")
-        yield Condition(NAME_SEPARATOR.join(names), kind)
+        yield GoalCondition(NAME_SEPARATOR.join(names), kind)
 
-    def _row(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _row(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         yield from self._group(K.IN_A_ROW, m["a"])
         if m["what"]:
             is_height = m["what"] in ("lowest", "shortest", "tallest")
             least_is_left = (m["what"] in ("largest", "tallest")) == (m["end"] == "right")
             names = self._resolver.by_size(self._resolver.several(m["a"]), is_height=is_height)
-            yield Condition(NAME_SEPARATOR.join(names if least_is_left else names[::-1]), K.ORDERED)
+            yield GoalCondition(NAME_SEPARATOR.join(names if least_is_left else names[::-1]), K.ORDERED)
 
-    def _contents(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _contents(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         kinds = [K.IN if m[how].startswith("in") else K.ON for how in ("how", "there")]
         target = self._resolver.one(m["c"])
         names = self._resolver.contents(self._resolver.one(m["b"]), kinds[0])
         if not names:
             raise not_checkable(m[0], "nothing is there at the start")
-        return (Condition(name, kinds[1], target) for name in names)
+        return (GoalCondition(name, kinds[1], target) for name in names)
 
-    def _even(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _even(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._group(K.EVEN, m["a"])
 
-    def _together(self, m: re.Match[str]) -> Iterator[Condition]:
+    def _together(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._group(K.TOGETHER, m["a"])
 
     # --- actions ---
 
-    def _of_actions(self) -> Iterator[Condition]:
+    def _of_actions(self) -> Iterator[GoalCondition]:
         """The conditions of the actions, each object at its last place."""
-        places: dict[str, list[Condition]] = {}
+        places: dict[str, list[GoalCondition]] = {}
         picked = None
         for action in self._task.action_sequence:
             m = re.fullmatch(r"\s*(\w+)\((.*)\)\s*", action)
@@ -314,35 +314,35 @@ class GoalSentences:
             verb, argument = m[1], m[2].strip()
             if verb == "Pick":
                 picked = self._resolver.one(argument)
-                places[picked] = [Condition(picked, K.HELD)]
+                places[picked] = [GoalCondition(picked, K.HELD)]
             elif verb == "Push" and (push := _PUSH.fullmatch(action.strip())):
                 name = self._resolver.one(push["a"])
-                places[name] = [Condition(name, K.MOVED, push["way"].strip(), float(push["cm"]) / 100)]
+                places[name] = [GoalCondition(name, K.MOVED, push["way"].strip(), float(push["cm"]) / 100)]
             elif verb in ("PlaceOn", "PlaceAt") and picked is not None:
                 places[picked] = list(self._of_place(verb, argument, picked, action))
             else:
                 raise not_checkable(action, "no state of the scene shows that it was done")
         return (c for conditions in places.values() for c in conditions)
 
-    def _of_place(self, verb: str, place: str, picked: str, action: str) -> Iterator[Condition]:
+    def _of_place(self, verb: str, place: str, picked: str, action: str) -> Iterator[GoalCondition]:
         if type_words(place) == (TABLE,):
-            yield Condition(picked, K.ON, TABLE)
+            yield GoalCondition(picked, K.ON, TABLE)
         elif verb == "PlaceOn":
             target = self._resolver.one(place)
-            yield Condition(picked, K.IN if self._is_container(target) else K.ON, target)
+            yield GoalCondition(picked, K.IN if self._is_container(target) else K.ON, target)
         elif m := re.fullmatch(rf"(?:(?:in|inside|into) (?P<inside>.+)|(?:on|onto) (?P<top>.+)|(?:{_SIDE}) (?P<b>.+))", place):
             if words := m["inside"] or m["top"]:
-                yield Condition(picked, K.IN if m["inside"] else K.ON, self._resolver.one(words))
+                yield GoalCondition(picked, K.IN if m["inside"] else K.ON, self._resolver.one(words))
             else:
-                yield Condition(picked, _SIDES[m["other_side"] or f"{m['side']} of"], self._resolver.one(m["b"]))
+                yield GoalCondition(picked, _SIDES[m["other_side"] or f"{m['side']} of"], self._resolver.one(m["b"]))
         elif m := re.fullmatch(r"next to (.+)", place):
-            yield Condition(picked, K.BESIDE, self._resolver.one(m[1]))
+            yield GoalCondition(picked, K.BESIDE, self._resolver.one(m[1]))
         elif m := re.fullmatch(r"(front|back|middle)[ _](left|middle|right)", place.lower()):
-            yield Condition(picked, K.AT, f"{m[1]}_{m[2]}")
+            yield GoalCondition(picked, K.AT, f"{m[1]}_{m[2]}")
         elif place.lower() in ("middle", "centre", "center"):
-            yield Condition(picked, K.AT, "middle_middle")
+            yield GoalCondition(picked, K.AT, "middle_middle")
         elif m := re.fullmatch(r"(left|right|front|back)( side| edge)?", place.lower()):
-            yield Condition(picked, K.AT, f"{m[1]}_edge" if m[2] == " edge" else m[1])
+            yield GoalCondition(picked, K.AT, f"{m[1]}_edge" if m[2] == " edge" else m[1])
         else:
             raise not_checkable(action, "its place is unknown")
 

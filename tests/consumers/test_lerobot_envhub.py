@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.consumers.environment import CONSUMERS
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.robot.env import RobotOptions
 from stable_data.robot.envhub import write_envhub
 from stable_data.scene import TaskInfo
@@ -19,7 +19,7 @@ CONSUMER = CONSUMERS["lerobot_envhub"]
 
 
 def folder_in(place: Path) -> Path:
-    task = TaskInfo("", "Pick up the can.", task_objects=(CAN,), conditions=(Condition(CAN, ConditionKind.HELD),))
+    task = TaskInfo("", "Pick up the can.", task_objects=(CAN,), conditions=(GoalCondition(CAN, ConditionKind.HELD),))
     scenes = [replace(laid_table(), scene_id=f"laid-{k}", task=task) for k in range(2)]
     write_envhub(write_run(place / "run", scenes), place / "hub", None, RobotOptions(robot="simple", max_steps=4))
     return place / "hub"

@@ -12,7 +12,7 @@ from models.semantic_reasoner.language.interpreter import (
 )
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutReply
-from stable_data.condition import Condition
+from stable_data.condition import GoalCondition
 from stable_data.metrics.alignment import AlignmentReference, align, members
 from stable_data.scene import TABLE, Relation, Scene, SceneObject, Stage, TaskInfo
 from stable_data.scene_graph.staging import stage_scene
@@ -54,7 +54,7 @@ def attach_task_info(
     proposed: Sequence[SceneObject],
     interpret: InstructionInterpreter | None = None,
     reference: AlignmentReference | None = None,
-    labels: Sequence[Condition] = (),
+    labels: Sequence[GoalCondition] = (),
 ) -> Scene:
     """Returns a scene with its task info: the instruction, the objects of O^t, their stated relations at the start, and its goal.
 
@@ -68,7 +68,7 @@ def attach_task_info(
     """
     task_objects = tuple(o.instance for o in scene.objects if o.stage is Stage.TASK)
     relations: tuple[Relation, ...] = ()
-    conditions: tuple[Condition, ...] = ()
+    conditions: tuple[GoalCondition, ...] = ()
     if interpret is not None:
         meant = interpret(instruction)
         found, _ = compare_with_instruction(proposed, scene.table, meant)

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from stable_data.robot.env import AGENT, CONTROL_SECONDS, ENVIRONMENT, PIXELS, Observation, RobotEnv
+from stable_data.robot.arm.control import CONTROL_SECONDS
+from stable_data.robot.env import AGENT, ENVIRONMENT, PIXELS, Observation, RobotEnv
 from stable_data.robot.episodes import Episode, EpisodeFeatures
 from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, state_names
 from stable_data.simulation.offscreen import Picture

@@ -125,7 +125,8 @@ def task_commands(env: RobotEnv, seed: int) -> Iterator[Command]:
 def replayed_poses(env: RobotEnv, episode: Episode) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Carries out the actions of an episode again; the poses of the objects, (T + 1, N, 7), as ``Episode.object_poses``.
 
-    The environment has the options with which the episode was recorded.
+    The environment has the options with which the episode was recorded. An episode in which a policy acted before the expert
+    (:class:`Lead`) does not begin at the reset, and cannot be repeated.
     """
     env.reset(seed=episode.seed)
     poses = [env.world.object_poses]

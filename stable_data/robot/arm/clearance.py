@@ -95,12 +95,6 @@ class Clearance:
             return name
         return None
 
-    def free_path(
-        self, path: FloatArray, opening: float, *, allowed: frozenset[str] = frozenset(), allowed_depth: float = np.inf
-    ) -> bool:
-        """Returns whether none of the configurations of a path, (T, J), touches anything."""
-        return all(self.hits(joints, opening, allowed=allowed, allowed_depth=allowed_depth) is None for joints in path)
-
     def _pose(self, joints: FloatArray, opening: float) -> None:
         built, data, hand = self._built, self._data, self._built.robot.hand
         data.qpos[built.joint_addresses] = joints

@@ -26,6 +26,9 @@ CONTROLS: Mapping[str, str] = {
 }
 """What an action means, for help texts."""
 
+CONTROL_SECONDS = 0.05
+"""Simulated time of one action: the time between two commands to the arm."""
+
 COLUMNS = ("column_1_x", "column_1_y", "column_1_z", "column_2_x", "column_2_y", "column_2_z")
 """Names of the first two columns of a rotation matrix, which say all of a rotation without jumps."""
 

@@ -4,6 +4,7 @@ Frame of all poses: the robot's base. A pose is a position and a rotation matrix
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -211,6 +212,16 @@ class Arm:
             step *= np.minimum(1.0, _MAX_STEP / np.maximum(abs(step).max(axis=1), 1e-9))[:, None]
             joints[active] = np.clip(joints[active] + step, self.low, self.high)
         return Solutions(joints, move, turn, ROTATION_TOLERANCE if self.is_full else FEW_JOINTS_TOLERANCE)
+
+
+@lru_cache(maxsize=4)
+def arm_of(robot: Robot) -> Arm:
+    """Returns the kinematics of a robot, made once in a process.
+
+    Raises:
+        ConfigError: The files of the robot cannot be read (``robot_missing``).
+    """
+    return Arm(robot)
 
 
 def _jacobian(position: FloatArray, axes: FloatArray, anchors: FloatArray) -> FloatArray:

@@ -47,6 +47,7 @@ class Hand:
         thickness: Thickness of a finger along the closing direction, metres.
         palm: Distance from the palm to the tool frame, metres.
         palm_half: Half the extent of the palm across and along the closing direction, metres.
+        is_soft: Whether the spring of its file is too soft to hold a thin object, so that it is given the force of the real hand.
     """
 
     body: str
@@ -67,6 +68,7 @@ class Hand:
     thickness: float
     palm: float
     palm_half: tuple[float, float]
+    is_soft: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +153,7 @@ ROBOTS: Mapping[str, Robot] = {
                 thickness=0.02,
                 palm=0.0375,
                 palm_half=(0.032, 0.102),
+                is_soft=True,
             ),
             reach=0.78,
             too_near=0.3,
@@ -313,7 +316,7 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
         hand = _read(robot, robot.hand_xml)
         hand.option.impratio, hand.option.cone = spec.option.impratio, spec.option.cone  # two values would be a conflict
         spec.attach(hand, frame=place, prefix=HAND_PREFIX)
-    if robot.name == "panda":
+    if robot.hand.is_soft:
         _stiffen_hand(spec, robot.hand)
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0  # as the controllers of real arms do

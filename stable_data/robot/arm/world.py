@@ -139,10 +139,8 @@ class RobotWorld:
         # Sleeping objects have no contacts in the simulation itself.
         probe.qpos[:] = self.data.qpos
         mujoco.mj_kinematics(model, probe)
-        mujoco.mj_comPos(model, probe)
         mujoco.mj_collision(model, probe)
-        count = probe.ncon
-        if not count:
+        if not probe.ncon:
             return WorldContacts({}, frozenset(), frozenset(), frozenset())
         touching = probe.contact.dist <= 0.0
         bodies = model.geom_bodyid[probe.contact.geom][touching]  # (C, 2)

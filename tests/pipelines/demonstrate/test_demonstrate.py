@@ -13,7 +13,7 @@ from pipelines.__main__ import app
 from pipelines.demonstrate.job import demonstrate
 from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.execution.ray_executor import WorkerPool
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import ConfigError
 from stable_data.robot.episodes import episode_from_row
 from stable_data.scene import Scene, Tabletop, TaskInfo
@@ -25,14 +25,14 @@ IN_PROCESS = WorkerPool(0)
 SETTINGS = DemonstrateSettings(robot="simple", mount="front", max_steps=80, scenes_per_shard=1, num_pictures=2)
 
 
-def asked(scene: Scene, *conditions: Condition) -> Scene:
+def asked(scene: Scene, *conditions: GoalCondition) -> Scene:
     task = TaskInfo("", "Do it.", task_objects=(CAN,), conditions=conditions)
     return replace(scene, task=task)
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> str:
-    held = Condition(CAN, ConditionKind.HELD)
+    held = GoalCondition(CAN, ConditionKind.HELD)
     far = Scene("far", Tabletop("desk", (1.0, 3.0)), (thing("can/0", CAN, 0.5, 2.9, 0.0),))
     found = [
         asked(laid_table(), held),

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stable_data.assets.run_assets import run_store
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.robot.arm.assembly import RobotModel, assemble
 from stable_data.robot.arm.kinematics import Arm
 from stable_data.robot.arm.mounting import mount_at
@@ -33,7 +33,7 @@ def laid_table() -> Scene:
 
 def asked_table() -> Scene:
     """The laid table with a goal: the can is held."""
-    task = TaskInfo("", "Pick up the can.", task_objects=(CAN,), conditions=(Condition(CAN, ConditionKind.HELD),))
+    task = TaskInfo("", "Pick up the can.", task_objects=(CAN,), conditions=(GoalCondition(CAN, ConditionKind.HELD),))
     return replace(laid_table(), task=task)
 
 

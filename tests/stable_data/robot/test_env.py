@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import ConfigError, GoalError, SceneError
 from stable_data.robot.acting.recording import record_episode, replayed_poses
 from stable_data.robot.env import RobotEnv, RobotOptions, make_robot_env
@@ -30,7 +30,7 @@ from tests.stable_data.robot.tables import BOX, CAN, MUG, PLATE, TABLE, laid_tab
 SIMPLE = RobotOptions(robot="simple")
 
 
-def asked(geometry: SceneGeometry, *conditions: Condition) -> SceneGeometry:
+def asked(geometry: SceneGeometry, *conditions: GoalCondition) -> SceneGeometry:
     """The scene with a task of these conditions."""
     names = tuple(dict.fromkeys(name for c in conditions for name in c.subjects))
     task = TaskInfo("A kitchen.", "Do it.", goal=("It is done.",), task_objects=names, conditions=conditions)
@@ -98,12 +98,12 @@ def test_a_replay_gives_the_same_states(picked: Episode, geometry: SceneGeometry
 @pytest.mark.parametrize(
     ("kind", "condition"),
     [
-        ("place_on", Condition(CAN, ConditionKind.ON, PLATE)),
-        ("place_beside", Condition(CAN, ConditionKind.RIGHT_OF, MUG)),
-        ("move", Condition(CAN, ConditionKind.AT, "left")),
+        ("place_on", GoalCondition(CAN, ConditionKind.ON, PLATE)),
+        ("place_beside", GoalCondition(CAN, ConditionKind.RIGHT_OF, MUG)),
+        ("move", GoalCondition(CAN, ConditionKind.AT, "left")),
     ],
 )
-def test_the_expert_places(kind: str, condition: Condition, geometry: SceneGeometry) -> None:
+def test_the_expert_places(kind: str, condition: GoalCondition, geometry: SceneGeometry) -> None:
     env = RobotEnv(asked(geometry, condition), options=SIMPLE)
     episode = record_episode(env, number=0, seed=1)
     assert (episode.task_kind, episode.reason) == (kind, None)
@@ -189,7 +189,7 @@ def test_a_robot_that_starts_in_something_is_refused(tmp_path: Path) -> None:
 
 
 def _pick() -> TaskInfo:
-    return TaskInfo("", "Pick up the can.", task_objects=(CAN,), conditions=(Condition(CAN, ConditionKind.HELD),))
+    return TaskInfo("", "Pick up the can.", task_objects=(CAN,), conditions=(GoalCondition(CAN, ConditionKind.HELD),))
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import ConfigError
 from stable_data.metrics.reach_columns import REACH_COLUMNS
 from stable_data.robot.arm.mounting import mount_of
@@ -25,12 +25,12 @@ SIMPLE = ROBOTS["simple"]
 K = ConditionKind
 
 
-def asking(scene: Scene, *conditions: Condition) -> Scene:
+def asking(scene: Scene, *conditions: GoalCondition) -> Scene:
     names = tuple(dict.fromkeys(name for c in conditions for name in c.subjects))
     return replace(scene, task=TaskInfo("", "Do it.", task_objects=names, conditions=conditions))
 
 
-def surveyed(geometry: SceneGeometry, *conditions: Condition, tries: int = 1, mount: str = "front") -> SceneReach:
+def surveyed(geometry: SceneGeometry, *conditions: GoalCondition, tries: int = 1, mount: str = "front") -> SceneReach:
     asked = replace(geometry, scene=asking(geometry.scene, *conditions))
     return survey_reach(asked, SIMPLE, ReachOptions(mount, tries))
 
@@ -49,7 +49,7 @@ SMALL = (0.05, 0.05, 0.05)
 
 
 def test_a_can_that_shall_be_held_is_reached_and_held(geometry: SceneGeometry) -> None:
-    found = surveyed(geometry, Condition(CAN, K.HELD), tries=2)
+    found = surveyed(geometry, GoalCondition(CAN, K.HELD), tries=2)
     assert (found.task_kind, found.task_reachable, found.task_graspable, found.task_reason) == ("pick", True, True, None)
     assert found.mount == "front:0.5"
     (can,) = found.objects
@@ -63,7 +63,7 @@ def test_a_can_that_shall_be_held_is_reached_and_held(geometry: SceneGeometry) -
 
 
 def test_what_is_too_wide_is_named(geometry: SceneGeometry) -> None:
-    found = surveyed(geometry, Condition(BOX, K.HELD))
+    found = surveyed(geometry, GoalCondition(BOX, K.HELD))
     assert (found.task_reachable, found.task_graspable) == (False, False)
     assert found.task_reason == f"too_wide: {BOX}"
     assert not found.grasps
@@ -71,7 +71,7 @@ def test_what_is_too_wide_is_named(geometry: SceneGeometry) -> None:
 
 def test_what_is_far_away_is_out_of_reach(geometry: SceneGeometry) -> None:
     far = with_objects(geometry, block("far_0", 0.5, 1.8, SMALL), size=(1.0, 2.0))
-    found = surveyed(far, Condition("far_0", K.HELD))
+    found = surveyed(far, GoalCondition("far_0", K.HELD))
     assert (found.task_reachable, found.task_graspable, found.task_reason) == (False, False, "out_of_reach: far_0")
 
 
@@ -81,7 +81,7 @@ def test_what_stands_in_the_way_is_named(geometry: SceneGeometry) -> None:
         block(f"wall_{k}", 0.5 + x, 0.3 + y, (0.05, 0.05, 0.35))
         for k, (x, y) in enumerate(((0.055, 0), (-0.055, 0), (0, 0.055), (0, -0.055)))
     ]
-    found = surveyed(with_objects(geometry, block("cube_0", 0.5, 0.3, SMALL), *walls), Condition("cube_0", K.HELD))
+    found = surveyed(with_objects(geometry, block("cube_0", 0.5, 0.3, SMALL), *walls), GoalCondition("cube_0", K.HELD))
     assert found.task_reachable is False
     assert found.task_reason is not None
     assert found.task_reason.startswith("blocked: cube_0, by wall_")
@@ -89,11 +89,11 @@ def test_what_stands_in_the_way_is_named(geometry: SceneGeometry) -> None:
 
 
 def test_places_and_targets_are_looked_at_too(geometry: SceneGeometry) -> None:
-    near = surveyed(geometry, Condition(CAN, K.ON, PLATE), tries=0)
+    near = surveyed(geometry, GoalCondition(CAN, K.ON, PLATE), tries=0)
     assert (near.task_kind, near.task_reachable, near.task_graspable) == ("place_on", True, None)  # nothing was tried
     assert {o.instance: o.role for o in near.objects} == {CAN: ReachRole.GRASP, PLATE: ReachRole.TARGET}
     long = with_objects(geometry, block("cube_0", 0.5, 0.25, SMALL), size=(1.0, 2.5))
-    found = surveyed(long, Condition("cube_0", K.AT, "back_left"), tries=0)
+    found = surveyed(long, GoalCondition("cube_0", K.AT, "back_left"), tries=0)
     assert (found.task_reachable, found.task_graspable) == (False, False)
     assert found.task_reason == "place_out_of_reach: cube_0, cube_0 at back_left"
     assert found.objects[0].reachable is True
@@ -103,8 +103,8 @@ def test_a_later_step_finds_the_scene_as_the_earlier_one_leaves_it(geometry: Sce
     """The lower cube is in a pit that the upper one closes, until it is taken away."""
     low, top = block("low_0", 0.4, 0.3, SMALL), block("top_0", 0.4, 0.3, (0.07, 0.07, 0.2), 0.05, "low_0")
     stacked = with_objects(geometry, low, top)
-    first = surveyed(stacked, Condition("low_0", K.HELD))
-    then = surveyed(stacked, Condition("top_0", K.AT, "front_right"), Condition("low_0", K.HELD))
+    first = surveyed(stacked, GoalCondition("low_0", K.HELD))
+    then = surveyed(stacked, GoalCondition("top_0", K.AT, "front_right"), GoalCondition("low_0", K.HELD))
     counts = [next(o.num_reachable for o in found.objects if o.instance == "low_0") for found in (first, then)]
     assert counts[1] is not None
     assert counts[0] is not None
@@ -131,24 +131,24 @@ def test_a_goal_that_is_not_known_passes_nothing(geometry: SceneGeometry) -> Non
 
 def test_a_robot_that_would_start_in_something_says_so(geometry: SceneGeometry) -> None:
     full = with_objects(geometry, block("tower_0", 0.5, 0.3, (0.3, 0.4, 0.6)), block("cube_0", 0.1, 0.2, SMALL))
-    found = surveyed(full, Condition("cube_0", K.HELD))
+    found = surveyed(full, GoalCondition("cube_0", K.HELD))
     assert (found.task_reachable, found.task_graspable) == (False, False)
     assert found.task_reason == "robot_start_collides: simple touches tower_0 where it starts, at front:0.5"
 
 
 def test_a_mount_is_stated_as_a_setting_that_gives_it_again(geometry: SceneGeometry) -> None:
     far = with_objects(geometry, block("cube_0", 1.7, 0.3, SMALL), size=(2.0, 0.7))
-    found = surveyed(far, Condition("cube_0", K.HELD), tries=0, mount="auto")
+    found = surveyed(far, GoalCondition("cube_0", K.HELD), tries=0, mount="auto")
     assert found.mount is not None
     assert found.mount != "front:0.5"
-    again = surveyed(far, Condition("cube_0", K.HELD), tries=0, mount=found.mount)
+    again = surveyed(far, GoalCondition("cube_0", K.HELD), tries=0, mount=found.mount)
     assert again == found
 
 
 def test_another_place_is_tried_where_the_nearest_one_to_the_objects_does_not_do(geometry: SceneGeometry) -> None:
     """From the place near the cube the right edge is out of reach, from the middle both are in reach."""
     wide = with_objects(geometry, block("cube_0", 0.12, 0.1, SMALL), size=(1.4, 0.4))
-    goal = Condition("cube_0", K.AT, "right_edge")
+    goal = GoalCondition("cube_0", K.AT, "right_edge")
     near = surveyed(wide, goal, tries=0, mount="front:0.4286")
     assert near.task_reason == "place_out_of_reach: cube_0, cube_0 at right_edge"
     assert mount_of(SIMPLE, wide.scene, "auto", ("cube_0",)) == mount_of(SIMPLE, wide.scene, f"front:{0.6 / 1.4}")
@@ -161,7 +161,7 @@ def test_another_place_is_tried_where_the_nearest_one_to_the_objects_does_not_do
 
 def test_trials_that_fail_are_kept_with_their_outcome(geometry: SceneGeometry, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(GraspFinder, "try_grasp", lambda *_: GraspOutcome.SLIPPED)
-    found = surveyed(geometry, Condition(CAN, K.HELD), tries=3)
+    found = surveyed(geometry, GoalCondition(CAN, K.HELD), tries=3)
     assert (found.task_reachable, found.task_graspable) == (True, False)
     assert found.task_reason == f"slipped: {CAN}, held in 0 of 3 trials"
     assert [grasp.outcome for grasp in found.grasps] == [GraspOutcome.SLIPPED] * 3
@@ -169,7 +169,7 @@ def test_trials_that_fail_are_kept_with_their_outcome(geometry: SceneGeometry, m
 
 
 def test_a_survey_becomes_rows_that_conditions_select(geometry: SceneGeometry) -> None:
-    found = surveyed(geometry, Condition(CAN, K.HELD))
+    found = surveyed(geometry, GoalCondition(CAN, K.HELD))
     columns, (grasp,) = reach_columns(found), grasp_rows("laid", found)
     assert tuple(columns) == REACH_COLUMNS
     assert tuple(grasp) == tuple(SCHEMAS["grasps"].names)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import ConfigError, Notice
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.card import MetricCard
@@ -41,7 +41,7 @@ _json = st.recursive(
 _source = st.none() | st.dictionaries(_text, _json, max_size=3)
 _relation = st.builds(Relation, _text, st.sampled_from(RelationKind), _text)
 _conditions = st.lists(
-    st.builds(Condition, _text.filter(bool), st.sampled_from(ConditionKind), _text, st.none() | _length, st.booleans()),
+    st.builds(GoalCondition, _text.filter(bool), st.sampled_from(ConditionKind), _text, st.none() | _length, st.booleans()),
     max_size=2,
 ).map(tuple)
 _relations = st.lists(_relation, max_size=3).map(tuple)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.scene import Scene, SceneObject, Tabletop, TaskInfo
 from stable_data.tasks.checking import SceneState, start_state
 from stable_data.tasks.compiling import goal_from_conditions
@@ -53,7 +53,7 @@ def geometry(task: TaskInfo | None = None) -> TaskGeometry:
     return TaskGeometry(Scene("scene", TABLE, tuple(objects), task), tuple(shapes), containers)
 
 
-def goal(*conditions: Condition) -> Goal:
+def goal(*conditions: GoalCondition) -> Goal:
     return goal_from_conditions(conditions, geometry())
 
 
@@ -91,5 +91,5 @@ def states_of(target: Goal, space: TaskGeometry) -> list[SceneState]:
     return states
 
 
-def of(subject: str, kind: str, target: str = "", distance: float | None = None, *, negated: bool = False) -> Condition:
-    return Condition(subject, ConditionKind(kind), target, distance, negated)
+def of(subject: str, kind: str, target: str = "", distance: float | None = None, *, negated: bool = False) -> GoalCondition:
+    return GoalCondition(subject, ConditionKind(kind), target, distance, negated)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stable_data.condition import Condition
+from stable_data.condition import GoalCondition
 from stable_data.errors import GoalError
 from stable_data.rotations import yaw_quat
 from stable_data.tasks.checking import GoalChecker, SceneState, start_state
@@ -31,7 +31,7 @@ def put(name: str, x: float, y: float, z: float, *touched: str) -> Callable[[Sce
 
 
 HALF = math.sqrt(0.5)
-REACHED: list[tuple[tuple[Condition, ...], Callable[[SceneState], SceneState]]] = [
+REACHED: list[tuple[tuple[GoalCondition, ...], Callable[[SceneState], SceneState]]] = [
     ((of("mug_0", "held"),), lambda s: lifted(s, SPACE, "mug_0")),
     ((of("mug_0", "on", "book_0"),), put("mug_0", 0.47, 0.2, 0.08, "book_0")),
     ((of("block_0", "on", "table"), of("block_0", "on", "book_0", negated=True)), put("block_0", 0.3, 0.3, 0.025, "table")),
@@ -69,7 +69,9 @@ NAMES = ["; ".join(map(str, conditions)) for conditions, _ in REACHED]
 
 
 @pytest.mark.parametrize(("conditions", "reach"), REACHED, ids=NAMES)
-def test_a_goal_is_reached_and_lost_again(conditions: tuple[Condition, ...], reach: Callable[[SceneState], SceneState]) -> None:
+def test_a_goal_is_reached_and_lost_again(
+    conditions: tuple[GoalCondition, ...], reach: Callable[[SceneState], SceneState]
+) -> None:
     target = goal(*conditions)
     checker, there = GoalChecker(target, SPACE), reach(START)
     assert not checker.is_success(START)
@@ -81,7 +83,7 @@ def test_a_goal_is_reached_and_lost_again(conditions: tuple[Condition, ...], rea
 
 @pytest.mark.parametrize(("conditions", "reach"), REACHED[1:], ids=NAMES[1:])
 def test_what_is_not_released_or_still_moves_is_not_placed(
-    conditions: tuple[Condition, ...], reach: Callable[[SceneState], SceneState]
+    conditions: tuple[GoalCondition, ...], reach: Callable[[SceneState], SceneState]
 ) -> None:
     checker, there = GoalChecker(goal(*conditions), SPACE), reach(START)
     assert not checker.is_success(replace(there, max_speed=0.1))
@@ -92,7 +94,7 @@ def test_what_is_not_released_or_still_moves_is_not_placed(
 
 @pytest.mark.parametrize(("conditions", "reach"), REACHED, ids=NAMES)
 def test_an_object_that_fell_off_the_table_fulfils_nothing(
-    conditions: tuple[Condition, ...], reach: Callable[[SceneState], SceneState]
+    conditions: tuple[GoalCondition, ...], reach: Callable[[SceneState], SceneState]
 ) -> None:
     state = replace(reach(START), held=frozenset())
     for name in conditions[0].subjects:
@@ -159,7 +161,7 @@ def test_a_push_of_another_length_or_direction_is_not_the_goal() -> None:
         of("bin_0", "empty", "under"),
     ],
 )
-def test_a_condition_about_nothing_is_refused(condition: Condition) -> None:
+def test_a_condition_about_nothing_is_refused(condition: GoalCondition) -> None:
     with pytest.raises(GoalError) as refused:
         GoalChecker(Goal(GoalKind.SEVERAL, (condition,), ()), SPACE)
     assert refused.value.code == "goal_unresolved"
@@ -168,7 +170,7 @@ def test_a_condition_about_nothing_is_refused(condition: Condition) -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(REACHED), st.integers(0, 2**31), st.booleans(), st.floats(0, 0.2))
 def test_a_reward_is_a_share_and_1_means_success(
-    reached: tuple[tuple[Condition, ...], Callable[[SceneState], SceneState]], seed: int, is_held: bool, speed: float
+    reached: tuple[tuple[GoalCondition, ...], Callable[[SceneState], SceneState]], seed: int, is_held: bool, speed: float
 ) -> None:
     rng = np.random.default_rng(seed)
     checker = GoalChecker(goal(*reached[0]), SPACE)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from stable_data.condition import Condition
+from stable_data.condition import GoalCondition
 from stable_data.errors import GoalError
 from stable_data.scene import TaskInfo
 from stable_data.tasks.checking import GoalChecker, start_state
@@ -60,7 +60,7 @@ def compiled(goals: tuple[str, ...] = (), actions: tuple[str, ...] = (), task_ob
         ("The plate and the mug are stacked on the book.", (of("plate_0", "on", "book_0"), of("mug_0", "on", "plate_0"))),
     ],
 )
-def test_a_sentence_says_its_conditions(sentence: str, expected: tuple[Condition, ...] | None) -> None:
+def test_a_sentence_says_its_conditions(sentence: str, expected: tuple[GoalCondition, ...] | None) -> None:
     if expected is None:
         with pytest.raises(GoalError) as refused:
             compiled((sentence,))
@@ -83,7 +83,7 @@ def test_a_sentence_says_its_conditions(sentence: str, expected: tuple[Condition
         (("Pick(Mug)", "PlaceAt(Table)", "Pick(Mug)", "PlaceOn(Bin)"), (of("mug_0", "in", "bin_0"),)),
     ],
 )
-def test_actions_say_the_conditions_of_their_end(actions: tuple[str, ...], expected: tuple[Condition, ...]) -> None:
+def test_actions_say_the_conditions_of_their_end(actions: tuple[str, ...], expected: tuple[GoalCondition, ...]) -> None:
     assert compiled(actions=actions).conditions == expected
 
 
@@ -163,11 +163,11 @@ def test_a_fixed_object_is_not_moved() -> None:
         ((of("mug_0", "held"), of("block_1", "in", "bin_0")), GoalKind.SEVERAL),
     ],
 )
-def test_kinds(conditions: tuple[Condition, ...], kind: GoalKind) -> None:
+def test_kinds(conditions: tuple[GoalCondition, ...], kind: GoalKind) -> None:
     assert goal(*conditions).kind is kind
 
 
-def steps(*conditions: Condition) -> list[str]:
+def steps(*conditions: GoalCondition) -> list[str]:
     return [f"{s.action} {s.subject}" for s in goal(*conditions).steps]
 
 

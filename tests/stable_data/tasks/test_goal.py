@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stable_data.condition import Condition, ConditionKind, condition_document, condition_of
+from stable_data.condition import ConditionKind, GoalCondition, condition_document, condition_of
 from stable_data.errors import GoalError
 from stable_data.tasks.goal import Goal, GoalKind, Step, StepAction, goal_document, goal_of, rename_conditions
 from tests.stable_data.tasks.task_scenes import of
@@ -14,7 +14,7 @@ from tests.stable_data.tasks.task_scenes import of
 _name = st.text("abc_0", min_size=1, max_size=6)
 _conditions = st.lists(
     st.builds(
-        Condition, _name, st.sampled_from(ConditionKind), _name | st.just(""), st.none() | st.floats(0.01, 1), st.booleans()
+        GoalCondition, _name, st.sampled_from(ConditionKind), _name | st.just(""), st.none() | st.floats(0.01, 1), st.booleans()
     ),
     max_size=3,
 ).map(tuple)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from stable_data.condition import Condition
+from stable_data.condition import GoalCondition
 from stable_data.errors import GoalError
 from stable_data.scene import Tabletop
 from stable_data.tasks.checking import GoalChecker, StateView, start_state
@@ -17,7 +17,7 @@ SPACE = geometry()
 START = start_state(SPACE)
 
 
-def place(subject: str, *conditions: Condition) -> Step:
+def place(subject: str, *conditions: GoalCondition) -> Step:
     return Step(StepAction.PLACE, subject, conditions)
 
 
@@ -35,7 +35,7 @@ def place(subject: str, *conditions: Condition) -> Step:
     ],
     ids=str,
 )
-def test_a_pose_on_the_table_is_free_and_right(condition: Condition) -> None:
+def test_a_pose_on_the_table_is_free_and_right(condition: GoalCondition) -> None:
     poses = target_poses(place("mug_0", condition), SPACE, START)
     assert len(poses) >= 3
     for pose in poses:

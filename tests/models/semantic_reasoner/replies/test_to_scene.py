@@ -6,7 +6,7 @@ import pytest
 from models.semantic_reasoner.replies.to_scene import attach_task_info, objects_of_reply
 from models.semantic_reasoner.text.prompt import Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
-from stable_data.condition import Condition, ConditionKind
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject
 from stable_data.scene import Relation, RelationKind, Scene, Stage
@@ -90,13 +90,13 @@ def test_a_task_info_has_the_goal_that_was_read_or_labelled() -> None:
     scene = Scene("scene", wanted.table, tuple(replace(o, stage=Stage.TASK) for o in layout))
     read = attach_task_info(scene, wanted.instruction, layout, interpreter())
     assert read.task is not None
-    assert read.task.conditions == (Condition("mug_0", ConditionKind.ON, "cake_stand_0"),)
+    assert read.task.conditions == (GoalCondition("mug_0", ConditionKind.ON, "cake_stand_0"),)
     reference = AlignmentReference("labels", (RequiredObject("3_mug_0", ("mug",)),))
-    labels = (Condition("3_mug_0", ConditionKind.AT, "back_left"),)
+    labels = (GoalCondition("3_mug_0", ConditionKind.AT, "back_left"),)
     labelled = attach_task_info(scene, wanted.instruction, layout, interpreter(), reference, labels)
     assert labelled.task is not None
-    assert labelled.task.conditions == (Condition("mug_0", ConditionKind.AT, "back_left"),)
-    of_another = (Condition("9_lamp_0", ConditionKind.HELD),)
+    assert labelled.task.conditions == (GoalCondition("mug_0", ConditionKind.AT, "back_left"),)
+    of_another = (GoalCondition("9_lamp_0", ConditionKind.HELD),)
     lost = attach_task_info(scene, wanted.instruction, layout, interpreter(), reference, of_another)
     assert lost.task is not None
     assert lost.task.conditions == read.task.conditions
