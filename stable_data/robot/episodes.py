@@ -105,6 +105,7 @@ class Episode:
         randomization: What the domain randomisation drew, a JSON object as text; None without one.
         split: Split of the scene; None if it has none.
         policy: Name of the policy that acted; None: the scripted expert.
+        lead: Name of the policy that acted before the first action; None: none did, the episode begins at the reset.
         asset_ids: Asset of each of the instances, empty for one that has none; None: not known.
         subjects: The instances that the steps of the goal act on; None: not known.
 
@@ -137,6 +138,7 @@ class Episode:
     randomization: str | None = None
     split: str | None = None
     policy: str | None = None
+    lead: str | None = None
     asset_ids: tuple[str, ...] | None = None
     subjects: tuple[str, ...] | None = None
 
@@ -222,8 +224,10 @@ class Episode:
             raise self._invalid(f"asset_ids has {len(self.asset_ids)} ids", f"{len(self.instances)}, one for each instance")
         if strange := set(self.subjects or ()) - set(self.instances):
             raise self._invalid(f"subjects has {quote_value(min(strange))}", "some of the instances")
-        if self.policy is not None and not self.policy.strip():
-            raise self._invalid("policy is empty", "a name, or None for the scripted expert")
+        for name, none in {"policy": "the scripted expert", "lead": "no policy"}.items():
+            found = getattr(self, name)
+            if found is not None and not found.strip():
+                raise self._invalid(f"{name} is empty", f"a name, or None for {none}")
 
     def _checked(self, name: str, shape: tuple[int, ...]) -> FloatArray32:
         with np.errstate(over="ignore"):  # beyond the range of float32: not finite
@@ -305,7 +309,7 @@ def episode_from_row(row: Mapping[str, Any]) -> Episode:
         values[name] = tuple(row[name])
     names = ("scene_id", "seed", "number", "robot", "task_kind", "instruction", "success", "fps", "control", "rewards")
     values |= {name: row[name] for name in names} | {
-        name: row.get(name) for name in ("reason", "randomization", "split", "policy", "asset_ids", "subjects")
+        name: row.get(name) for name in ("reason", "randomization", "split", "policy", "lead", "asset_ids", "subjects")
     }
     size, cameras = row.get("image_size"), row.get("pictures") or []
     return Episode(

@@ -638,6 +638,11 @@ SCHEMAS: dict[str, pa.Schema] = {
             ),
             _column("randomization", _text, "what the domain randomisation drew, as JSON; null without one"),
             _column("policy", _text, "name of the policy that acted; null: the scripted expert"),
+            _column(
+                "lead",
+                _text,
+                "name of the policy that acted before the first action; null: none, the episode begins at the reset",
+            ),
             _column("asset_ids", _texts, "asset of each of the instances, empty for one that has none; null: not known"),
             _column("subjects", _texts, "instances that the steps of the goal act on; null: not known"),
         ]
@@ -697,7 +702,7 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "episodes": tuple(
         name
         for name in SCHEMAS["episodes"].names
-        if name not in ("split", "reason", "image_size", "pictures", "randomization", "policy", "asset_ids", "subjects")
+        if name not in ("split", "reason", "image_size", "pictures", "randomization", "policy", "lead", "asset_ids", "subjects")
     ),
 }
 """Name of a table -> the columns that every file needs. Any other column may be missing: it is read as null."""

@@ -55,7 +55,14 @@ class EpisodeLog:
         return terminated or truncated
 
     def episode(
-        self, number: int, seed: int, split: str | None, *, gave_up: str | None = None, policy: str | None = None
+        self,
+        number: int,
+        seed: int,
+        split: str | None,
+        *,
+        gave_up: str | None = None,
+        policy: str | None = None,
+        lead: str | None = None,
     ) -> Episode:
         """Returns the episode, successful or not.
 
@@ -65,6 +72,7 @@ class EpisodeLog:
             split: Split of the scene.
             gave_up: Why whoever acted gave up before the end; None: it did not.
             policy: Name of the policy that acted; None: the scripted expert.
+            lead: Name of the policy that acted before this log began; None: none did.
         """
         env, scene, reason = self._env, self._env.scene, self._failure(gave_up)
         height, width = env.options.image_size[1], env.options.image_size[0]
@@ -94,6 +102,7 @@ class EpisodeLog:
             randomization=None if env.drawn is None else env.drawn.text,
             split=split,
             policy=policy,
+            lead=lead,
             asset_ids=tuple(scene[name].asset_id or "" for name in env.built.names),
             subjects=tuple(dict.fromkeys(step.subject for step in env.goal.steps)),
         )

@@ -11,7 +11,7 @@ from stable_data.errors import GoalError
 from stable_data.robot.acting.episode_log import EpisodeLog
 from stable_data.robot.acting.policies import ActingPolicy, actions_of
 from stable_data.robot.env import Observation, RobotEnv
-from stable_data.robot.episodes import Episode
+from stable_data.robot.episodes import Episode, EpisodeError
 from stable_data.robot.expert import Command, Expert, ExpertError, ExpertFailure
 from stable_data.robot.grasp_trial import GraspFinder
 from stable_data.tasks.goal import StepAction
@@ -23,7 +23,7 @@ class Lead:
 
     Attributes:
         policy: The policy.
-        name: Its name, for errors.
+        name: Its name, for errors and for the episode.
         most_actions: Actions of the policy at most; their number is drawn from 0 to this.
     """
 
@@ -51,9 +51,8 @@ def record_episode(
     """
     observation, _ = env.reset(seed=seed)
     rng = np.random.default_rng((seed, 1))
-    if lead is not None:
-        observation = _follow(env, observation, lead, seed)
-    log = EpisodeLog(env, observation)
+    after_lead = None if lead is None else _follow(env, observation, lead, seed)
+    log = EpisodeLog(env, observation if after_lead is None else after_lead)
     spread = noise * (env.controller.high - env.controller.low) / 2
     spread[-1] = 0.0
     gave_up: str | None = None
@@ -69,11 +68,11 @@ def record_episode(
         gave_up = f"{ExpertFailure.NO_PLACE}: {error.code}"
     if not log.actions:
         log.carry_out(env.controller.action_for(env.world.commanded_joints, env.world.opening))
-    return log.episode(number, seed, split, gave_up=gave_up)
+    return log.episode(number, seed, split, gave_up=gave_up, lead=None if lead is None or after_lead is None else lead.name)
 
 
-def _follow(env: RobotEnv, observation: Observation, lead: Lead, seed: int) -> Observation:
-    """Lets a policy act for a while; returns what is observed then.
+def _follow(env: RobotEnv, observation: Observation, lead: Lead, seed: int) -> Observation | None:
+    """Lets a policy act for a while; returns what is observed then, or None if it did nothing after the reset.
 
     The expert takes over with an empty hand. If the policy ends the episode, it begins anew with half as many actions.
     """
@@ -93,7 +92,7 @@ def _follow(env: RobotEnv, observation: Observation, lead: Lead, seed: int) -> O
             return observation
         observation, _ = env.reset(seed=seed)
         count = min(count, steps) // 2
-    return observation
+    return None
 
 
 def task_commands(env: RobotEnv, seed: int) -> Iterator[Command]:
@@ -125,9 +124,16 @@ def task_commands(env: RobotEnv, seed: int) -> Iterator[Command]:
 def replayed_poses(env: RobotEnv, episode: Episode) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Carries out the actions of an episode again; the poses of the objects, (T + 1, N, 7), as ``Episode.object_poses``.
 
-    The environment has the options with which the episode was recorded. An episode in which a policy acted before the expert
-    (:class:`Lead`) does not begin at the reset, and cannot be repeated.
+    The environment has the options with which the episode was recorded.
+
+    Raises:
+        EpisodeError: A policy acted before the expert (:class:`Lead`), so that the episode does not begin at the reset (``episode_led``).
     """
+    if episode.lead is not None:
+        raise EpisodeError(
+            f"{episode.episode_id}: policy {episode.lead} acted before the first action, expected an episode that begins at the reset",
+            "episode_led",
+        )
     env.reset(seed=episode.seed)
     poses = [env.world.object_poses]
     for action in episode.actions:

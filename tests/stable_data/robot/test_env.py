@@ -12,10 +12,10 @@ from gymnasium.vector import AutoresetMode
 
 from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import ConfigError, GoalError, SceneError
-from stable_data.robot.acting.recording import record_episode, replayed_poses
-from stable_data.robot.env import RobotEnv, RobotOptions, make_robot_env
+from stable_data.robot.acting.recording import Lead, record_episode, replayed_poses
+from stable_data.robot.env import Observation, RobotEnv, RobotOptions, make_robot_env
 from stable_data.robot.envhub import make_suites, write_envhub
-from stable_data.robot.episodes import Episode
+from stable_data.robot.episodes import Episode, EpisodeError
 from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, SLOT_SIZE
 from stable_data.robot.pick_tasks import pick_order, with_pick_task
 from stable_data.robot.randomization import RandomizationOptions
@@ -93,6 +93,32 @@ def test_the_expert_picks_and_everything_is_recorded(picked: Episode) -> None:
 def test_a_replay_gives_the_same_states(picked: Episode, geometry: SceneGeometry) -> None:
     env = RobotEnv(with_pick_task(geometry, CAN), options=SIMPLE)
     assert replayed_poses(env, picked) == pytest.approx(picked.object_poses, abs=1e-6)
+
+
+class _Still:
+    """A policy that keeps still with an open hand, and counts how often it was asked."""
+
+    num_asked = 0
+
+    def reset(self) -> None:
+        """Nothing is kept."""
+
+    def act(self, observation: Observation) -> np.ndarray[Any, Any]:
+        self.num_asked += 1
+        return np.array([0.0] * 6 + [0.05])
+
+
+def test_the_expert_goes_on_from_where_a_policy_came_to(geometry: SceneGeometry) -> None:
+    env, policy = RobotEnv(with_pick_task(geometry, CAN), options=SIMPLE), _Still()
+    led = record_episode(env, number=0, seed=5, lead=Lead(policy, "still", most_actions=20))
+    assert policy.num_asked > 0
+    assert (led.lead, led.policy, led.reason) == ("still", None, None)
+    with pytest.raises(EpisodeError, match="policy still acted before the first action") as refused:
+        replayed_poses(env, led)
+    assert refused.value.code == "episode_led"
+    alone = record_episode(env, number=0, seed=5, lead=Lead(policy, "still", most_actions=0))
+    assert alone.lead is None
+    assert replayed_poses(env, alone) == pytest.approx(alone.object_poses, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,7 @@ def _not_finite() -> Any:
         ({"success": False}, "success is False and reason is None"),
         ({"fps": 0.0}, "fps is 0.0"),
         ({"state_names": ("a",) * 7}, "state_names is"),
+        ({"lead": " "}, "lead is empty, expected a name, or None for no policy"),
         ({"split": "training"}, "split is 'training', expected one of train"),
         ({"randomization": "[1]"}, "randomization is '[1]', expected a JSON object"),
         ({"actions": np.zeros((0, 8))}, "actions has shape (0, 8), expected at least one action"),
