@@ -118,10 +118,10 @@ def _pick_env(geometry: SceneGeometry, seed: int, settings: EpisodeSettings) -> 
         except SceneError as error:
             reasons.append(error.code)
             continue
-        survey = GraspFinder(env.built, env.arm, env.clearance).survey(env.world, name)
-        if survey.reachable:
+        finder = GraspFinder(env.built, env.arm, env.clearance)
+        if next(finder.reachable(env.world, name), None) is not None:
             return env
-        reasons.append(f"{name} {survey.reason}")
+        reasons.append(f"{name} {finder.survey(env.world, name).reason}")
     raise SceneError(
         f"{geometry.scene.scene_id}: the robot reaches none of the objects that were drawn ({'; '.join(reasons) or 'there are none'}); "
         "choose another scene, mount or robot",

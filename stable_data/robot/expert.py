@@ -6,6 +6,7 @@ It is a program, not a policy: it sees the simulation's state. Its commands are 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import islice
 
 import numpy as np
 
@@ -166,8 +167,8 @@ class Expert:
 
     def _choose(self, instance: str, failed: Sequence[ReachableGrasp]) -> ReachableGrasp | None:
         """The best grasp that holds in a trial; the best one at all if none does."""
-        survey = self._finder.survey(self._world, instance)
-        new = [g for g in survey.reachable if not any(_is_same(g, old) for old in failed)]
+        grasps = self._finder.reachable(self._world, instance)
+        new = list(islice((g for g in grasps if not any(_is_same(g, old) for old in failed)), _TRIED))
         for grasp, outcome in self._finder.trials(self._world, new, _TRIED):
             if outcome is GraspOutcome.HELD:
                 return grasp

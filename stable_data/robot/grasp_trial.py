@@ -1,5 +1,6 @@
 """Which grasps of an object the arm can reach without touching anything, and which of them hold when they are tried in the scene."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -34,6 +35,9 @@ _DISTURBED = 0.05  # how far a trial may move another object, metres
 _TARGET_DEPTH = (
     0.004  # how deep the open hand may be in the convex parts of the object, which fill its hollows a little, metres
 )
+
+_AT_ONCE = 8  # candidates that are solved together where not all are asked for
+_FLIPS = np.eye(3), np.diag([-1.0, -1.0, 1.0])  # both hands that close along the same line
 
 _Option: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -128,27 +132,34 @@ class GraspFinder:
             instance: The object.
             limit: How many candidates are looked at.
         """
-        built = self.built
+        results = list(self._looked_at(world, instance, limit, limit))
+        found = tuple(grasp for _, grasp in results if grasp is not None)
+        hits = Counter(hit for hit, grasp in results if grasp is None)
+        unreached = hits.pop(None, 0)
+        blocked = {name: count for name, count in hits.items() if name is not None}
+        return GraspSurvey(instance, len(results), found, blocked, unreached)
+
+    def reachable(self, world: RobotWorld, instance: str, *, limit: int = 48) -> Iterator[ReachableGrasp]:
+        """Finds the grasps of :meth:`survey` one after the other, the best first; those that nobody asks for take no time."""
+        return (grasp for _, grasp in self._looked_at(world, instance, limit, _AT_ONCE) if grasp is not None)
+
+    def _looked_at(
+        self, world: RobotWorld, instance: str, limit: int, at_once: int
+    ) -> Iterator[tuple[str | None, ReachableGrasp | None]]:
+        """For each candidate the grasp, or what is in the way, or neither if the arm cannot go there."""
         candidates = self.candidates(world, instance, limit)
-        if not len(candidates):
-            return GraspSurvey(instance, 0, (), {}, 0)
-        turn = built.mount.rotation.T
-        positions = built.mount.to_base(candidates.positions)
-        rotations = turn @ candidates.rotations
-        solved = [self._solve(positions, rotations @ flip) for flip in (np.eye(3), np.diag([-1.0, -1.0, 1.0]))]
+        positions = self.built.mount.to_base(candidates.positions)
+        rotations = self.built.mount.rotation.T @ candidates.rotations
         self.clearance.look(world)
         self.clearance.hold(None)
-        found, blocked, unreached = [], dict[str, int](), 0
-        for k in range(len(candidates)):
-            options = [option for s in solved if (option := s[k]) is not None]
-            hit, grasp = self._first_free(options, candidates, k, positions[k], instance)
-            if grasp is not None:
-                found.append(grasp)
-            elif hit is not None:
-                blocked[hit] = blocked.get(hit, 0) + 1
-            else:
-                unreached += 1
-        return GraspSurvey(instance, len(candidates), tuple(found), blocked, unreached)
+        for first in range(0, len(candidates), at_once):
+            rows = slice(first, first + at_once)
+            both = np.concatenate([rotations[rows] @ flip for flip in _FLIPS])
+            solved = self._solve(np.tile(positions[rows], (len(_FLIPS), 1)), both)
+            count = len(positions[rows])
+            for k in range(count):
+                options = [option for option in solved[k::count] if option is not None]
+                yield self._first_free(options, candidates, first + k, positions[first + k], instance)
 
     def _first_free(
         self, options: Sequence[_Option], candidates: Grasps, k: int, position: FloatArray, instance: str
