@@ -9,9 +9,10 @@ DATA ?= data/embedded
 OUT ?= runs/preprocess
 COUNT ?= 100
 TEST_WORKERS ?= 2
+ROBOT ?= panda
 EIGEN := $(VENV)/lib/python3.11/site-packages/cmeel.prefix/include/eigen3
 
-.PHONY: help env demo test test-all lint format schemas preprocess correct edit generate train evaluate bench consumers docs wheel clean
+.PHONY: help env demo test test-all lint format schemas preprocess correct edit generate train policy evaluate bench consumers docs wheel clean
 
 help: ## Show this page
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -72,6 +73,15 @@ train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT 
 	$(BIN)/python -m pipelines preprocess --data $(DATA) --out runs/encoded --set features=runs/encoder/encoder.safetensors
 	$(BIN)/python -m pipelines train-corrector --data runs/encoded --out runs/corrector --preset embedded_set --config workflows/embedded.toml
 	$(BIN)/python -m pipelines train-reasoner --data $(OUT) --out runs/reasoner --config workflows/embedded.toml
+
+POLICY := $(if $(filter runs/preprocess,$(OUT)),runs/policy,$(OUT))
+policy: $(READY) ## COUNT=<training scenes> ROBOT=<panda, simple, …> OUT=<folder>: from generated scenes to the success of a trained policy in unseen ones
+	$(BIN)/stable-data robots --fetch $(ROBOT)
+	$(BIN)/python -m pipelines generate --count $(COUNT) --seed 1 --out $(POLICY)/train || [ $$? -eq 1 ]
+	$(BIN)/python -m pipelines generate --count $$(( ($(COUNT) + 1) / 2 )) --seed 2 --out $(POLICY)/test || [ $$? -eq 1 ]
+	$(BIN)/python -m pipelines demonstrate --scenes $(POLICY)/train --out $(POLICY)/demonstrations --robot $(ROBOT) --set task=pick --set episodes=6 --set noise=0.05 || [ $$? -eq 1 ]
+	$(BIN)/python -m pipelines train-policy --episodes $(POLICY)/demonstrations --out $(POLICY)/policy
+	$(BIN)/python -m pipelines evaluate-policy --policy $(POLICY)/policy --scenes $(POLICY)/test --out $(POLICY)/result --set task=pick --set max_steps=200 || [ $$? -eq 1 ]
 
 evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<folder of meshes> LAYOUTS=<file of start layouts> (without: scenes of DATA, shaken) OPTIONS=<more of benchmarks.correction>
 	mkdir -p runs/evaluate

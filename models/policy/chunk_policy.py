@@ -48,7 +48,7 @@ class Policy:
         inputs = frame.inputs(np.array([self._memory.values], np.float32))
         has_subject = bool(observation[ENVIRONMENT][0] > 0.5)
         if self._aim is None or self._left <= 0 or has_subject != self._has_subject:
-            self._aim, self._left, self._has_subject = network.aim(inputs), _PATIENCE, has_subject
+            self._aim, self._left, self._has_subject = network.aim(inputs, frame.points()), _PATIENCE, has_subject
         actions = frame.to_actions(network.plan(inputs, frame.key_inputs(self._aim)))[0, : self._weights.execute]
         is_open = actions[:, -1] >= _CLOSING
         # That of the aim: one that follows from the measured opening drifts.

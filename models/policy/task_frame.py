@@ -15,7 +15,7 @@ from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
 from stable_data.robot.arm.control import COLUMNS
 from stable_data.robot.episodes import EpisodeFeatures, FloatArray32
-from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, GOAL_NAMES, SLOT_SIZE, SLOTS
+from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, GOAL_PART, POINTS, POINTS_PART, SLOT_SIZE, SLOTS
 from stable_data.scene import FloatArray
 
 CONTROL = "ee_delta"
@@ -113,10 +113,23 @@ class TaskFrame:
             sides = (self._turn @ other.extents @ self._turn.transpose(0, 2, 1))[:, *_SIDES]
             parts += [other.present, np.tanh(2 * away), np.tanh(away / (2 * _NEAR)), sides * _LENGTH]
         parts.append(np.asarray(memory, np.float64))
-        goal = self._environment[:, -len(GOAL_NAMES) :]
+        goal = self._environment[:, GOAL_PART]
         to_goal = self._turned(goal[:, 1:] - self._tool) * goal[:, :1]
         parts += [goal[:, :1], to_goal * 2, np.tanh(to_goal / _NEAR)]
         return np.concatenate(parts, axis=1).astype(np.float32)
+
+    def points(self) -> FloatArray32:
+        """What the network sees of the surface of the subject, (B, P, :data:`NUM_POINT_INPUTS`) float32; 0 without a subject.
+
+        The first three numbers of a point are its place relative to the centre of the subject, metres, task frame.
+        """
+        found = self._environment[:, POINTS_PART].reshape(-1, POINTS, 3)
+        rotation = self._turn @ self._rotation
+        away = np.einsum("bij,bpj->bpi", self._turn, found - self._environment[:, None, 1:4])
+        to_tool = np.einsum("bij,bpj->bpi", self._turn, found - self._tool[:, None])
+        in_tool = np.einsum("bji,bpj->bpi", rotation, to_tool)
+        parts = [away, np.tanh(away / _NEAR), to_tool * 2, np.tanh(to_tool / _NEAR), np.tanh(in_tool / _NEAR)]
+        return (np.concatenate(parts, axis=2) * self._has_subject[:, None, None]).astype(np.float32)
 
     def keys(self, positions: FloatArray, rotations: FloatArray, openings: FloatArray32) -> FloatArray32:
         """Describes poses of the tool in the task frame: relative to the subject, or to the tool if there is none.
@@ -218,6 +231,9 @@ def _orthonormal(columns: FloatArray) -> FloatArray:
 _EMPTY = TaskFrame(*(np.zeros((1, len(names)), np.float32) for names in (_POSE, ENVIRONMENT_STATE_NAMES)))
 NUM_INPUTS = _EMPTY.inputs(np.zeros((1, 2), np.float32)).shape[1]
 """Numbers that the network sees of a state."""
+
+NUM_POINT_INPUTS = _EMPTY.points().shape[2]
+"""Numbers that the network sees of a point of the subject."""
 
 NUM_KEY = 10
 """Numbers of a pose of the tool with the opening of the hand."""

@@ -103,6 +103,7 @@ class Frames:
 
     Attributes:
         inputs: What the network sees, (F, D) float32.
+        points: What it sees of the surface of the subject, (F, P, C) float32.
         actions: The actions that followed, (F, H, A) float32, task frame.
         is_real: Whether an action is before the end of the episode, (F, H) bool.
         keys: Pose of the tool in the next key frame, and the opening on the way, (F, K) float32, task frame.
@@ -110,6 +111,7 @@ class Frames:
     """
 
     inputs: Tensor
+    points: Tensor
     actions: Tensor
     is_real: Tensor
     keys: Tensor
@@ -126,6 +128,7 @@ class Frames:
         keys = frame.keys(positions[following], rotations[following], opening_before(chunks, following))
         parts = (
             frame.inputs(hand_memories(chunks)),
+            frame.points(),
             frame.from_actions(batch["actions"]),
             ~batch["is_padding"],
             keys,
@@ -135,7 +138,7 @@ class Frames:
 
     def chosen(self, rows: Tensor, device: torch.device) -> "Frames":
         """Returns some of them on a device."""
-        parts = (self.inputs, self.actions, self.is_real, self.keys, self.key_inputs)
+        parts = (self.inputs, self.points, self.actions, self.is_real, self.keys, self.key_inputs)
         return Frames(*(part[rows].to(device) for part in parts))
 
     def __len__(self) -> int:
@@ -296,13 +299,19 @@ class PolicyTrainer:
 
 
 def key_loss(network: PolicyNetwork, frames: Frames) -> Tensor:
-    """Returns the loss of where the hand opens or closes next: that of the best proposal, and of the scores that shall find it."""
-    keys, scores = network.keys(frames.inputs)
+    """Returns the loss of where the hand opens or closes next: that of the best proposal, and of the scores that shall find it.
+
+    Proposals of the point that is nearest to the demonstrated place count.
+    """
+    keys, scores = network.keys(frames.inputs, frames.points)
     wanted = (frames.keys - network.key_mean) / network.key_scale
-    each = (keys - wanted[:, None]).abs().mean(-1)  # (B, M)
+    nearest = (frames.points[..., :3] - frames.keys[:, None, :3]).square().sum(-1).argmin(dim=1)
+    rows = torch.arange(len(keys))
+    each = (keys[rows, nearest] - wanted[:, None]).abs().mean(-1)  # (B, M)
     best = each.detach().argmin(dim=1)
-    chosen = each.gather(1, best[:, None])[:, 0]
-    return ((1 - _RELAXED) * chosen + _RELAXED * each.mean(1)).mean() + _CHOICE * cross_entropy(scores, best)
+    chosen = each[rows, best]
+    labels = nearest * each.shape[1] + best
+    return ((1 - _RELAXED) * chosen + _RELAXED * each.mean(1)).mean() + _CHOICE * cross_entropy(scores.flatten(1), labels)
 
 
 def chunk_loss(network: PolicyNetwork, frames: Frames, path_weight: float) -> Tensor:
@@ -328,8 +337,7 @@ def held_out_errors(network: PolicyNetwork, frames: Frames | None) -> dict[str, 
         return dict.fromkeys(names, math.nan)
     found = network.chunks(frames.inputs, frames.key_inputs)[:, 0] * network.action_scale + network.action_mean
     away = found - frames.actions[:, 0]
-    keys, scores = network.keys(frames.inputs)
-    chosen = keys[torch.arange(len(keys)), scores.argmax(dim=1)] * network.key_scale + network.key_mean
+    chosen = network.best(*network.keys(frames.inputs, frames.points))
     facing = torch.cosine_similarity(chosen[:, 6:9], frames.keys[:, 6:9], dim=1).clamp(-1, 1)  # of the closing directions
     return {
         "move_mm": 1e3 * float(away[:, :3].norm(dim=1).mean()),

@@ -4,10 +4,14 @@ All positions and rotations are in the frame of the robot's base, so that a poli
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
+from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.shape import Shape
+from stable_data.geometry.surface_sampling import surface_points
 from stable_data.robot.arm.assembly import RobotModel
 from stable_data.robot.arm.control import COLUMNS
 from stable_data.robot.arm.world import RobotWorld
@@ -26,7 +30,22 @@ SLOT_SIZE = len(_SLOT)
 GOAL_NAMES = ("goal_present", "goal_x", "goal_y", "goal_z")
 """Where the subject is to be put, if the step puts it anywhere."""
 
-ENVIRONMENT_STATE_NAMES = (*(f"object_{k}_{name}" for k in range(SLOTS) for name in _SLOT), *GOAL_NAMES)
+POINTS = 32
+"""Points of the surface of the subject that the state of the environment tells."""
+
+_POINT_NAMES = tuple(f"point_{k}_{axis}" for k in range(POINTS) for axis in "xyz")
+_SLOTS_END = SLOTS * SLOT_SIZE
+GOAL_PART = slice(_SLOTS_END, _SLOTS_END + len(GOAL_NAMES))
+"""Where the goal is in a state of the environment."""
+
+POINTS_PART = slice(GOAL_PART.stop, GOAL_PART.stop + len(_POINT_NAMES))
+"""Where the points are in a state of the environment."""
+
+ENVIRONMENT_STATE_NAMES = (
+    *(f"object_{k}_{name}" for k in range(SLOTS) for name in _SLOT),
+    *GOAL_NAMES,
+    *_POINT_NAMES,
+)
 """Names of the numbers of a state of the environment."""
 
 FAR = 10.0
@@ -65,8 +84,20 @@ def environment_state(
         size = built.geometry.shapes[index].size
         state[k * SLOT_SIZE : (k + 1) * SLOT_SIZE] = np.concatenate([[1.0], position, rotation[:, 0], rotation[:, 1], size])
     if goal is not None:
-        state[-len(GOAL_NAMES) :] = [1.0, *built.mount.to_base(goal)]
+        state[GOAL_PART] = [1.0, *built.mount.to_base(goal)]
+    if subject in built.names:
+        index = built.names.index(subject)
+        x, y, z, w = poses[index, 3:].tolist()
+        points = poses[index, :3] + _surface(built.geometry.shapes[index]) @ rotation_matrix((x, y, z, w)).T
+        state[POINTS_PART] = built.mount.to_base(points).ravel()
     return np.asarray(np.clip(state, -FAR, FAR), np.float32)
+
+
+@lru_cache(maxsize=256)
+def _surface(shape: Shape) -> FloatArray:
+    """Points all over the surface of an object, (POINTS, 3), metres, body frame."""
+    points, _ = surface_points(Mesh(shape.vertices, shape.faces), POINTS)
+    return points.astype(np.float64)
 
 
 def _shown(names: Sequence[str], poses: FloatArray, subject: str | None, target: str | None) -> list[int]:

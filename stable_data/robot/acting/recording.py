@@ -121,10 +121,24 @@ def task_commands(env: RobotEnv, seed: int) -> Iterator[Command]:
     yield from expert.rest()
 
 
-def replayed_poses(env: RobotEnv, episode: Episode) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Carries out the actions of an episode again; the poses of the objects, (T + 1, N, 7), as ``Episode.object_poses``.
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """What became of an episode whose actions were carried out again.
 
-    The environment has the options with which the episode was recorded.
+    Attributes:
+        object_poses: Poses of the objects at the start and after each action, (T + 1, N, 7), as ``Episode.object_poses``.
+        is_success: Whether the goal was fulfilled.
+    """
+
+    object_poses: np.ndarray[Any, np.dtype[np.float64]]
+    is_success: bool
+
+
+def replay(env: RobotEnv, episode: Episode) -> Replay:
+    """Carries out the actions of an episode again, from the same start of the arm.
+
+    With the options with which the episode was recorded the poses are the same. With another
+    :attr:`stable_data.robot.env.RobotOptions.randomization` of friction or mass the replay shows whether the episode holds there too.
 
     Raises:
         EpisodeError: A policy acted before the expert (:class:`Lead`), so that the episode does not begin at the reset (``episode_led``).
@@ -135,8 +149,9 @@ def replayed_poses(env: RobotEnv, episode: Episode) -> np.ndarray[Any, np.dtype[
             "episode_led",
         )
     env.reset(seed=episode.seed)
-    poses = [env.world.object_poses]
+    poses, is_success = [env.world.object_poses], False
     for action in episode.actions:
-        env.step(action)
+        _, _, _, _, info = env.step(action)
+        is_success = is_success or info["is_success"]
         poses.append(env.world.object_poses)
-    return np.array(poses)
+    return Replay(np.array(poses), is_success)

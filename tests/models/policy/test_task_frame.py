@@ -10,7 +10,7 @@ from models.policy.keyframes import next_key_frames, opening_before
 from models.policy.task_frame import NUM_INPUTS, NUM_KEY_INPUTS, TaskFrame, check_clonable
 from stable_data.errors import ConfigError
 from stable_data.robot.episode_chunks import EpisodeChunks
-from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, GOAL_NAMES, SLOT_SIZE
+from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, GOAL_PART, POINTS, POINTS_PART, SLOT_SIZE
 from tests.stable_data.robot.synthetic_episodes import episode
 
 SIZE = (0.05, 0.1, 0.2)
@@ -29,7 +29,9 @@ def states(turn: Rotation, box: Rotation, *, present: float = 1.0) -> tuple[np.n
     if present:
         world[:SLOT_SIZE] = [1.0, *turn.apply([0.5, -0.1, 0.1]), *columns(turn * box), *SIZE]
         world[2 * SLOT_SIZE : 3 * SLOT_SIZE] = [1.0, *turn.apply([0.6, 0.2, 0.1]), *columns(turn), *SIZE]
-    world[-len(GOAL_NAMES) :] = [1.0, *turn.apply([0.3, 0.3, 0.0])]
+        points = np.random.default_rng(0).uniform(-0.1, 0.1, (POINTS, 3)) + np.array([0.5, -0.1, 0.1])
+        world[POINTS_PART] = turn.apply(points).ravel()
+    world[GOAL_PART] = [1.0, *turn.apply([0.3, 0.3, 0.0])]
     return robot[None].astype(np.float32), world[None].astype(np.float32)
 
 
@@ -38,6 +40,7 @@ def test_a_turn_about_the_base_changes_nothing(angle: float, present: bool) -> N
     box, turn = Rotation.from_euler("z", 0.3), Rotation.from_euler("z", angle)
     still, turned = (TaskFrame(*states(t, box, present=present)) for t in (Rotation.identity(), turn))
     np.testing.assert_allclose(turned.inputs(MEMORY), still.inputs(MEMORY), atol=2e-4)
+    np.testing.assert_allclose(turned.points(), still.points(), atol=2e-4)
     place, facing = np.array([[0.5, 0.0, 0.2]]), Rotation.from_euler("x", 2.5)
     key = still.keys(place, facing.as_matrix()[None], np.array([0.04], np.float32))
     again = turned.keys(turn.apply(place), (turn * facing).as_matrix()[None], np.array([0.04], np.float32))

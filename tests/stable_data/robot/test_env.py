@@ -12,11 +12,11 @@ from gymnasium.vector import AutoresetMode
 
 from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import ConfigError, GoalError, SceneError
-from stable_data.robot.acting.recording import Lead, record_episode, replayed_poses
+from stable_data.robot.acting.recording import Lead, record_episode, replay
 from stable_data.robot.env import Observation, RobotEnv, RobotOptions, make_robot_env
 from stable_data.robot.envhub import make_suites, write_envhub
 from stable_data.robot.episodes import Episode, EpisodeError
-from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, SLOT_SIZE
+from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES, GOAL_PART, POINTS, POINTS_PART, SLOT_SIZE
 from stable_data.robot.pick_tasks import pick_order, with_pick_task
 from stable_data.robot.randomization import RandomizationOptions
 from stable_data.robot.vector import make_vector_env, scenes_by_task
@@ -57,7 +57,11 @@ def test_observations_say_where_the_object_is(picking: RobotEnv) -> None:
     assert state[10:13] == pytest.approx(can.size, abs=1e-5)
     near = [state[k * SLOT_SIZE] for k in range(1, 4)]
     assert near == [1.0, 1.0, 1.0]
-    assert state[-4:] == pytest.approx(0.0)  # it is to be put nowhere
+    assert state[GOAL_PART] == pytest.approx(0.0)  # it is to be put nowhere
+    points = picking.built.mount.to_scene(state[POINTS_PART].reshape(POINTS, 3).astype(np.float64)) - can.position
+    assert np.abs(points).max(axis=0) == pytest.approx(
+        np.array(can.size) / 2, rel=0.1
+    )  # all over the surface, upright as it is
     position, _ = picking.built.tool_pose(picking.world.data)
     names = picking.controller.names
     assert observation["agent_pos"][8:11] == pytest.approx(position, abs=1e-5)
@@ -92,7 +96,13 @@ def test_the_expert_picks_and_everything_is_recorded(picked: Episode) -> None:
 
 def test_a_replay_gives_the_same_states(picked: Episode, geometry: SceneGeometry) -> None:
     env = RobotEnv(with_pick_task(geometry, CAN), options=SIMPLE)
-    assert replayed_poses(env, picked) == pytest.approx(picked.object_poses, abs=1e-6)
+    again = replay(env, picked)
+    assert again.object_poses == pytest.approx(picked.object_poses, abs=1e-6)
+    assert again.is_success
+
+
+def test_a_replay_that_misses_its_goal_says_so(picked: Episode, geometry: SceneGeometry) -> None:
+    assert not replay(RobotEnv(with_pick_task(geometry, MUG), options=SIMPLE), picked).is_success
 
 
 class _Still:
@@ -114,11 +124,11 @@ def test_the_expert_goes_on_from_where_a_policy_came_to(geometry: SceneGeometry)
     assert policy.num_asked > 0
     assert (led.lead, led.policy, led.reason) == ("still", None, None)
     with pytest.raises(EpisodeError, match="policy still acted before the first action") as refused:
-        replayed_poses(env, led)
+        replay(env, led)
     assert refused.value.code == "episode_led"
     alone = record_episode(env, number=0, seed=5, lead=Lead(policy, "still", most_actions=0))
     assert alone.lead is None
-    assert replayed_poses(env, alone) == pytest.approx(alone.object_poses, abs=1e-6)
+    assert replay(env, alone).object_poses == pytest.approx(alone.object_poses, abs=1e-6)
 
 
 @pytest.mark.parametrize(

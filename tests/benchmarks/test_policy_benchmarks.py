@@ -1,0 +1,66 @@
+"""What the experiment on policies and the test of the verdicts make of their results."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from benchmarks.policy import LAYOUTS, MESHES, Cell, Result, effects, mean_interval, show
+from benchmarks.replay import area_under_curve, figures, outcomes
+from pipelines.demonstrate.job import demonstrate
+from pipelines.demonstrate.settings import DemonstrateSettings
+from pipelines.execution.ray_executor import WorkerPool
+from tests.stable_data.export.runs import write_run
+from tests.stable_data.robot.tables import laid_table
+
+
+def results(seeds: int) -> dict[Cell, Result]:
+    """Corrected scenes give 10 points more, real meshes 20, ten times as many scenes 5; a seed adds as many points as its number."""
+    found = {}
+    for seed in range(seeds):
+        for a, layouts in enumerate(LAYOUTS):
+            for b, meshes in enumerate(MESHES):
+                for c, scenes in enumerate((10, 100)):
+                    successes = 20 + seed + 10 * a + 20 * b + 5 * c
+                    found[Cell(seed, layouts, meshes, scenes)] = Result(100, 120, 0.9, successes, 100, 60.0)
+    return found
+
+
+def test_effects_are_differences_of_cells_that_differ_in_one_respect() -> None:
+    found = effects(results(3))
+    assert {name: [round(v, 6) for v in values] for name, values in found.items()} == {
+        "corrected - left": [0.1] * 3,
+        "real - parametric": [0.2] * 3,
+        "100 - 10 scenes": [0.05] * 3,
+    }
+
+
+def test_the_tables_have_a_line_for_each_cell_and_each_effect() -> None:
+    lines = "\n".join(show(results(2))).splitlines()
+    assert len(lines) == 1 + 8 + 1 + 1 + 3
+    assert "55.5" in lines[8]  # the best cell: the mean of 55 and 56
+    assert "unknown" in "\n".join(show(results(1)))  # one repetition has no interval
+
+
+def test_the_interval_of_a_mean() -> None:
+    assert mean_interval([1.0, 3.0]) == pytest.approx((2.0, 2 - 12.706, 2 + 12.706), abs=1e-3)  # t of one degree of freedom
+    assert mean_interval([5.0]) == (5.0, -math.inf, math.inf)
+
+
+def test_the_area_under_the_curve() -> None:
+    assert area_under_curve([0.0, 1.0, 2.0, 3.0], [True, True, False, False]) == 1.0
+    assert area_under_curve([1.0, 1.0], [True, False]) == 0.5
+    assert area_under_curve([1.0, 2.0], [True, True]) is None
+
+
+def test_episodes_are_carried_out_again_and_grouped_by_the_verdicts_of_their_scenes(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", (laid_table(),)).root
+    settings = DemonstrateSettings(robot="simple", task="pick", episodes=2)
+    demonstrate(str(run), str(tmp_path / "out"), settings, WorkerPool(), report=False)
+    found = list(outcomes(str(run), str(tmp_path / "out"), vary=0.0, limit=1))
+    assert len(found) == 2
+    assert [o.replayed for o in found if o.replayed is not None] == [True]  # nothing was changed
+    everything = figures(found)
+    assert everything["groups"]["all"] == {"expert": [sum(o.expert for o in found), 2], "replayed": [1, 1]}
+    unknown = sum(everything["groups"][name]["expert"][1] for name in ("clean", "not clean"))
+    assert unknown == (0 if found[0].verdicts["clean"] is None else 2)
