@@ -8,12 +8,14 @@ import numpy as np
 import torch
 
 from models.policy.keyframes import HandMemory
+from models.policy.pictures import observed_pictures
+from models.policy.sight import Sight
 from models.policy.task_frame import TaskFrame
 from models.policy.weights import FILE, PolicyWeights, load_policy
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.robot.acting.policies import ActingPolicy, import_policy, policy_source
-from stable_data.robot.env import AGENT, ENVIRONMENT, Observation
+from stable_data.robot.env import AGENT, ENVIRONMENT, PIXELS, Observation
 from stable_data.robot.episodes import EpisodeFeatures, FloatArray32
 from stable_data.robot.grasps import PRESHAPE
 
@@ -43,13 +45,17 @@ class Policy:
     @torch.no_grad()
     def act(self, observation: Observation) -> FloatArray32:
         """Returns the next actions, (K, A) float32; K is ``execute`` of its training."""
-        network = self._weights.network
-        frame = TaskFrame(observation[AGENT][None], observation[ENVIRONMENT][None])
-        inputs = frame.inputs(np.array([self._memory.values], np.float32))
-        has_subject = bool(observation[ENVIRONMENT][0] > 0.5)
-        if self._aim is None or self._left <= 0 or has_subject != self._has_subject:
-            self._aim, self._left, self._has_subject = network.aim(inputs, frame.points()), _PATIENCE, has_subject
-        actions = frame.to_actions(network.plan(inputs, frame.key_inputs(self._aim)))[0, : self._weights.execute]
+        network, shape = self._weights.network, self._weights.shape
+        pictures = observed_pictures(observation.get(PIXELS, {}), shape.cameras, shape.picture_size)
+        frame = TaskFrame(observation[AGENT][None], observation[ENVIRONMENT][None], objects=shape.objects)
+        sight = Sight.of(frame, np.array([self._memory.values], np.float32), pictures[None])
+        seen = network.see(sight)
+        if self._aim is None or self._left <= 0 or frame.has_subject[0] != self._has_subject:
+            self._aim = network.best(*network.keys(seen, sight.points)).numpy()
+            self._has_subject = bool(frame.has_subject[0])
+            self._left = _PATIENCE if self._has_subject else 0  # without a subject an aim is relative to the tool, which moves
+        key_inputs = torch.from_numpy(frame.key_inputs(self._aim))
+        actions = frame.to_actions(network.actions(seen, key_inputs).numpy())[0, : self._weights.execute]
         is_open = actions[:, -1] >= _CLOSING
         # That of the aim: one that follows from the measured opening drifts.
         actions[:, -1] = np.where(is_open, max(float(self._aim[0, -1]), _CLOSING), 0.0)

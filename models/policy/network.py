@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from models.policy.pictures import PictureEncoder
+from models.policy.sight import Sight
 from models.policy.task_frame import NUM_ACTIONS, NUM_INPUTS, NUM_KEY, NUM_KEY_INPUTS, NUM_POINT_INPUTS
 from models.settings import PositiveCount, Settings, Share
-from stable_data.robot.episodes import FloatArray32
+from stable_data.errors import ConfigError
+from stable_data.robot.arm.assembly import CAMERAS
 
 _WIDEST = 5.0  # inputs farther from the mean are clipped to this, standard deviations
 
@@ -36,12 +39,40 @@ class PolicyShape(Settings):
     dropout: Share = 0.2
     """Share of the hidden values that are dropped in training."""
 
+    objects: bool = True
+    """Whether the network sees the states of the objects. Without them it sees pictures, and the robot itself."""
+
+    cameras: tuple[str, ...] = ()
+    """Cameras whose pictures the network sees: ``wrist``, ``front``, ``top``. Empty: none."""
+
+    picture_size: PositiveCount = 64
+    """Pixels of a side to which the pictures are made small, a multiple of 16."""
+
+    picture_width: PositiveCount = 64
+    """Numbers that describe the pictures."""
+
+    def check(self) -> None:
+        """Refuses cameras that do not exist, sizes that cannot be halved four times, and a network that sees no object at all.
+
+        Raises:
+            ConfigError: See above (``setting_invalid``).
+        """
+        if strange := sorted(set(self.cameras) - set(CAMERAS)):
+            raise ConfigError(f"network.cameras has {strange[0]!r}, expected some of {', '.join(CAMERAS)}", "setting_invalid")
+        if self.picture_size % 16:
+            raise ConfigError(f"network.picture_size is {self.picture_size}, expected a multiple of 16", "setting_invalid")
+        if not (self.objects or self.cameras):
+            raise ConfigError(
+                "network.objects is false and network.cameras is empty, expected cameras: the policy would see no object",
+                "setting_invalid",
+            )
+
 
 class PolicyNetwork(nn.Module):
     """Two residual multilayer perceptrons: one says where the hand opens or closes next, the other how to get there.
 
     The first one sees also points of the subject, and proposes poses of the tool relative to each of them: what can be grasped is
-    seen where it is. The network keeps the normalisation of its inputs and actions.
+    seen where it is. Pictures, if any, are encoded for both. The network keeps the normalisation of its inputs and actions.
 
     Args:
         shape: Its shape.
@@ -62,63 +93,55 @@ class PolicyNetwork(nn.Module):
             self.register_buffer(f"{name}_scale", torch.ones(count))
         width, point = shape.width, shape.point_width
         self.point = nn.Sequential(nn.Linear(NUM_POINT_INPUTS, point), nn.GELU(), nn.Linear(point, point), nn.GELU())
-        self.where = _perceptron(NUM_INPUTS + point, width, shape)
+        self.pictures = PictureEncoder(len(shape.cameras), shape.picture_size, shape.picture_width) if shape.cameras else None
+        seen = NUM_INPUTS + (shape.picture_width if shape.cameras else 0)
+        self.where = _perceptron(seen + point, width, shape)
         self.at_point = nn.Sequential(
             nn.Linear(width + point, width), nn.GELU(), nn.Dropout(shape.dropout), nn.Linear(width, shape.modes * (NUM_KEY + 1))
         )
-        self.how = _perceptron(NUM_INPUTS + NUM_KEY_INPUTS, shape.horizon * NUM_ACTIONS, shape)
+        self.how = _perceptron(seen + NUM_KEY_INPUTS, shape.horizon * NUM_ACTIONS, shape)
 
-    def keys(self, inputs: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    def see(self, sight: Sight) -> Tensor:
+        """Returns what both parts of the network take of what is seen, (B, W): normalised inputs, and the encoded pictures."""
+        found = ((sight.inputs - self.input_mean) / self.input_scale).clamp(-_WIDEST, _WIDEST)
+        return found if self.pictures is None else torch.cat([found, self.pictures(sight.pictures)], dim=1)
+
+    def keys(self, seen: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         """Proposes where the hand opens or closes next.
 
         Args:
-            inputs: (B, D) of :meth:`TaskFrame.inputs`.
-            points: (B, P, C) of :meth:`TaskFrame.points`.
+            seen: (B, W) of :meth:`see`.
+            points: (B, P, C), see :class:`Sight`.
 
         Returns:
             Normalised poses of the tool, (B, P, M, K), and their scores, (B, P, M).
         """
         each = self.point(points)
-        scene = self.where(torch.cat([self._seen(inputs), each.amax(dim=1)], dim=1))
+        scene = self.where(torch.cat([seen, each.amax(dim=1)], dim=1))
         found = self.at_point(torch.cat([each, scene[:, None].expand(-1, each.shape[1], -1)], dim=2))
         found = found.unflatten(2, (self._modes, NUM_KEY + 1))
         anchors = (points[..., :3] - self.key_mean[:3]) / self.key_scale[:3]
         poses = torch.cat([found[..., :3] + anchors[:, :, None], found[..., 3:-1]], dim=3)
         return poses, found[..., -1]
 
-    def chunks(self, inputs: Tensor, key_inputs: Tensor) -> Tensor:
-        """Returns normalised chunks of actions, (B, H, A), that bring the tool to a pose."""
-        found: Tensor = self.how(torch.cat([self._seen(inputs), key_inputs], dim=1))
-        return found.reshape(-1, self._horizon, NUM_ACTIONS)
-
-    def _seen(self, inputs: Tensor) -> Tensor:
-        return ((inputs - self.input_mean) / self.input_scale).clamp(-_WIDEST, _WIDEST)
-
-    def aim(self, inputs: FloatArray32, points: FloatArray32) -> FloatArray32:
-        """Returns where the hand shall close or open next, (B, K) float32, see :meth:`TaskFrame.keys`.
+    def chunks(self, seen: Tensor, key_inputs: Tensor) -> Tensor:
+        """Returns normalised chunks of actions, (B, H, A), that bring the tool to a pose.
 
         Args:
-            inputs: (B, D), see :meth:`TaskFrame.inputs`.
-            points: (B, P, C), see :meth:`TaskFrame.points`.
+            seen: (B, W) of :meth:`see`.
+            key_inputs: The pose, (B, L), see :meth:`TaskFrame.key_inputs`.
         """
-        found: FloatArray32 = self.best(*self.keys(torch.from_numpy(inputs), torch.from_numpy(points))).numpy()
-        return found
+        found: Tensor = self.how(torch.cat([seen, key_inputs], dim=1))
+        return found.reshape(-1, self._horizon, NUM_ACTIONS)
 
     def best(self, keys: Tensor, scores: Tensor) -> Tensor:
-        """Returns the poses, (B, K), with the best score of what :meth:`keys` proposes, not normalised."""
+        """Returns the poses, (B, K), with the best score of what :meth:`keys` proposes, as :meth:`TaskFrame.keys`."""
         flat = keys.flatten(1, 2)
         return flat[torch.arange(len(flat)), scores.flatten(1).argmax(dim=1)] * self.key_scale + self.key_mean
 
-    def plan(self, inputs: FloatArray32, key_inputs: FloatArray32) -> FloatArray32:
-        """Returns the actions that bring the tool to given poses, (B, H, A), task frame.
-
-        Args:
-            inputs: (B, D), see :meth:`TaskFrame.inputs`.
-            key_inputs: The poses, (B, L), see :meth:`TaskFrame.key_inputs`.
-        """
-        chunks = self.chunks(torch.from_numpy(inputs), torch.from_numpy(key_inputs))
-        found: FloatArray32 = (chunks * self.action_scale + self.action_mean).numpy()
-        return found
+    def actions(self, seen: Tensor, key_inputs: Tensor) -> Tensor:
+        """Returns the actions of :meth:`chunks`, not normalised, task frame."""
+        return self.chunks(seen, key_inputs) * self.action_scale + self.action_mean
 
 
 class _Residual(nn.Module):

@@ -5,6 +5,7 @@ the tool if there is no subject. A scene that is turned about the base gives the
 all directions. Boxes are described by ``R diag(size) R^T``, which is the same for all turns that map a box to itself.
 """
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,12 +33,22 @@ _SIDES = np.triu_indices(3)
 _LENGTH = 10.0  # extents and distances are small numbers of metres
 
 
-def check_clonable(features: EpisodeFeatures) -> None:
-    """Refuses episodes whose states or actions the network does not know.
+def check_clonable(features: EpisodeFeatures, cameras: Sequence[str] = ()) -> None:
+    """Refuses episodes whose states or actions the network does not know, or that lack pictures.
+
+    Args:
+        features: The features of the episodes.
+        cameras: Cameras whose pictures the network needs.
 
     Raises:
-        ConfigError: The control or the names differ from what is expected (``policy_features``).
+        ConfigError: The control or the names differ from what is expected, or a camera is missing (``policy_features``).
     """
+    if missing := sorted(set(cameras) - set(features.cameras)):
+        raise ConfigError(
+            f"cameras is {quote_value(list(features.cameras))}, expected {', '.join(missing)} too; record the episodes with "
+            f"--set 'cameras={json.dumps(list(cameras))}'",
+            "policy_features",
+        )
     wanted = {
         "control": (features.control, CONTROL),
         "action_names": (features.action_names, (*_MOVES, "opening")),
@@ -63,14 +74,20 @@ class TaskFrame:
     Args:
         states: States of the robot, (B, S) float32.
         environment_states: States of the environment, (B, E) float32.
+        objects: Whether the states of the objects are seen; without them there is no subject.
+
+    Attributes:
+        has_subject: Whether there is an object to act on, (B,) bool.
     """
 
-    def __init__(self, states: FloatArray32, environment_states: FloatArray32) -> None:
+    def __init__(self, states: FloatArray32, environment_states: FloatArray32, *, objects: bool = True) -> None:
         self._states, self._environment = np.asarray(states, np.float64), np.asarray(environment_states, np.float64)
+        if not objects:
+            self._environment = np.zeros_like(self._environment)
         self._tool, columns = self._states[:, -9:-6], self._states[:, -6:]
         self._rotation = _rotations(columns)  # (B, 3, 3), base from tool
-        self._has_subject = self._environment[:, 0] > 0.5
-        ahead = np.where(self._has_subject[:, None], self._environment[:, 1:3], self._tool[:, :2])
+        self.has_subject = self._environment[:, 0] > 0.5
+        ahead = np.where(self.has_subject[:, None], self._environment[:, 1:3], self._tool[:, :2])
         angle = np.arctan2(ahead[:, 1], ahead[:, 0])
         cosine, sine, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
         turn = [[cosine, sine, zero], [-sine, cosine, zero], [zero, zero, one]]
@@ -129,7 +146,7 @@ class TaskFrame:
         to_tool = np.einsum("bij,bpj->bpi", self._turn, found - self._tool[:, None])
         in_tool = np.einsum("bji,bpj->bpi", rotation, to_tool)
         parts = [away, np.tanh(away / _NEAR), to_tool * 2, np.tanh(to_tool / _NEAR), np.tanh(in_tool / _NEAR)]
-        return (np.concatenate(parts, axis=2) * self._has_subject[:, None, None]).astype(np.float32)
+        return (np.concatenate(parts, axis=2) * self.has_subject[:, None, None]).astype(np.float32)
 
     def keys(self, positions: FloatArray, rotations: FloatArray, openings: FloatArray32) -> FloatArray32:
         """Describes poses of the tool in the task frame: relative to the subject, or to the tool if there is none.
@@ -166,7 +183,7 @@ class TaskFrame:
         ).astype(np.float32)
 
     def _anchor(self) -> FloatArray:
-        return np.where(self._has_subject[:, None], self._environment[:, 1:4], self._tool)
+        return np.where(self.has_subject[:, None], self._environment[:, 1:4], self._tool)
 
     def from_actions(self, actions: FloatArray32) -> FloatArray32:
         """Turns actions in the frame of the base, (B, H, 7), into the task frame."""

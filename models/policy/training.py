@@ -13,6 +13,8 @@ from torch.nn.functional import cross_entropy
 
 from models.policy.keyframes import hand_memories, next_key_frames, opening_before
 from models.policy.network import PolicyNetwork, PolicyShape
+from models.policy.pictures import episode_pictures
+from models.policy.sight import Sight
 from models.policy.task_frame import TaskFrame
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
 from models.training.checkpoint import load_checkpoint, save_checkpoint
@@ -102,48 +104,41 @@ class Frames:
     """The frames of some episodes as tensors.
 
     Attributes:
-        inputs: What the network sees, (F, D) float32.
-        points: What it sees of the surface of the subject, (F, P, C) float32.
+        sight: What the network sees of the F frames.
         actions: The actions that followed, (F, H, A) float32, task frame.
         is_real: Whether an action is before the end of the episode, (F, H) bool.
         keys: Pose of the tool in the next key frame, and the opening on the way, (F, K) float32, task frame.
         key_inputs: What the network sees of it, (F, L) float32.
     """
 
-    inputs: Tensor
-    points: Tensor
+    sight: Sight
     actions: Tensor
     is_real: Tensor
     keys: Tensor
     key_inputs: Tensor
 
     @classmethod
-    def of(cls, episodes: Sequence[Episode], horizon: int) -> "Frames":
-        """Returns the frames of episodes, at least one."""
-        chunks = EpisodeChunks(episodes, horizon)
+    def of(cls, episodes: Sequence[Episode], shape: PolicyShape) -> "Frames":
+        """Returns the frames of episodes, at least one, as a network of a shape sees them."""
+        chunks = EpisodeChunks(episodes, shape.horizon)
         batch = chunks.batch(np.arange(len(chunks)))
-        frame = TaskFrame(batch["states"], batch["environment_states"])
+        frame = TaskFrame(batch["states"], batch["environment_states"], objects=shape.objects)
         positions, rotations = frame.tool_poses
         following = next_key_frames(chunks)
         keys = frame.keys(positions[following], rotations[following], opening_before(chunks, following))
-        parts = (
-            frame.inputs(hand_memories(chunks)),
-            frame.points(),
-            frame.from_actions(batch["actions"]),
-            ~batch["is_padding"],
-            keys,
-            frame.key_inputs(keys),
-        )
-        return cls(*map(torch.from_numpy, parts))
+        pictures = np.concatenate([episode_pictures(episode, shape.cameras, shape.picture_size) for episode in episodes])
+        sight = Sight.of(frame, hand_memories(chunks), pictures)
+        parts = (frame.from_actions(batch["actions"]), ~batch["is_padding"], keys, frame.key_inputs(keys))
+        return cls(sight, *map(torch.from_numpy, parts))
 
     def chosen(self, rows: Tensor, device: torch.device) -> "Frames":
         """Returns some of them on a device."""
-        parts = (self.inputs, self.points, self.actions, self.is_real, self.keys, self.key_inputs)
-        return Frames(*(part[rows].to(device) for part in parts))
+        parts = (self.actions, self.is_real, self.keys, self.key_inputs)
+        return Frames(self.sight.chosen(rows, device), *(part[rows].to(device) for part in parts))
 
     def __len__(self) -> int:
         """Number of frames F."""
-        return len(self.inputs)
+        return len(self.actions)
 
 
 def split_episodes(
@@ -210,9 +205,8 @@ class PolicyTrainer:
         self.curve: list[dict[str, float]] = []
         torch.manual_seed(named_seed(settings.seed, "weights"))
         self.network = PolicyNetwork(settings.network)
-        horizon = settings.network.horizon
-        self._train = Frames.of(train, horizon)
-        self._held_out = Frames.of(held_out, horizon) if held_out else None
+        self._train = Frames.of(train, settings.network)
+        self._held_out = Frames.of(held_out, settings.network) if held_out else None
         self._normalise()
         self.network.to(place.device)
         self._average = {name: value.clone() for name, value in self.network.state_dict().items()}
@@ -224,8 +218,8 @@ class PolicyTrainer:
 
     def _normalise(self) -> None:
         network, first = self.network, self._train.actions[:, 0]
-        network.input_mean.copy_(self._train.inputs.mean(0))
-        network.input_scale.copy_(self._train.inputs.std(0, correction=0).clamp_min(_LEAST_SPREAD[0]))
+        network.input_mean.copy_(self._train.sight.inputs.mean(0))
+        network.input_scale.copy_(self._train.sight.inputs.std(0, correction=0).clamp_min(_LEAST_SPREAD[0]))
         network.key_mean.copy_(self._train.keys.mean(0))
         network.key_scale.copy_(self._train.keys.std(0, correction=0).clamp_min(_LEAST_SPREAD[0]))
         network.action_mean[_MOVES:] = first.mean(0)[_MOVES:]  # no move stays no move
@@ -240,7 +234,8 @@ class PolicyTrainer:
         for group in self._optimizer.param_groups:
             group["lr"] = settings.rate_at(self.step)
         network.train()
-        where, how = key_loss(network, frames), chunk_loss(network, frames, settings.path_weight)
+        seen = network.see(frames.sight)
+        where, how = key_loss(network, seen, frames), chunk_loss(network, seen, frames, settings.path_weight)
         loss = where + how
         self._optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -298,14 +293,19 @@ class PolicyTrainer:
         self._loss_sum, self._since = torch.tensor(state["since"][0]), state["since"][1]
 
 
-def key_loss(network: PolicyNetwork, frames: Frames) -> Tensor:
+def key_loss(network: PolicyNetwork, seen: Tensor, frames: Frames) -> Tensor:
     """Returns the loss of where the hand opens or closes next: that of the best proposal, and of the scores that shall find it.
 
     Proposals of the point that is nearest to the demonstrated place count.
+
+    Args:
+        network: The network.
+        seen: What it sees, see :meth:`PolicyNetwork.see`.
+        frames: The frames.
     """
-    keys, scores = network.keys(frames.inputs, frames.points)
+    keys, scores = network.keys(seen, frames.sight.points)
     wanted = (frames.keys - network.key_mean) / network.key_scale
-    nearest = (frames.points[..., :3] - frames.keys[:, None, :3]).square().sum(-1).argmin(dim=1)
+    nearest = (frames.sight.points[..., :3] - frames.keys[:, None, :3]).square().sum(-1).argmin(dim=1)
     rows = torch.arange(len(keys))
     each = (keys[rows, nearest] - wanted[:, None]).abs().mean(-1)  # (B, M)
     best = each.detach().argmin(dim=1)
@@ -314,17 +314,18 @@ def key_loss(network: PolicyNetwork, frames: Frames) -> Tensor:
     return ((1 - _RELAXED) * chosen + _RELAXED * each.mean(1)).mean() + _CHOICE * cross_entropy(scores.flatten(1), labels)
 
 
-def chunk_loss(network: PolicyNetwork, frames: Frames, path_weight: float) -> Tensor:
+def chunk_loss(network: PolicyNetwork, seen: Tensor, frames: Frames, path_weight: float) -> Tensor:
     """Returns the loss of the actions on the way to the next key frame.
 
     Args:
         network: The network.
+        seen: What it sees, see :meth:`PolicyNetwork.see`.
         frames: The frames.
         path_weight: Weight of the error of the path.
     """
     is_real = frames.is_real.float()[..., None]
     wanted = (frames.actions - network.action_mean) / network.action_scale
-    errors = (network.chunks(frames.inputs, frames.key_inputs) - wanted) * is_real  # (B, H, A)
+    errors = (network.chunks(seen, frames.key_inputs) - wanted) * is_real  # (B, H, A)
     path = errors[..., :_MOVES].cumsum(dim=1) * is_real / math.sqrt(errors.shape[1])
     return (errors.abs().mean(-1).sum() + path_weight * path.abs().mean(-1).sum()) / is_real.sum()
 
@@ -335,9 +336,9 @@ def held_out_errors(network: PolicyNetwork, frames: Frames | None) -> dict[str, 
     names = ("move_mm", "turn_deg", "opening_mm", "key_mm", "key_deg")
     if frames is None:
         return dict.fromkeys(names, math.nan)
-    found = network.chunks(frames.inputs, frames.key_inputs)[:, 0] * network.action_scale + network.action_mean
-    away = found - frames.actions[:, 0]
-    chosen = network.best(*network.keys(frames.inputs, frames.points))
+    seen = network.see(frames.sight)
+    away = network.actions(seen, frames.key_inputs)[:, 0] - frames.actions[:, 0]
+    chosen = network.best(*network.keys(seen, frames.sight.points))
     facing = torch.cosine_similarity(chosen[:, 6:9], frames.keys[:, 6:9], dim=1).clamp(-1, 1)  # of the closing directions
     return {
         "move_mm": 1e3 * float(away[:, :3].norm(dim=1).mean()),

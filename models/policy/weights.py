@@ -45,7 +45,7 @@ class PolicyWeights:
 
 def save_policy(path: Path, policy: PolicyWeights) -> None:
     """Writes a policy atomically; equal policies give equal bytes."""
-    features = {name: getattr(policy.features, name) for name in ("robot", "fps", "control", *_NAMES)}
+    features = {name: getattr(policy.features, name) for name in ("robot", "fps", "control", *_NAMES, "cameras", "image_size")}
     header = {
         "network": json.dumps(asdict(policy.shape), sort_keys=True),
         "features": json.dumps(features, sort_keys=True),
@@ -81,7 +81,15 @@ def load_policy(path: Path) -> PolicyWeights:
         found = {key: json.loads(header.pop(key)) for key in _KEYS}
         features = found["features"]
         names = {name: tuple(features[name]) for name in _NAMES}
-        known = EpisodeFeatures(features["robot"], features["fps"], features["control"], **names)
+        size = features["image_size"]
+        known = EpisodeFeatures(
+            features["robot"],
+            features["fps"],
+            features["control"],
+            **names,
+            cameras=tuple(features["cameras"]),
+            image_size=None if size is None else (size[0], size[1]),
+        )
         shape = fill_settings(PolicyShape, found["network"], "network")
         network = PolicyNetwork(shape)
         network.load_state_dict(tensors)
@@ -112,3 +120,9 @@ def check_environment(policy: EpisodeFeatures, environment: EpisodeFeatures, nam
                 "same; train on episodes of this environment, or choose the robot and control of the policy",
                 "policy_mismatch",
             )
+    if missing := [camera for camera in policy.cameras if camera not in environment.cameras]:
+        raise ConfigError(
+            f"policy {name}: it needs pictures of {', '.join(missing)}, but the cameras of the environment are "
+            f"{quote_value(list(environment.cameras))}, expected these too: --set cameras={json.dumps(list(policy.cameras))}",
+            "policy_mismatch",
+        )

@@ -40,14 +40,24 @@ def evaluate_policy(
 
 
 def settings_for(policy: str) -> EvaluatePolicySettings:
-    """Returns the default settings with the robot and the control of a policy.
+    """Returns the default settings with the robot, the control and the cameras of a policy.
 
     Raises:
         ConfigError: The policy cannot be opened.
     """
     features = None if policy == EXPERT else open_policy(policy).features
     found = EvaluatePolicySettings()
-    return found if features is None else replace(found, robot=features.robot, control=features.control)
+    if features is None:
+        return found
+    height, width = features.image_size or (found.image_height, found.image_width)
+    return replace(
+        found,
+        robot=features.robot,
+        control=features.control,
+        cameras=frozenset(features.cameras),
+        image_height=height,
+        image_width=width,
+    )
 
 
 class EvaluatePolicyJob(EpisodesJob):

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from models.policy.pictures import seen_features
 from models.policy.task_frame import check_clonable
 from models.policy.training import PolicyTrainer, PolicyTrainingSettings, split_episodes
 from models.policy.weights import FILE, PolicyWeights, load_policy, save_policy
@@ -69,11 +70,11 @@ class PolicyTrainingJob(TrainingJob):
     def prepare(self) -> tuple["PolicyTrainingJob", dict[str, Any], _Demonstrations]:
         """Reads the demonstrations; see the base class."""
         runs = [absolute_uri(run) for run in (self.data, *self.also)]
-        episodes = list(read_episodes(runs, where=self.where or None, with_pictures=False))
+        episodes = list(read_episodes(runs, where=self.where or None, with_pictures=bool(self.settings.network.cameras)))
         train, held, left_out = split_episodes(episodes, self.settings)
         for episode in (*train, *held):
             train[0].features.check_same(episode.features, episode.episode_id)
-        check_clonable(train[0].features)
+        check_clonable(train[0].features, self.settings.network.cameras)
         details = {
             "data": runs,
             "where": self.where,
@@ -111,7 +112,8 @@ class PolicyTrainingJob(TrainingJob):
             "code_version": code_version(),
         }
         assets = _assets(train)
-        weights = PolicyWeights(training.averaged(), settings.network, train[0].features, settings.execute, assets, notes)
+        features = seen_features(train[0].features, settings.network.cameras)
+        weights = PolicyWeights(training.averaged(), settings.network, features, settings.execute, assets, notes)
         save_policy(out / self.WEIGHTS, weights)
         (out / "curve.csv").write_text(_curve_text(training.curve), "utf-8", newline="")
 

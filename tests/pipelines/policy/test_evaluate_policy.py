@@ -1,5 +1,6 @@
 """Evaluations of policies: counted once, the same in one process and with Ray, and kept in a leaderboard."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -8,11 +9,14 @@ import pytest
 from benchmarks import leaderboard
 from models.policy.network import PolicyShape
 from models.policy.training import PolicyTrainingSettings
-from pipelines.evaluate_policy.job import EvaluatePolicyJob, evaluate_policy
+from pipelines.demonstrate.job import demonstrate
+from pipelines.demonstrate.settings import DemonstrateSettings
+from pipelines.evaluate_policy.job import EvaluatePolicyJob, evaluate_policy, settings_for
 from pipelines.evaluate_policy.settings import EvaluatePolicySettings
 from pipelines.execution.ray_executor import WorkerPool
 from stable_data.errors import ConfigError
 from stable_data.robot.acting.success_rate import wilson_interval
+from stable_data.simulation.offscreen import can_render
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.policy.test_train_policy import train
 
@@ -37,6 +41,22 @@ def test_what_was_shown_is_repeated(two_scenes: Path, demonstrations: Path, tmp_
     settings = EvaluatePolicySettings(robot="simple", task="pick", max_steps=150)  # the same seeds as the demonstrations
     counts = evaluate_policy(str(policy), str(two_scenes), str(tmp_path / "out"), settings, WorkerPool())["counts"]
     assert counts["by_assets"] == {"seen in training": [2, 2]}
+
+
+@pytest.mark.slow
+def test_what_was_shown_in_pictures_is_repeated(two_scenes: Path, tmp_path: Path) -> None:
+    if not can_render():
+        pytest.skip("this machine cannot render")
+    seen = DemonstrateSettings(robot="simple", task="pick", cameras=frozenset({"front"}), image_width=64, image_height=64)
+    demonstrate(str(two_scenes), str(tmp_path / "demonstrations"), seen, WorkerPool(), report=False)
+    shape = PolicyShape(width=96, depth=2, modes=1, dropout=0.0, objects=False, cameras=("front",), picture_size=32)
+    policy = train(
+        tmp_path / "demonstrations", tmp_path / "policy", PolicyTrainingSettings(shape, steps=600, batch=32, held_out=0.0)
+    )
+    settings = replace(settings_for(str(policy)), task="pick", max_steps=150)
+    assert (settings.cameras, settings.image_width) == (frozenset({"front"}), 64)
+    counts = evaluate_policy(str(policy), str(two_scenes), str(tmp_path / "out"), settings, WorkerPool())["counts"]
+    assert counts["successes"] == 2
 
 
 @pytest.mark.slow
