@@ -20,6 +20,7 @@ from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import scene_from_row
 
 _MOST_DRAWN = 6  # objects that are tried for a pick
+_MOST_KEPT = 8  # environments of picks that are kept for later episodes of their scene
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -67,8 +68,8 @@ def open_episode(run: str, ref: EpisodeRef, settings: EpisodeSettings) -> Opened
             (``nothing_reachable``).
     """
     seed = int(content_id(settings.seed, str(ref)), 16) % 2**31
-    geometry, row = _geometry(run, ref.scene_id, settings.settled)
-    env = _scene_env(run, ref.scene_id, settings) if settings.task == "scene" else _pick_env(geometry, seed, settings)
+    _, row = _geometry(run, ref.scene_id, settings.settled)
+    env = _scene_env(run, ref.scene_id, settings) if settings.task == "scene" else _pick_env(run, ref.scene_id, seed, settings)
     return OpenedEpisode(env, seed, row["split"])
 
 
@@ -104,26 +105,36 @@ def _opened(run: str, scene_id: str, settings: EpisodeSettings) -> RobotEnv | St
         return error
 
 
-def _pick_env(geometry: SceneGeometry, seed: int, settings: EpisodeSettings) -> RobotEnv:
+def _pick_env(run: str, scene_id: str, seed: int, settings: EpisodeSettings) -> RobotEnv:
     """The environment with the task to pick up an object that the robot reaches.
 
     Raises:
         SceneError: There is no such object among the first few that are drawn (``nothing_reachable``).
     """
+    geometry, _ = _geometry(run, scene_id, settings.settled)
     names = pick_order(geometry.scene, np.random.default_rng((seed, 2)))
     reasons = []
     for name in names[:_MOST_DRAWN]:
-        try:
-            env = RobotEnv(with_pick_task(geometry, name), options=settings.options())
-        except SceneError as error:
-            reasons.append(error.code)
-            continue
-        finder = GraspFinder(env.built, env.arm, env.clearance)
-        if next(finder.reachable(env.world, name), None) is not None:
-            return env
-        reasons.append(f"{name} {finder.survey(env.world, name).reason}")
+        found = _opened_pick(run, scene_id, name, settings)
+        if isinstance(found, RobotEnv):
+            return found
+        reasons.append(found)
     raise SceneError(
-        f"{geometry.scene.scene_id}: the robot reaches none of the objects that were drawn ({'; '.join(reasons) or 'there are none'}); "
+        f"{scene_id}: the robot reaches none of the objects that were drawn ({'; '.join(reasons) or 'there are none'}); "
         "choose another scene, mount or robot",
         "nothing_reachable",
     )
+
+
+@lru_cache(maxsize=_MOST_KEPT)
+def _opened_pick(run: str, scene_id: str, name: str, settings: EpisodeSettings) -> RobotEnv | str:
+    """The environment with the task to pick up an object, kept for later episodes of the scene; or why it cannot be picked up."""
+    geometry, _ = _geometry(run, scene_id, settings.settled)
+    try:
+        env = RobotEnv(with_pick_task(geometry, name), options=settings.options())
+    except SceneError as error:
+        return error.code
+    finder = GraspFinder(env.built, env.arm, env.clearance)
+    if next(finder.reachable(env.world, name), None) is not None:
+        return env
+    return f"{name} {finder.survey(env.world, name).reason}"
