@@ -150,8 +150,9 @@ class Experiment:
 
     def _tests(self) -> str:
         """Makes the test scenes; returns the condition that chooses them."""
-        run = self._work / "test"
-        _command("correct", "--scenes", str(self._data), "--out", str(run), "--set", "num_pictures=0")
+        source, run = self._work / "source", self._work / "test"
+        _command("preprocess", "--data", str(self._data), "--out", str(source), "--set", "num_pictures=0")
+        _command("correct", "--scenes", str(source), "--out", str(run), *_set("settle=true", "judges=mujoco", "num_pictures=0"))
         rows = _rows(run, "scenes", ["scene_id", "clean", "stable"])
         return _among(
             sorted(_shuffled([row["scene_id"] for row in rows if row["clean"] and row["stable"]], 0)[: self._options.tests])

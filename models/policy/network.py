@@ -30,7 +30,7 @@ class PolicyShape(Settings):
     several ways, and their mean is none of them.
     """
 
-    point_width: PositiveCount = 64
+    point_width: PositiveCount = 96
     """Numbers by which a point of the subject is described."""
 
     horizon: PositiveCount = 16
@@ -91,13 +91,13 @@ class PolicyNetwork(nn.Module):
         for name, count in (("input", NUM_INPUTS), ("key", NUM_KEY), ("action", NUM_ACTIONS)):
             self.register_buffer(f"{name}_mean", torch.zeros(count))
             self.register_buffer(f"{name}_scale", torch.ones(count))
-        width, point = shape.width, shape.point_width
+        point = shape.point_width
         self.point = nn.Sequential(nn.Linear(NUM_POINT_INPUTS, point), nn.GELU(), nn.Linear(point, point), nn.GELU())
         self.pictures = PictureEncoder(len(shape.cameras), shape.picture_size, shape.picture_width) if shape.cameras else None
         seen = NUM_INPUTS + (shape.picture_width if shape.cameras else 0)
-        self.where = _perceptron(seen + point, width, shape)
+        self.where = _perceptron(seen + point, point, shape)
         self.at_point = nn.Sequential(
-            nn.Linear(width + point, width), nn.GELU(), nn.Dropout(shape.dropout), nn.Linear(width, shape.modes * (NUM_KEY + 1))
+            nn.LayerNorm(point), _residual(point, shape), nn.LayerNorm(point), nn.Linear(point, shape.modes * (NUM_KEY + 1))
         )
         self.how = _perceptron(seen + NUM_KEY_INPUTS, shape.horizon * NUM_ACTIONS, shape)
 
@@ -118,8 +118,7 @@ class PolicyNetwork(nn.Module):
         """
         each = self.point(points)
         scene = self.where(torch.cat([seen, each.amax(dim=1)], dim=1))
-        found = self.at_point(torch.cat([each, scene[:, None].expand(-1, each.shape[1], -1)], dim=2))
-        found = found.unflatten(2, (self._modes, NUM_KEY + 1))
+        found = self.at_point(each + scene[:, None]).unflatten(2, (self._modes, NUM_KEY + 1))
         anchors = (points[..., :3] - self.key_mean[:3]) / self.key_scale[:3]
         poses = torch.cat([found[..., :3] + anchors[:, :, None], found[..., 3:-1]], dim=3)
         return poses, found[..., -1]
@@ -154,14 +153,15 @@ class _Residual(nn.Module):
         return found
 
 
+def _residual(width: int, shape: PolicyShape) -> _Residual:
+    return _Residual(
+        nn.Sequential(
+            nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Dropout(shape.dropout), nn.Linear(width, width)
+        )
+    )
+
+
 def _perceptron(inputs: int, outputs: int, shape: PolicyShape) -> nn.Sequential:
     width = shape.width
-    blocks = [
-        _Residual(
-            nn.Sequential(
-                nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Dropout(shape.dropout), nn.Linear(width, width)
-            )
-        )
-        for _ in range(shape.depth)
-    ]
+    blocks = [_residual(width, shape) for _ in range(shape.depth)]
     return nn.Sequential(nn.Linear(inputs, width), *blocks, nn.LayerNorm(width), nn.Linear(width, outputs))
