@@ -38,6 +38,7 @@ _TARGET_DEPTH = (
 _BESIDE = 0.006  # of the object, where a finger that stands still passes it, metres
 _CLOSING = np.cos(0.25)  # how exact the closing direction of an arm with few joints is
 
+# Joints of the pre-grasp and of the grasp, position and rotation of the tool at the grasp.
 _Option: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 

@@ -24,7 +24,10 @@ ROTATION_TOLERANCE = 1e-2
 """Largest error of a solution, radians, for arms that can bring the tool to any pose."""
 
 FEW_JOINTS_TOLERANCE = 0.5
-"""Largest error of a solution, radians, for arms with fewer than six joints, which choose the nearest direction that they can."""
+"""Largest error of a solution, radians, for arms with fewer than six joints, which choose the nearest direction that they can.
+
+Five joints bring the tool to a place exactly, but only to directions in the upright plane of the arm.
+"""
 
 _DAMPING = 0.03
 _MAX_STEP = 0.35  # radians of a joint in one iteration
