@@ -37,9 +37,12 @@ _TARGET_DEPTH = (
 )
 
 _AT_ONCE = 8  # candidates that are solved together where not all are asked for
-_FLIPS = np.eye(3), np.diag([-1.0, -1.0, 1.0])  # both hands that close along the same line
+_FLIPS = np.eye(3), np.diag([-1.0, -1.0, 1.0])  # which finger is on which side
+_BESIDE = 0.006  # of the object, where a finger that stands still passes it, metres
+_CLOSING = np.cos(0.25)  # how exact the closing direction of an arm with few joints is
 
-_Option: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+# Joints of the pre-grasp and of the grasp, position and rotation of the tool at the grasp.
+_Option: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 class GraspOutcome(StrEnum):
@@ -150,23 +153,26 @@ class GraspFinder:
         candidates = self.candidates(world, instance, limit)
         positions = self.built.mount.to_base(candidates.positions)
         rotations = self.built.mount.rotation.T @ candidates.rotations
+        is_one_sided = self.built.robot.hand.is_one_sided
+        aside = candidates.widths / 2 + _BESIDE if is_one_sided else np.zeros(len(candidates))
         self.clearance.look(world)
         self.clearance.hold(None)
         for first in range(0, len(candidates), at_once):
             rows = slice(first, first + at_once)
             both = np.concatenate([rotations[rows] @ flip for flip in _FLIPS])
-            solved = self._solve(np.tile(positions[rows], (len(_FLIPS), 1)), both)
+            places = np.tile(positions[rows], (len(_FLIPS), 1)) - np.tile(aside[rows], len(_FLIPS))[:, None] * both[:, :, 1]
+            solved = self._solve(places, both)
             count = len(positions[rows])
             for k in range(count):
                 options = [option for option in solved[k::count] if option is not None]
-                yield self._first_free(options, candidates, first + k, positions[first + k], instance)
+                yield self._first_free(options, candidates, first + k, instance)
 
     def _first_free(
-        self, options: Sequence[_Option], candidates: Grasps, k: int, position: FloatArray, instance: str
+        self, options: Sequence[_Option], candidates: Grasps, k: int, instance: str
     ) -> tuple[str | None, ReachableGrasp | None]:
         """The first way to a grasp on which nothing is touched; else what is in the way, or None if the arm cannot go there."""
         hand, width, hit = self.built.robot.hand, float(candidates.widths[k]), None
-        for before, at, rotation in sorted(options, key=lambda option: float(abs(option[0] - self.arm.home).sum())):
+        for before, at, position, rotation in sorted(options, key=lambda option: float(abs(option[0] - self.arm.home).sum())):
             for opening in (hand.max_opening, min(hand.max_opening, width + PRESHAPE)):
                 hit, path = self._free_approach(before, at, position, rotation, opening, instance)
                 if path is not None:
@@ -194,13 +200,21 @@ class GraspFinder:
         )
 
     def _solve(self, positions: FloatArray, rotations: FloatArray) -> list[_Option | None]:
-        """Joints of the pre-grasp and of the grasp, and the rotation, of each candidate; None where the arm cannot reach."""
-        before = self.arm.solve(positions - self.built.robot.pre_grasp * rotations[:, :, 2], rotations)
-        at = self.arm.solve(positions, rotations, before.joints, starts=0)
-        if not self.arm.is_full:  # it takes the object from the direction from which it can
-            _, rotations = self.arm.poses(at.joints)
-        rows = zip(before.found & at.found, before.joints, at.joints, rotations, strict=True)
-        return [(one, other, rotation) if is_found else None for is_found, one, other, rotation in rows]
+        """Joints of the pre-grasp and of the grasp, and the pose, of each candidate; None where the arm cannot reach."""
+        back = self.built.robot.pre_grasp
+        if self.arm.is_full:
+            before = self.arm.solve(positions - back * rotations[:, :, 2], rotations)
+            at = self.arm.solve(positions, rotations, before.joints, starts=0)
+            found = before.found & at.found
+        else:  # it takes the object from the direction from which it can, as long as the fingers close across it
+            at = self.arm.solve(positions, rotations)
+            _, taken = self.arm.poses(at.joints)
+            found = at.found & ((taken[:, :, 1] * rotations[:, :, 1]).sum(axis=1) >= _CLOSING)
+            rotations = taken
+            before = self.arm.solve(positions - back * rotations[:, :, 2], rotations, at.joints, starts=0)
+            found &= before.found
+        rows = zip(found, before.joints, at.joints, positions, rotations, strict=True)
+        return [tuple(row) if is_found else None for is_found, *row in rows]
 
     def _free_approach(
         self, before: FloatArray, at: FloatArray, position: FloatArray, rotation: FloatArray, opening: float, instance: str
@@ -233,7 +247,7 @@ class GraspFinder:
             return GraspOutcome.DIVERGED
         if grasp.instance not in world.contacts().gripped:
             return GraspOutcome.MISSED
-        in_hand = world.object_poses[index, :3] - world.tool_position
+        in_hand = self._in_hand(world, index)
         for joints in timed(self.lift(grasp), _SPEED, CONTROL_SECONDS):
             world.advance(joints, 0.0, CONTROL_SECONDS)
         world.advance(world.commanded_joints, 0.0, _HOLD_SECONDS)
@@ -242,7 +256,7 @@ class GraspFinder:
         end = world.object_poses
         moved = np.linalg.norm(end[:, :3] - start[:, :3], axis=1)
         came_up = end[index, 2] - start[index, 2]
-        slip = np.linalg.norm(end[index, :3] - world.tool_position - in_hand)
+        slip = np.linalg.norm(self._in_hand(world, index) - in_hand)
         contacts = world.contacts()
         if grasp.instance not in contacts.gripped or came_up < _LIFTED_SHARE * LIFT or slip > _SLIP:
             return GraspOutcome.SLIPPED
@@ -252,11 +266,17 @@ class GraspFinder:
             return GraspOutcome.DISTURBED
         return GraspOutcome.HELD
 
+    def _in_hand(self, world: RobotWorld, index: int) -> FloatArray:
+        """Where an object is in the tool frame, (3,), metres."""
+        position, rotation = self.built.tool_pose(world.data)
+        return np.asarray((self.built.mount.to_base(world.object_poses[index, :3]) - position) @ rotation)
+
     def lift(self, grasp: ReachableGrasp, height: float = LIFT) -> FloatArray:
         """Configurations that lift the tool straight up from a grasp, (T, J), as far as the arm can follow."""
         at = grasp.approach[-1]
         for share in (1.0, 0.75, 0.5):
-            path = tool_line(self.arm, at, grasp.position + np.array([0.0, 0.0, share * height]), grasp.rotation, spacing=0.02)
+            above = grasp.position + np.array([0.0, 0.0, share * height])
+            path = tool_line(self.arm, at, above, grasp.rotation, spacing=0.02, may_turn=not self.arm.is_full)
             if path is not None:
                 return path
         return grasp.approach[::-1]

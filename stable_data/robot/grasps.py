@@ -39,7 +39,7 @@ class Grasps:
     """Poses of the hand.
 
     Attributes:
-        positions: Origin of the tool frame, (K, 3) float64, metres.
+        positions: Middle between the fingers, (K, 3) float64, metres: the origin of the tool frame, unless one finger stands still.
         rotations: Of the tool frame, (K, 3, 3): z is the approach, y the closing direction.
         widths: Distance between the two points of the surface, (K,), metres.
         scores: How good they are before any trial, (K,), higher is better; they are sorted by it.
@@ -277,7 +277,10 @@ def _fitting(
 
 
 def _fits_hand(tool: FloatArray, rotations: FloatArray, widths: FloatArray, surface: FloatArray, hand: Hand) -> BoolArray:
-    """In which poses no point of the surface is in the palm or in the fingers, open fully or a little wider than the object."""
+    """In which poses no point of the surface is in the palm or in the fingers, open fully or a little wider than the object.
+
+    A first, coarse look, as if both fingers moved; the arm is then checked with its own shapes.
+    """
     local = np.einsum("kpi,kij->kpj", surface[None] - tool[:, None], rotations)  # the surface in the tool frames
     x, y, z = abs(local[..., 0]), abs(local[..., 1]), local[..., 2]
     across, along = hand.palm_half

@@ -90,6 +90,12 @@ class RobotModel:
         joints = [k for k in range(self.model.njnt) if self.model.joint(k).name.startswith(ROBOT_PREFIX)]
         return np.array([a for k in joints if (a := int(self.model.jnt_qposadr[k])) not in arm], np.int64)
 
+    def hand_positions(self, opening: float) -> FloatArray:
+        """Positions of all joints of the hand at an opening, metres; those of linked fingers as they are when it is open."""
+        hand, start = self.robot.hand, self.start_qpos[self.hand_addresses]
+        share = opening / hand.max_opening
+        return hand.closed_angle + share * (start - hand.closed_angle) if hand.open_angle > hand.closed_angle else start
+
     @cached_property
     def tool(self) -> int:
         """The site of the tool frame."""
@@ -184,7 +190,8 @@ def assemble(geometry: SceneGeometry, robot: Robot, mount: Mount, picture: tuple
     frame = spec.worldbody.add_frame(pos=mount.position.tolist(), quat=wxyz(yaw_quat(mount.yaw)))
     spec.attach(arm, frame=frame, prefix=ROBOT_PREFIX)
     _add_wrist_camera(spec, robot)
-    _add_stand(spec, mount)
+    if robot.table_base is None:
+        _add_stand(spec, mount)
     return RobotModel(compile_spec(spec), robot, mount, geometry)
 
 

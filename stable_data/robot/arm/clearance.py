@@ -96,11 +96,9 @@ class Clearance:
         return None
 
     def _pose(self, joints: FloatArray, opening: float) -> None:
-        built, data, hand = self._built, self._data, self._built.robot.hand
+        built, data = self._built, self._data
         data.qpos[built.joint_addresses] = joints
-        share = opening / hand.max_opening
-        start = built.start_qpos[built.hand_addresses]
-        data.qpos[built.hand_addresses] = start * share if hand.closed_angle == 0.0 and hand.open_angle > 0 else start
+        data.qpos[built.hand_addresses] = built.hand_positions(opening)
         mujoco.mj_kinematics(self._model, data)
         if self._held is None:
             return

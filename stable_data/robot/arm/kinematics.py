@@ -23,15 +23,22 @@ POSITION_TOLERANCE = 1e-3
 ROTATION_TOLERANCE = 1e-2
 """Largest error of a solution, radians, for arms that can bring the tool to any pose."""
 
-FEW_JOINTS_TOLERANCE = 0.2
-"""Largest error of a solution, radians, for arms with fewer than six joints, which choose the nearest direction that they can."""
+FEW_JOINTS_TOLERANCE = 0.5
+"""Largest error of a solution, radians, for arms with fewer than six joints, which choose the nearest direction that they can.
+
+Five joints bring the tool to a place exactly, but only to directions in the upright plane of the arm.
+"""
 
 _DAMPING = 0.03
 _MAX_STEP = 0.35  # radians of a joint in one iteration
-_ITERATIONS = 20  # more starts reach more poses than more iterations
+_ITERATIONS = 20  # with many joints more starts reach more poses than more iterations
+_FEW_JOINTS_ITERATIONS = 60
 _MARGIN = 0.02  # distance from the limits of the joints, radians
-_FULL, _TURN_WEIGHT = 6, 0.1  # joints; metres a radian
+_FULL = 6  # joints
+_TURN_WEIGHT = 0.005  # metres a radian; a direction that the arm cannot take then hardly moves the tool
+_AT_REST = 1e-4  # a smaller step of the joints ends the search, radians
 _STARTS = 8  # further starts for poses that the first one does not reach
+_FEW_STARTS = 1  # the same for few joints, which find a pose from the first start or hardly ever
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +163,7 @@ class Arm:
         begin = self._facing(positions) if start is None else np.broadcast_to(start, (len(positions), len(self.low)))
         best = self._descend(positions, rotations, np.array(begin, np.float64))
         rng = np.random.default_rng(seed)
-        for _ in range(starts):
+        for _ in range(starts if self.is_full else min(starts, _FEW_STARTS)):
             open_ = np.flatnonzero(~best.found)
             if not len(open_):
                 break
@@ -185,8 +192,10 @@ class Arm:
         return np.asarray(np.clip(joints, self.low, self.high))
 
     def _descend(
-        self, positions: FloatArray, rotations: FloatArray, joints: FloatArray, iterations: int = _ITERATIONS
+        self, positions: FloatArray, rotations: FloatArray, joints: FloatArray, iterations: int | None = None
     ) -> Solutions:
+        if iterations is None:
+            iterations = _ITERATIONS if self.is_full else _FEW_JOINTS_ITERATIONS
         active = np.arange(len(joints))
         move, turn = np.full(len(joints), np.inf), np.full(len(joints), np.inf)
         for left in range(iterations, -1, -1):
@@ -197,20 +206,22 @@ class Arm:
             open_ = move[active] > 0.1 * POSITION_TOLERANCE
             if self.is_full:
                 open_ |= turn[active] > 0.1 * ROTATION_TOLERANCE
-            elif left > _ITERATIONS // 2:
+            else:
                 open_[:] = True  # the rotation comes as near as it can
             active = active[open_]
             if not len(active) or not left:
                 break
             jacobian = _jacobian(position, axes, anchors)[open_] * self._weights[:, None]
             error = (np.concatenate([away, twist], axis=1) * self._weights)[open_]
-            square = jacobian @ jacobian.transpose(0, 2, 1)
-            damping = _DAMPING**2 * np.minimum(1.0, np.linalg.norm(error, axis=1) * 10)[:, None, None] * np.eye(
-                6
-            ) + 1e-8 * np.eye(6)
-            step = (jacobian.transpose(0, 2, 1) @ np.linalg.solve(square + damping, error[:, :, None]))[:, :, 0]
-            step *= np.minimum(1.0, _MAX_STEP / np.maximum(abs(step).max(axis=1), 1e-9))[:, None]
-            joints[active] = np.clip(joints[active] + step, self.low, self.high)
+            step = _step(jacobian, error)
+            if not self.is_full:  # what a joint at its limit cannot do, the others may
+                at_limit = (joints[active] + step < self.low) | (joints[active] + step > self.high)
+                step = _step(jacobian * ~at_limit[:, None], error)
+            moved = np.clip(joints[active] + step, self.low, self.high)
+            if not self.is_full:
+                still = abs(moved - joints[active]).max(axis=1) < _AT_REST
+                moved, active = moved[~still], active[~still]
+            joints[active] = moved
         return Solutions(joints, move, turn, ROTATION_TOLERANCE if self.is_full else FEW_JOINTS_TOLERANCE)
 
 
@@ -222,6 +233,14 @@ def arm_of(robot: Robot) -> Arm:
         ConfigError: The files of the robot cannot be read (``robot_missing``).
     """
     return Arm(robot)
+
+
+def _step(jacobian: FloatArray, error: FloatArray) -> FloatArray:
+    """The damped step of the joints (K, J) against errors (K, 6)."""
+    square = jacobian @ jacobian.transpose(0, 2, 1)
+    damping = _DAMPING**2 * np.minimum(1.0, np.linalg.norm(error, axis=1) * 10)[:, None, None] * np.eye(6) + 1e-8 * np.eye(6)
+    step = (jacobian.transpose(0, 2, 1) @ np.linalg.solve(square + damping, error[:, :, None]))[:, :, 0]
+    return np.asarray(step * np.minimum(1.0, _MAX_STEP / np.maximum(abs(step).max(axis=1), 1e-9))[:, None])
 
 
 def _jacobian(position: FloatArray, axes: FloatArray, anchors: FloatArray) -> FloatArray:

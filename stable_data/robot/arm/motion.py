@@ -27,7 +27,7 @@ def joint_line(start: FloatArray, goal: FloatArray) -> FloatArray:
 
 
 def tool_line(
-    arm: Arm, start: FloatArray, position: FloatArray, rotation: FloatArray, *, spacing: float = 0.01
+    arm: Arm, start: FloatArray, position: FloatArray, rotation: FloatArray, *, spacing: float = 0.01, may_turn: bool = False
 ) -> FloatArray | None:
     """Configurations that move the tool on a straight line to a pose, (T, J); None if the arm cannot follow it.
 
@@ -37,6 +37,7 @@ def tool_line(
         position: Of the tool at the end, (3,), metres, frame of the base.
         rotation: (3, 3); the tool has it along the whole line.
         spacing: Distance between the configurations, metres.
+        may_turn: Whether the tool may turn on the way as far as an arm with few joints has to.
     """
     begin, _ = arm.poses(start[None])
     count = max(1, int(np.ceil(np.linalg.norm(position - begin[0]) / spacing)))
@@ -47,6 +48,8 @@ def tool_line(
             return None
         joints = found.joints[0]
         path.append(joints)
+        if may_turn:
+            rotation = arm.poses(joints[None])[1][0]
     return np.array(path)
 
 

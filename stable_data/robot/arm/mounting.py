@@ -1,16 +1,18 @@
-"""Where a robot stands: behind an edge of the table, on the height of its top, looking inwards."""
+"""Where a robot stands, on the height of the table top and looking inwards: behind an edge, or, a small one, on the table inside it."""
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
 from stable_data.robot.arm.robots import Robot
 from stable_data.rotations import rotate_xy
 from stable_data.scene import FloatArray, Scene, Tabletop
+from stable_data.scene_graph.relations import yawed_rectangle
 
 AUTO = "auto"
 """The setting by which the place follows from the scene."""
@@ -19,10 +21,12 @@ EDGES = ("front", "left", "right", "back")
 """The edges of the table."""
 
 CHOSEN_EDGES = EDGES[:3]
-"""The edges of which ``auto`` chooses: behind the back edge there often is a wall."""
+"""The edges behind which ``auto`` puts a robot: behind the back edge there often is a wall. One on the table may stand at any edge."""
 
-_GAP = 0.02  # between the base and the table, metres
+_GAP = 0.02  # between the base and the edge, metres
 _STEP = 0.1  # distance of the places along an edge that are compared, metres
+_STEP_ON_TABLE = 0.05  # the same for a robot that stands between the objects
+_FREE = 0.01  # between a base on the table and the objects, metres
 _HIGH, _AHEAD, _ASIDE = 0.25, 0.65, 0.2  # of the space of the arm at its start, as shares of the reach
 _COMFORT = 0.8  # share of the reach that is better than the rest
 
@@ -36,7 +40,7 @@ class Mount:
         y: Metres.
         z: Metres.
         yaw: Radians.
-        edge: The edge of the table behind which it stands.
+        edge: The edge of the table at which it stands.
     """
 
     x: float
@@ -66,13 +70,13 @@ class Mount:
 
 
 def mount_at(robot: Robot, table: Tabletop, edge: str, share: float = 0.5) -> Mount:
-    """Returns the mount behind an edge.
+    """Returns the mount at an edge: behind it, or just inside it if the robot stands on the table.
 
     Args:
         robot: The robot.
         table: The table.
         edge: One of EDGES.
-        share: Place along the edge, from 0 (its left or front end) to 1.
+        share: Place along the edge, from 0 (its left or front end) to 1. A base on the table stays on it also at the ends.
 
     Raises:
         ConfigError: There is no such edge, or the share is not from 0 to 1 (``setting_invalid``).
@@ -83,12 +87,16 @@ def mount_at(robot: Robot, table: Tabletop, edge: str, share: float = 0.5) -> Mo
             "with a share from 0 to 1 after a colon if not in the middle",
             "setting_invalid",
         )
-    (width, depth), away = table.size_xy, robot.base_front + _GAP
+    (width, depth), base = table.size_xy, robot.table_base
+    length = width if edge in ("front", "back") else depth
+    along, inside = share * length, -(robot.base_front + _GAP)
+    if base is not None:
+        along, inside = max(min(along, length - base.half_width), min(base.half_width, length / 2)), base.back + _GAP
     x, y, yaw = {
-        "front": (share * width, -away, math.pi / 2),
-        "back": (share * width, depth + away, -math.pi / 2),
-        "left": (-away, share * depth, 0.0),
-        "right": (width + away, share * depth, math.pi),
+        "front": (along, inside, math.pi / 2),
+        "back": (along, depth - inside, -math.pi / 2),
+        "left": (inside, along, 0.0),
+        "right": (width - inside, along, math.pi),
     }[edge]
     return Mount(x, y, 0.0, yaw, edge)
 
@@ -150,8 +158,9 @@ def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = (), places: F
         places: Further places that have to be in reach, (P, 2), metres, frame of the scene.
 
     Returns:
-        The first one of the best, in the order front, left, right, and from the middle of an edge to its ends. Places where something
-        high stands where the arm is at its start are left out, if there are others.
+        The first one of the best, in the order front, left, right (and back, for a robot on the table), and from the middle of an edge to
+        its ends. Places where something high stands where the arm is at its start, or anything where its base would stand, are left out,
+        if there are others.
     """
     names = frozenset(wanted) or frozenset(() if scene.task is None else scene.task.task_objects)
     objects = scene.movable
@@ -161,11 +170,12 @@ def best_mount(robot: Robot, scene: Scene, wanted: Iterable[str] = (), places: F
         centres = np.concatenate([centres, places[:, :2]])
         is_wanted = np.concatenate([is_wanted, np.ones(len(places), bool)])
     best, best_score = mount_at(robot, scene.table, EDGES[0]), (-1.0, -1.0, -1.0)
-    for edge in CHOSEN_EDGES:
+    edges, step = (CHOSEN_EDGES, _STEP) if robot.table_base is None else (EDGES, _STEP_ON_TABLE)
+    for edge in edges:
         length = scene.table.size_xy[0 if edge in ("front", "back") else 1]
-        for share in _shares(length):
+        for share in _shares(length, step):
             mount = mount_at(robot, scene.table, edge, share)
-            if _is_blocked(robot, mount, scene):
+            if _is_blocked(robot, mount, scene) or _is_taken(robot, mount, scene):
                 continue
             in_reach, is_easy = _in_reach(robot, mount, centres)
             score = (float((in_reach & is_wanted).sum()), float((is_easy & is_wanted).sum()), float(is_easy.sum()))
@@ -185,10 +195,21 @@ def _is_blocked(robot: Robot, mount: Mount, scene: Scene) -> bool:
     return False
 
 
-def _shares(length: float) -> Sequence[float]:
+def _is_taken(robot: Robot, mount: Mount, scene: Scene) -> bool:
+    """Whether an object stands where the base would be on the table."""
+    base = robot.table_base
+    if base is None:
+        return False
+    x, y = (-base.back - _FREE, robot.base_front + _FREE), (-base.half_width - _FREE, base.half_width + _FREE)
+    outline = shapely.box(x[0], y[0], x[1], y[1])
+    corners = (rotate_xy(yawed_rectangle(o) - mount.position[:2], -mount.yaw) for o in scene.objects)
+    return any(outline.intersects(shapely.Polygon(c)) for c in corners)
+
+
+def _shares(length: float, step: float) -> Sequence[float]:
     """Places along an edge, the middle first."""
-    count = max(0, int((length / 2 - _STEP) / _STEP))
-    steps = [k * _STEP / length for k in range(1, count + 1)]
+    count = max(0, int((length / 2 - step) / step))
+    steps = [k * step / length for k in range(1, count + 1)]
     return [0.5, *(0.5 + sign * step for step in steps for sign in (-1, 1))]
 
 

