@@ -3,9 +3,10 @@
 ``python -m benchmarks.replay SCENES EPISODES [--vary 0.3] [--limit 300] [--json FILE]``
 
 EPISODES is a run of ``demonstrate`` in the run SCENES, best in scenes that nothing was done about: ``generate --set corrects=never --set
-accept=``. Each successful episode, or some that are drawn, is carried out again without feedback, with friction and mass of every object
-changed by up to the share ``--vary``. For each verdict that is a number, the table gives the area under the curve (AUC): how often a
-success has the better value than a failure; 50 % is chance.
+accept=``. An episode that could not begin counts as a failure of the expert. Each successful one, or some that are drawn, is carried out
+again without feedback, with friction and mass of every object changed by up to the share ``--vary``. Intervals are Wilson's, which take
+episodes as independent; those of one scene are less so. For each verdict that is a number, the table gives the area under the curve
+(AUC): how often a success has the better value than a failure; 50 % is chance.
 """
 
 import argparse
@@ -50,7 +51,7 @@ class Outcome:
 
     Attributes:
         verdicts: The row of its scene.
-        expert: Whether the expert succeeded.
+        expert: Whether the expert succeeded; not if the episode could not begin.
         replayed: Whether its actions succeeded again under other physics; None: not tried.
     """
 
@@ -65,12 +66,18 @@ def outcomes(scenes: str, episodes: str, vary: float, limit: int) -> Iterator[Ou
     if manifest is None:
         raise SystemExit(f"{episodes} has no manifest, expected a run of demonstrate")
     settings: DemonstrateSettings = fill_settings(DemonstrateSettings, manifest["settings"], "demonstrate")
-    settings = replace(settings, variation=replace(settings.variation, friction=vary, mass=vary))
+    settings = replace(settings, variation=replace(settings.variation, friction=vary, mass=vary), cameras=frozenset())
     columns = ["scene_id", "clean", "stable", *NUMBERS]
     verdicts = {row["scene_id"]: row for row in RunFolder(scenes).table("scenes", columns).to_pylist()}
+    never_began = [row["id"].rpartition("/")[0] for row in RunFolder(episodes).table("failures", ["id"]).to_pylist()]
     found = sorted(read_episodes(episodes, with_pictures=False), key=lambda e: (e.scene_id, e.number))
     good = [k for k, e in enumerate(found) if e.success and e.lead is None]
     chosen = set(np.random.default_rng(0).permutation(good)[:limit].tolist())
+    if strange := {e.scene_id for e in found}.union(never_began) - set(verdicts):
+        raise SystemExit(
+            f"{episodes} has an episode in scene {min(strange)}, which is not in {scenes}; expected episodes in its scenes"
+        )
+    yield from (Outcome(verdicts[scene_id], expert=False, replayed=None) for scene_id in never_began)
     for k, episode in enumerate(found):
         replayed = None
         if k in chosen:

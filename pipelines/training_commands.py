@@ -182,7 +182,8 @@ def train_policy(
 ) -> None:
     """Train a policy by cloning the demonstrations of runs. Run again to continue after a stop.
 
-    It sees the states of robot and environment, not pictures, and takes minutes on one core. evaluate-policy measures its success.
+    It sees the states of robot and environment, and pictures if network.cameras names some. Minutes on one core with states.
+    evaluate-policy measures its success.
     Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
     """
     from models.policy.training import PolicyTrainingSettings

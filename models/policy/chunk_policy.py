@@ -47,7 +47,7 @@ class Policy:
         """Returns the next actions, (K, A) float32; K is ``execute`` of its training."""
         network, shape = self._weights.network, self._weights.shape
         pictures = observed_pictures(observation.get(PIXELS, {}), shape.cameras, shape.picture_size)
-        frame = TaskFrame(observation[AGENT][None], observation[ENVIRONMENT][None], objects=shape.objects)
+        frame = TaskFrame(observation[AGENT][None], observation[ENVIRONMENT][None], sees_objects=shape.sees_objects)
         sight = Sight.of(frame, np.array([self._memory.values], np.float32), pictures[None])
         seen = network.see(sight)
         if self._aim is None or self._left <= 0 or frame.has_subject[0] != self._has_subject:

@@ -39,8 +39,10 @@ class PolicyShape(Settings):
     dropout: Share = 0.2
     """Share of the hidden values that are dropped in training."""
 
-    objects: bool = True
-    """Whether the network sees the states of the objects. Without them it sees pictures, and the robot itself."""
+    sees_objects: bool = True
+    """Whether the network sees the states of the objects. Without them it sees pictures, and the robot itself; nothing tells it which
+    object to take, so the pictures have to.
+    """
 
     cameras: tuple[str, ...] = ()
     """Cameras whose pictures the network sees: ``wrist``, ``front``, ``top``. Empty: none."""
@@ -57,13 +59,16 @@ class PolicyShape(Settings):
         Raises:
             ConfigError: See above (``setting_invalid``).
         """
-        if strange := sorted(set(self.cameras) - set(CAMERAS)):
-            raise ConfigError(f"network.cameras has {strange[0]!r}, expected some of {', '.join(CAMERAS)}", "setting_invalid")
+        if set(self.cameras) - set(CAMERAS) or len(set(self.cameras)) < len(self.cameras):
+            raise ConfigError(
+                f"network.cameras is {', '.join(self.cameras)}, expected some of {', '.join(CAMERAS)}, each once",
+                "setting_invalid",
+            )
         if self.picture_size % 16:
             raise ConfigError(f"network.picture_size is {self.picture_size}, expected a multiple of 16", "setting_invalid")
-        if not (self.objects or self.cameras):
+        if not (self.sees_objects or self.cameras):
             raise ConfigError(
-                "network.objects is false and network.cameras is empty, expected cameras: the policy would see no object",
+                "network.sees_objects is false and network.cameras is empty, expected cameras: the policy would see no object",
                 "setting_invalid",
             )
 
@@ -92,19 +97,21 @@ class PolicyNetwork(nn.Module):
             self.register_buffer(f"{name}_mean", torch.zeros(count))
             self.register_buffer(f"{name}_scale", torch.ones(count))
         point = shape.point_width
-        self.point = nn.Sequential(nn.Linear(NUM_POINT_INPUTS, point), nn.GELU(), nn.Linear(point, point), nn.GELU())
-        self.pictures = PictureEncoder(len(shape.cameras), shape.picture_size, shape.picture_width) if shape.cameras else None
+        self.point_encoder = nn.Sequential(nn.Linear(NUM_POINT_INPUTS, point), nn.GELU(), nn.Linear(point, point), nn.GELU())
+        self.picture_encoder = (
+            PictureEncoder(len(shape.cameras), shape.picture_size, shape.picture_width) if shape.cameras else None
+        )
         seen = NUM_INPUTS + (shape.picture_width if shape.cameras else 0)
-        self.where = _perceptron(seen + point, point, shape)
-        self.at_point = nn.Sequential(
+        self.scene_encoder = _perceptron(seen + point, point, shape)
+        self.proposals = nn.Sequential(
             nn.LayerNorm(point), _residual(point, shape), nn.LayerNorm(point), nn.Linear(point, shape.modes * (NUM_KEY + 1))
         )
-        self.how = _perceptron(seen + NUM_KEY_INPUTS, shape.horizon * NUM_ACTIONS, shape)
+        self.motions = _perceptron(seen + NUM_KEY_INPUTS, shape.horizon * NUM_ACTIONS, shape)
 
     def see(self, sight: Sight) -> Tensor:
         """Returns what both parts of the network take of what is seen, (B, W): normalised inputs, and the encoded pictures."""
         found = ((sight.inputs - self.input_mean) / self.input_scale).clamp(-_WIDEST, _WIDEST)
-        return found if self.pictures is None else torch.cat([found, self.pictures(sight.pictures)], dim=1)
+        return found if self.picture_encoder is None else torch.cat([found, self.picture_encoder(sight.pictures)], dim=1)
 
     def keys(self, seen: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         """Proposes where the hand opens or closes next.
@@ -116,9 +123,9 @@ class PolicyNetwork(nn.Module):
         Returns:
             Normalised poses of the tool, (B, P, M, K), and their scores, (B, P, M).
         """
-        each = self.point(points)
-        scene = self.where(torch.cat([seen, each.amax(dim=1)], dim=1))
-        found = self.at_point(each + scene[:, None]).unflatten(2, (self._modes, NUM_KEY + 1))
+        each = self.point_encoder(points)
+        scene = self.scene_encoder(torch.cat([seen, each.amax(dim=1)], dim=1))
+        found = self.proposals(each + scene[:, None]).unflatten(2, (self._modes, NUM_KEY + 1))
         anchors = (points[..., :3] - self.key_mean[:3]) / self.key_scale[:3]
         poses = torch.cat([found[..., :3] + anchors[:, :, None], found[..., 3:-1]], dim=3)
         return poses, found[..., -1]
@@ -130,7 +137,7 @@ class PolicyNetwork(nn.Module):
             seen: (B, W) of :meth:`see`.
             key_inputs: The pose, (B, L), see :meth:`TaskFrame.key_inputs`.
         """
-        found: Tensor = self.how(torch.cat([seen, key_inputs], dim=1))
+        found: Tensor = self.motions(torch.cat([seen, key_inputs], dim=1))
         return found.reshape(-1, self._horizon, NUM_ACTIONS)
 
     def best(self, keys: Tensor, scores: Tensor) -> Tensor:

@@ -58,8 +58,8 @@ def check_clonable(features: EpisodeFeatures, cameras: Sequence[str] = ()) -> No
     for name, (found, expected) in wanted.items():
         if found != expected:
             raise ConfigError(
-                f"{name} is {quote_value(_plain(found))}, expected {quote_value(_plain(expected))}; record the episodes with "
-                f"--set control={CONTROL}",
+                f"{name} is {quote_value(_plain(found))[:200]}, expected {quote_value(_plain(expected))[:200]}; record the episodes "
+                f"with --set control={CONTROL}, and anew if an older version recorded them",
                 "policy_features",
             )
 
@@ -74,15 +74,15 @@ class TaskFrame:
     Args:
         states: States of the robot, (B, S) float32.
         environment_states: States of the environment, (B, E) float32.
-        objects: Whether the states of the objects are seen; without them there is no subject.
+        sees_objects: Whether the states of the objects are seen; without them there is no subject.
 
     Attributes:
         has_subject: Whether there is an object to act on, (B,) bool.
     """
 
-    def __init__(self, states: FloatArray32, environment_states: FloatArray32, *, objects: bool = True) -> None:
+    def __init__(self, states: FloatArray32, environment_states: FloatArray32, *, sees_objects: bool = True) -> None:
         self._states, self._environment = np.asarray(states, np.float64), np.asarray(environment_states, np.float64)
-        if not objects:
+        if not sees_objects:
             self._environment = np.zeros_like(self._environment)
         self._tool, columns = self._states[:, -9:-6], self._states[:, -6:]
         self._rotation = _rotations(columns)  # (B, 3, 3), base from tool

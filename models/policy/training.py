@@ -1,6 +1,7 @@
 """Training of a policy on the frames of demonstrations: each state, and the actions that followed it."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -65,7 +66,7 @@ class PolicyTrainingSettings(Settings):
     """Share of the scenes that are not trained on; the errors on them are in the table of the training."""
 
     max_episodes: Count = 0
-    """Demonstrations of the training at most, drawn by the seed from those of all scenes. 0: all."""
+    """Demonstrations of the training at most, drawn by the seed: first one of each scene, then a second one, and so on. 0: all."""
 
     max_actions: Count = 150
     """Longer demonstrations are left out: in them the expert needed several attempts. 0: none is."""
@@ -122,11 +123,14 @@ class Frames:
         """Returns the frames of episodes, at least one, as a network of a shape sees them."""
         chunks = EpisodeChunks(episodes, shape.horizon)
         batch = chunks.batch(np.arange(len(chunks)))
-        frame = TaskFrame(batch["states"], batch["environment_states"], objects=shape.objects)
+        frame = TaskFrame(batch["states"], batch["environment_states"], sees_objects=shape.sees_objects)
         positions, rotations = frame.tool_poses
         following = next_key_frames(chunks)
         keys = frame.keys(positions[following], rotations[following], opening_before(chunks, following))
-        pictures = np.concatenate([episode_pictures(episode, shape.cameras, shape.picture_size) for episode in episodes])
+        pictures = np.zeros((len(chunks), 3 * len(shape.cameras), shape.picture_size, shape.picture_size), np.uint8)
+        if shape.cameras:
+            for number, episode in enumerate(episodes):
+                pictures[chunks.episodes == number] = episode_pictures(episode, shape.cameras, shape.picture_size)
         sight = Sight.of(frame, hand_memories(chunks), pictures)
         parts = (frame.from_actions(batch["actions"]), ~batch["is_padding"], keys, frame.key_inputs(keys))
         return cls(sight, *map(torch.from_numpy, parts))
@@ -160,7 +164,9 @@ def split_episodes(
     short = [e for e in good if not settings.max_actions or e.num_steps <= settings.max_actions]
     held = [e for e in short if named_seed("held out", e.scene_id) / 2**48 < settings.held_out]
     names = {e.scene_id for e in held}
-    train = sorted((e for e in short if e.scene_id not in names), key=lambda e: named_seed(settings.seed, e.episode_id, e.seed))
+    train = _evenly(
+        sorted((e for e in short if e.scene_id not in names), key=lambda e: named_seed(settings.seed, e.episode_id, e.seed))
+    )
     chosen = train[: settings.max_episodes or len(train)]
     left_out = {
         "left_out_failed": len(episodes) - len(good),
@@ -174,6 +180,16 @@ def split_episodes(
             "set_empty",
         )
     return chosen, held, left_out
+
+
+def _evenly(episodes: Sequence[Episode]) -> list[Episode]:
+    """The first episode of each scene, then the second of each, and so on."""
+    seen: Counter[str] = Counter()
+    rounds = []
+    for episode in episodes:
+        rounds.append(seen[episode.scene_id])
+        seen[episode.scene_id] += 1
+    return [episodes[k] for k in sorted(range(len(episodes)), key=lambda k: rounds[k])]
 
 
 class PolicyTrainer:

@@ -97,7 +97,10 @@ def load_policy(path: Path) -> PolicyWeights:
         raise ConfigError(f"{path}: cannot be read as safetensors ({error})", "weights_invalid") from error
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         line = " ".join(str(error).split())[:200]
-        raise ConfigError(f"{path}: {line}; expected the file of a policy, see train-policy", "weights_invalid") from error
+        raise ConfigError(
+            f"{path}: {line}; expected the file of a policy of this version, see train-policy; train again if it is older",
+            "weights_invalid",
+        ) from error
     if broken := [name for name, value in tensors.items() if not value.isfinite().all()]:
         raise ConfigError(f"{path}: {broken[0]} has values that are not finite, expected finite weights", "weights_invalid")
     assets = found["assets"]
@@ -120,9 +123,15 @@ def check_environment(policy: EpisodeFeatures, environment: EpisodeFeatures, nam
                 "same; train on episodes of this environment, or choose the robot and control of the policy",
                 "policy_mismatch",
             )
+    if policy.image_size and environment.image_size and policy.image_size != environment.image_size:
+        raise ConfigError(
+            f"policy {name}: it was trained with pictures of {policy.image_size[0]} x {policy.image_size[1]} pixels, but those of the "
+            f"environment have {environment.image_size[0]} x {environment.image_size[1]}, expected the same",
+            "policy_mismatch",
+        )
     if missing := [camera for camera in policy.cameras if camera not in environment.cameras]:
         raise ConfigError(
             f"policy {name}: it needs pictures of {', '.join(missing)}, but the cameras of the environment are "
-            f"{quote_value(list(environment.cameras))}, expected these too: --set cameras={json.dumps(list(policy.cameras))}",
+            f"{quote_value(list(environment.cameras))}, expected these too: --set 'cameras={json.dumps(list(policy.cameras))}'",
             "policy_mismatch",
         )

@@ -20,7 +20,6 @@ from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import scene_from_row
 
 _MOST_DRAWN = 6  # objects that are tried for a pick
-_MOST_KEPT = 8  # environments of picks that are kept for later episodes of their scene
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -113,9 +112,11 @@ def _pick_env(run: str, scene_id: str, seed: int, settings: EpisodeSettings) -> 
     """
     geometry, _ = _geometry(run, scene_id, settings.settled)
     names = pick_order(geometry.scene, np.random.default_rng((seed, 2)))
-    reasons = []
+    opened, reasons = _opened_picks(run, scene_id, settings), []
     for name in names[:_MOST_DRAWN]:
-        found = _opened_pick(run, scene_id, name, settings)
+        if name not in opened:
+            opened[name] = _opened_pick(geometry, name, settings)
+        found = opened[name]
         if isinstance(found, RobotEnv):
             return found
         reasons.append(found)
@@ -126,10 +127,14 @@ def _pick_env(run: str, scene_id: str, seed: int, settings: EpisodeSettings) -> 
     )
 
 
-@lru_cache(maxsize=_MOST_KEPT)
-def _opened_pick(run: str, scene_id: str, name: str, settings: EpisodeSettings) -> RobotEnv | str:
-    """The environment with the task to pick up an object, kept for later episodes of the scene; or why it cannot be picked up."""
-    geometry, _ = _geometry(run, scene_id, settings.settled)
+@lru_cache(maxsize=1)
+def _opened_picks(run: str, scene_id: str, settings: EpisodeSettings) -> dict[str, RobotEnv | str]:
+    """The environments of the picks in a scene, kept for its next episodes, or why an object cannot be picked up."""
+    del run, scene_id, settings  # the dictionary is theirs
+    return {}
+
+
+def _opened_pick(geometry: SceneGeometry, name: str, settings: EpisodeSettings) -> RobotEnv | str:
     try:
         env = RobotEnv(with_pick_task(geometry, name), options=settings.options())
     except SceneError as error:

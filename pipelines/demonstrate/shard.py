@@ -2,14 +2,19 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pipelines.demonstrate.environments import EpisodeRef, open_episode
 from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows
+from stable_data.robot.acting.episode_log import features_of
 from stable_data.robot.acting.recording import Lead, record_episode
+from stable_data.robot.env import RobotEnv
 from stable_data.robot.episodes import episode_row
+
+if TYPE_CHECKING:
+    from models.policy.chunk_policy import OpenedPolicy
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +49,22 @@ class DemonstrateStep(ItemStep[EpisodeRef]):
             seed=found.seed,
             split=found.split,
             noise=settings.noise,
-            lead=_lead(settings.lead, settings.lead_actions) if settings.lead else None,
+            lead=_lead(settings.lead, settings.lead_actions, found.env) if settings.lead else None,
         )
         return {"episodes": [episode_row(episode)]}
 
 
+def _lead(name: str, most_actions: int, env: RobotEnv) -> Lead:
+    from models.policy.weights import check_environment
+
+    opened = _opened(name)
+    if opened.features is not None:
+        check_environment(opened.features, features_of(env), opened.name)
+    return Lead(opened.policy, name, most_actions)
+
+
 @lru_cache(maxsize=1)
-def _lead(name: str, most_actions: int) -> Lead:
+def _opened(name: str) -> "OpenedPolicy":
     from models.policy.chunk_policy import open_policy  # takes seconds to import
 
-    return Lead(open_policy(name).policy, name, most_actions)
+    return open_policy(name)

@@ -78,7 +78,7 @@ class PolicyTrainingJob(TrainingJob):
         details = {
             "data": runs,
             "where": self.where,
-            "episodes": content_id(sorted(_identity(e) for e in (*train, *held))),
+            "episodes": content_id(sorted(_identity(e, self.settings.network.cameras) for e in (*train, *held))),
             "settings": asdict(self.settings),
             "num_episodes": len(train),
             "num_scenes": len({e.scene_id for e in train}),
@@ -91,7 +91,10 @@ class PolicyTrainingJob(TrainingJob):
         """Trains, or continues."""
         train, held = data or self.prepare()[2]
         settings, out = self.settings, self.folder
-        about = {"settings": asdict(settings), "episodes": sorted(_identity(e) for e in (*train, *held))}
+        about = {
+            "settings": asdict(settings),
+            "episodes": sorted(_identity(e, settings.network.cameras) for e in (*train, *held)),
+        }
         training = PolicyTrainer(train, held, settings, about, place)
         training.resume(out / STATE)
         with TrainingMonitor(training, settings.steps, out, self.minutes, self.log_every, self.save_minutes) as monitor:
@@ -133,8 +136,10 @@ class PolicyTrainingJob(TrainingJob):
         return result_line(folder, f"{step} of {self.settings.steps}", used, manifest, errors, self.WEIGHTS, rest)
 
 
-def _identity(episode: Episode) -> str:
+def _identity(episode: Episode, cameras: Sequence[str]) -> str:
     content = hashlib.sha256()
+    for picture in (picture for name in cameras for picture in episode.pictures.get(name, ())):
+        content.update(picture)
     for values in (episode.states, episode.environment_states, episode.actions):
         content.update(values.tobytes())
     return f"{episode.episode_id} {episode.seed} {content.hexdigest()[:16]}"

@@ -55,6 +55,15 @@ class Shape:
         """Creates the box that replaces a missing mesh, metres."""
         return cls(_BOX_CORNERS * np.asarray(size), _BOX_FACES, is_exact=False)
 
+    @property
+    def ordered_mesh(self) -> Mesh:
+        """The surface with its faces in an order that depends on the surface alone: a stored mesh has another one than its source."""
+        _, place = np.unique(self.vertices, axis=0, return_inverse=True)
+        corners = place.reshape(-1)[self.faces]
+        turn = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3  # the least corner first, with the same orientation
+        corners = np.take_along_axis(corners, turn, axis=1)
+        return Mesh(self.vertices, np.take_along_axis(self.faces, turn, axis=1)[np.lexsort(corners.T[::-1])])
+
     def as_mesh(self) -> "Shape":
         """Returns the shape as if its geometry were known: a box that replaces a mesh counts as that box."""
         return self if self.is_exact else Shape(self.vertices, self.faces)

@@ -173,6 +173,9 @@ class RobotEnv(gymnasium.Env[Observation, npt.NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         self.drawn = self._randomizer.apply(self.np_random)
+        self.world.reset()
+        self.clearance.hold(None)
+        self.clearance.look(self.world)  # not at what the former episode left
         start = self.drawn.start
         if self.clearance.hits(start, self.built.robot.hand.max_opening) is not None:
             start = self.arm.home  # which touches nothing

@@ -221,7 +221,7 @@ class Expert:
         self._clearance.hold(held)
         solved = self._arm.solve(above[None], turn[None], start)
         over = solved.joints[0]
-        if not solved.found[0] or self._clearance.hits(over, 0.0) is not None:
+        if not solved.can_place[0] or self._clearance.hits(over, 0.0) is not None:
             return None
         lowering = tool_line(self._arm, over, position, turn)
         if lowering is None:

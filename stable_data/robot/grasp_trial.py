@@ -36,7 +36,7 @@ _TARGET_DEPTH = (
     0.004  # how deep the open hand may be in the convex parts of the object, which fill its hollows a little, metres
 )
 
-_AT_ONCE = 8  # candidates that are solved together where not all are asked for
+_AT_ONCE = 8  # candidates that are solved together: often the first ones are enough
 _FLIPS = np.eye(3), np.diag([-1.0, -1.0, 1.0])  # which finger is on which side
 _BESIDE = 0.006  # of the object, where a finger that stands still passes it, metres
 _CLOSING = np.cos(0.25)  # how exact the closing direction of an arm with few joints is
@@ -135,7 +135,7 @@ class GraspFinder:
             instance: The object.
             limit: How many candidates are looked at.
         """
-        results = list(self._looked_at(world, instance, limit, limit))
+        results = list(self._looked_at(world, instance, limit))
         found = tuple(grasp for _, grasp in results if grasp is not None)
         hits = Counter(hit for hit, grasp in results if grasp is None)
         unreached = hits.pop(None, 0)
@@ -144,11 +144,9 @@ class GraspFinder:
 
     def reachable(self, world: RobotWorld, instance: str, *, limit: int = 48) -> Iterator[ReachableGrasp]:
         """Finds the grasps of :meth:`survey` one after the other, the best first; those that nobody asks for take no time."""
-        return (grasp for _, grasp in self._looked_at(world, instance, limit, _AT_ONCE) if grasp is not None)
+        return (grasp for _, grasp in self._looked_at(world, instance, limit) if grasp is not None)
 
-    def _looked_at(
-        self, world: RobotWorld, instance: str, limit: int, at_once: int
-    ) -> Iterator[tuple[str | None, ReachableGrasp | None]]:
+    def _looked_at(self, world: RobotWorld, instance: str, limit: int) -> Iterator[tuple[str | None, ReachableGrasp | None]]:
         """For each candidate the grasp, or what is in the way, or neither if the arm cannot go there."""
         candidates = self.candidates(world, instance, limit)
         positions = self.built.mount.to_base(candidates.positions)
@@ -157,8 +155,8 @@ class GraspFinder:
         aside = candidates.widths / 2 + _BESIDE if is_one_sided else np.zeros(len(candidates))
         self.clearance.look(world)
         self.clearance.hold(None)
-        for first in range(0, len(candidates), at_once):
-            rows = slice(first, first + at_once)
+        for first in range(0, len(candidates), _AT_ONCE):
+            rows = slice(first, first + _AT_ONCE)
             both = np.concatenate([rotations[rows] @ flip for flip in _FLIPS])
             places = np.tile(positions[rows], (len(_FLIPS), 1)) - np.tile(aside[rows], len(_FLIPS))[:, None] * both[:, :, 1]
             solved = self._solve(places, both)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
-from stable_data.geometry.mesh import Mesh, unit_normals
+from stable_data.geometry.mesh import unit_normals
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import sample_oriented_surface
 from stable_data.robot.arm.kinematics import BoolArray
@@ -87,7 +87,7 @@ def opposite_pairs(shape: Shape, hand: Hand) -> PointPairs:
     Returns:
         At most a few hundred pairs spread over the surface; none if the object is nowhere narrow enough, or has no surface.
     """
-    points, normals = sample_oriented_surface(Mesh(shape.vertices, _ordered(shape)), _POINTS)
+    points, normals = sample_oriented_surface(shape.ordered_mesh, _POINTS)
     middle = points.mean(axis=0) if shape.center_of_mass is None else shape.center_of_mass
     start, direction, widths, facing = _inward_rays(shape, points, normals)
     quality = np.minimum(facing[:, 0], facing[:, 1])
@@ -97,15 +97,6 @@ def opposite_pairs(shape: Shape, hand: Hand) -> PointPairs:
     order = np.argsort(-quality, kind="stable")
     order = _spread(centres[order], direction[order], order)
     return PointPairs(centres[order], direction[order], widths[order], quality[order], middle, np.asarray(shape.size), points)
-
-
-def _ordered(shape: Shape) -> IntArray:
-    """The faces in an order that depends on the surface alone: a stored mesh has another one than its source, but the same grasps."""
-    _, place = np.unique(shape.vertices, axis=0, return_inverse=True)
-    corners = place.reshape(-1)[shape.faces]
-    turn = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3  # the least corner first, with the same orientation
-    corners = np.take_along_axis(corners, turn, axis=1)
-    return np.asarray(np.take_along_axis(shape.faces, turn, axis=1)[np.lexsort(corners.T[::-1])])
 
 
 def _inward_rays(

@@ -4,15 +4,11 @@ All positions and rotations are in the frame of the robot's base, so that a poli
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from stable_data.geometry.mesh import Mesh
-from stable_data.geometry.shape import Shape
-from stable_data.geometry.surface_sampling import surface_points
-from stable_data.robot.arm.assembly import RobotModel
+from stable_data.robot.arm.assembly import SURFACE_POINTS, RobotModel
 from stable_data.robot.arm.control import COLUMNS
 from stable_data.robot.arm.world import RobotWorld
 from stable_data.rotations import rotation_matrix
@@ -30,7 +26,7 @@ SLOT_SIZE = len(_SLOT)
 GOAL_NAMES = ("goal_present", "goal_x", "goal_y", "goal_z")
 """Where the subject is to be put, if the step puts it anywhere."""
 
-POINTS = 32
+POINTS = SURFACE_POINTS
 """Points of the surface of the subject that the state of the environment tells."""
 
 _POINT_NAMES = tuple(f"point_{k}_{axis}" for k in range(POINTS) for axis in "xyz")
@@ -88,16 +84,9 @@ def environment_state(
     if subject in built.names:
         index = built.names.index(subject)
         x, y, z, w = poses[index, 3:].tolist()
-        points = poses[index, :3] + _surface(built.geometry.shapes[index]) @ rotation_matrix((x, y, z, w)).T
+        points = poses[index, :3] + built.surface(index) @ rotation_matrix((x, y, z, w)).T
         state[POINTS_PART] = built.mount.to_base(points).ravel()
     return np.asarray(np.clip(state, -FAR, FAR), np.float32)
-
-
-@lru_cache(maxsize=256)
-def _surface(shape: Shape) -> FloatArray:
-    """Points all over the surface of an object, (POINTS, 3), metres, body frame."""
-    points, _ = surface_points(Mesh(shape.vertices, shape.faces), POINTS)
-    return points.astype(np.float64)
 
 
 def _shown(names: Sequence[str], poses: FloatArray, subject: str | None, target: str | None) -> list[int]:

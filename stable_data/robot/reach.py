@@ -401,7 +401,7 @@ class _Survey:
         finder.clearance.look(self._world)
         finder.clearance.hold(None)
         hit = None
-        for k in np.flatnonzero(solved.found).tolist():
+        for k in np.flatnonzero(solved.can_place).tolist():
             hit = finder.clearance.hits(solved.joints[k], finder.built.robot.hand.max_opening, allowed=allowed)
             if hit is None:
                 return k // _TOOL_YAWS, None

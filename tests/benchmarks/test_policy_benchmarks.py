@@ -22,14 +22,14 @@ def results(seeds: int) -> dict[Cell, Result]:
             for b, meshes in enumerate(MESHES):
                 for c, scenes in enumerate((10, 100)):
                     successes = 20 + seed + 10 * a + 20 * b + 5 * c
-                    found[Cell(seed, layouts, meshes, scenes)] = Result(100, 120, 0.9, successes, 100, 60.0)
+                    found[Cell(seed, layouts, meshes, scenes)] = Result(100, 10, 120, 0.9, successes, 100)
     return found
 
 
 def test_effects_are_differences_of_cells_that_differ_in_one_respect() -> None:
     found = effects(results(3))
     assert {name: [round(v, 6) for v in values] for name, values in found.items()} == {
-        "corrected - left": [0.1] * 3,
+        "corrected - uncorrected": [0.1] * 3,
         "real - parametric": [0.2] * 3,
         "100 - 10 scenes": [0.05] * 3,
     }

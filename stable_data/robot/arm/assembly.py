@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from stable_data.geometry.surface_sampling import surface_points
 from stable_data.robot.arm.mounting import Mount
 from stable_data.robot.arm.robots import Robot, robot_spec
 from stable_data.rotations import quat_of, wxyz, yaw_quat
@@ -29,6 +30,9 @@ WRIST = "wrist"
 
 CAMERAS = (WRIST, "front", "top")
 """The cameras of a scene with a robot."""
+
+SURFACE_POINTS = 32
+"""Points by which the surface of an object is described."""
 
 _STAND_COLOUR = (0.28, 0.29, 0.31, 1.0)
 _STAND_HALF = 0.09  # half the width of the stand below the base, metres
@@ -52,6 +56,17 @@ class RobotModel:
     robot: Robot
     mount: Mount
     geometry: SceneGeometry
+
+    @cached_property
+    def _surfaces(self) -> dict[int, FloatArray]:
+        return {}
+
+    def surface(self, index: int) -> FloatArray:
+        """Points all over the surface of an object, (SURFACE_POINTS, 3), metres, body frame."""
+        if index not in self._surfaces:
+            points, _ = surface_points(self.geometry.shapes[index].ordered_mesh, SURFACE_POINTS)
+            self._surfaces[index] = points.astype(np.float64)
+        return self._surfaces[index]
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -23,6 +23,9 @@ POSITION_TOLERANCE = 1e-3
 ROTATION_TOLERANCE = 1e-2
 """Largest error of a solution, radians, for arms that can bring the tool to any pose."""
 
+PLACING_TOLERANCE = 0.2
+"""Largest error of the rotation with which an object is put down, radians."""
+
 FEW_JOINTS_TOLERANCE = 0.5
 """Largest error of a solution, radians, for arms with fewer than six joints, which choose the nearest direction that they can.
 
@@ -61,6 +64,11 @@ class Solutions:
     def found(self) -> BoolArray:
         """Which poses are reached, (K,) bool."""
         return (self.position_errors <= POSITION_TOLERANCE) & (self.rotation_errors <= self.rotation_tolerance)
+
+    @property
+    def can_place(self) -> BoolArray:
+        """Which poses are reached so exactly that an object can be put down there, (K,) bool."""
+        return self.found & (self.rotation_errors <= PLACING_TOLERANCE)
 
 
 class Arm:
@@ -170,9 +178,10 @@ class Arm:
             noise = rng.uniform(-0.9, 0.9, (len(open_), len(self.low)))
             again = np.clip(self._facing(positions[open_]) + noise, self.low, self.high)
             tried = self._descend(positions[open_], rotations[open_], again)
-            better = tried.position_errors + 0.1 * tried.rotation_errors < (
+            nearer = tried.position_errors + 0.1 * tried.rotation_errors < (
                 best.position_errors[open_] + 0.1 * best.rotation_errors[open_]
             )
+            better = tried.found | nearer
             rows = open_[better]
             best.joints[rows] = tried.joints[better]
             best.position_errors[rows] = tried.position_errors[better]

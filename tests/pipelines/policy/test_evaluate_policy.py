@@ -49,7 +49,7 @@ def test_what_was_shown_in_pictures_is_repeated(two_scenes: Path, tmp_path: Path
         pytest.skip("this machine cannot render")
     seen = DemonstrateSettings(robot="simple", task="pick", cameras=frozenset({"front"}), image_width=64, image_height=64)
     demonstrate(str(two_scenes), str(tmp_path / "demonstrations"), seen, WorkerPool(), report=False)
-    shape = PolicyShape(width=96, depth=2, modes=1, dropout=0.0, objects=False, cameras=("front",), picture_size=32)
+    shape = PolicyShape(width=96, depth=2, modes=1, dropout=0.0, sees_objects=False, cameras=("front",), picture_size=32)
     policy = train(
         tmp_path / "demonstrations", tmp_path / "policy", PolicyTrainingSettings(shape, steps=600, batch=32, held_out=0.0)
     )

@@ -18,9 +18,11 @@ ROBOT = ROBOTS["so101"]
 TABLE = Tabletop("desk", (1.0, 0.7))
 CUBE = "cube_0"
 
-pytestmark = pytest.mark.skipif(
-    not ROBOT.is_there, reason="the files of so101 are not on this machine: stable-data robots --fetch so101"
-)
+
+@pytest.fixture(autouse=True)
+def files_of_the_robot() -> None:
+    if not ROBOT.is_there:  # asked in each test, because others change the folder of the cache
+        pytest.skip("the files of so101 are not on this machine: stable-data robots --fetch so101")
 
 
 def box(name: str, x: float, y: float, size: tuple[float, float, float], yaw: float = 0.0) -> SceneObject:
