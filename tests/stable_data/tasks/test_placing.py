@@ -59,7 +59,9 @@ def test_a_pose_of_what_is_handed_over_is_in_the_air_at_the_front_edge() -> None
     for pose in poses:
         after = placed_state(SPACE, START, "block_0", pose)
         item = StateView(SPACE, after).item("block_0")
-        assert (pose.support, after.touching["block_0"], after.held) == (None, (), {"block_0"})
+        assert pose.support is None
+        assert after.touching["block_0"] == ()
+        assert after.held == {"block_0"}
         assert item.bottom >= 0.1 - 1e-9
         assert pose.release_height == pose.position[2]
         assert GoalChecker(Goal(GoalKind.HAND_OVER, (held,), ()), SPACE).is_success(after)
