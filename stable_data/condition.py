@@ -41,6 +41,12 @@ class ConditionKind(StrEnum):
 GROUP_KINDS = frozenset({ConditionKind.TOGETHER, ConditionKind.IN_A_ROW, ConditionKind.ORDERED, ConditionKind.EVEN})
 """Kinds whose subject is two or more instances."""
 
+BY_HEIGHT, BY_SIZE = "by_height", "by_size"
+"""Measures that grow in the order of a condition ``ordered``: the height, or the volume of the box."""
+
+HAND_OVER_REGION = "front_edge"
+"""Where an object is held that is handed over: the user sits at the front edge."""
+
 SIDE_KINDS = frozenset({ConditionKind.LEFT_OF, ConditionKind.RIGHT_OF, ConditionKind.IN_FRONT_OF, ConditionKind.BEHIND})
 """The four directions."""
 
@@ -52,7 +58,7 @@ class GoalCondition:
     ========================================  ======================================================================================
     kind                                      holds if the subject
     ========================================  ======================================================================================
-    held                                      is in the gripper, off its support and lifted
+    held                                      is in the gripper, off its support and lifted; with a ``target``, a region, it is held there
     on, in                                    is on or in ``target`` as in the scene graph; ``table`` means directly on it
     left of, right of, in front of, behind    is in that direction of ``target``, to 45 degrees
     beside                                    is close to ``target``, neither on nor in the other
@@ -63,14 +69,14 @@ class GoalCondition:
     upright                                   stands on its base
     moved                                     is ``distance`` farther in the direction ``target`` than at the start
     empty                                     has nothing in it (``target`` in), on it (on) or either (empty text)
-    together, in a row, ordered, evenly       several instances: close to each other; in one row; from left to right in this order;
-    spaced                                    with equal steps from left to right
+    together, in a row, ordered, evenly       several instances: close to each other; in one row; from left to right in this order (with a
+    spaced                                    ``target``, a measure that grows in this order); with equal steps from left to right
     ========================================  ======================================================================================
 
     Attributes:
         subject: Instance; of the last four kinds several, joined by a comma and a space.
         kind: The kind.
-        target: Instance, ``table``, region or direction, see above; for ``between`` two instances, joined likewise.
+        target: Instance, ``table``, region, direction or measure, see above; for ``between`` two instances, joined likewise.
         distance: Metres, for ``apart`` and ``moved``; None: the least that counts.
         is_negated: Whether it must not hold.
     """

@@ -6,11 +6,11 @@ three and is independent of other scenes: :func:`models.dual_system.batching.run
 answers their requests in batches.
 """
 
-from collections.abc import Generator, Mapping, Set
+from collections.abc import Callable, Generator, Mapping, Set
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from models.dual_system.generation_state import CARRYING, BegunScene, GenerationState, StageCandidate
+from models.dual_system.generation_state import CARRYING, GOAL_HOLDS, BegunScene, GenerationState, StageCandidate
 from models.dual_system.requests import (
     Answer,
     CorrectionRequest,
@@ -49,7 +49,8 @@ class LoopSettings:
         earlier_move: Maximum distance that a correction may move the objects of earlier stages, metres; 0 fixes them, infinity
             sets no limit.
         tries: Maximum number of attempts at a stage. An attempt is repeated if its objects have no assets or no space, or do
-            not stay as the instruction states. If every attempt misses relations, the one with the fewest missing is used.
+            not stay as the instruction states, or if they are already as the instruction wants them to become. If every attempt
+            has such a fault, the one with the fewest missing relations is used.
         full: Share of the table that objects may cover before the remaining stages are left out; 1 leaves out none.
         density: Share of the table that objects shall cover: after the schedule, its background stages are repeated until it is
             reached, up to six times, or until a round adds nothing (the open schedule of the paper's future work); 0 repeats none.
@@ -107,6 +108,7 @@ def dual_system(
     settings: LoopSettings = _PAPER,
     interpret: InstructionInterpreter | None = None,
     begun: BegunScene | None = None,
+    is_done: Callable[[Scene], bool] | None = None,
 ) -> Loop:
     """Runs Algorithm 1 (the paper's appendix) for one scene.
 
@@ -117,6 +119,7 @@ def dual_system(
         interpret: Interprets the instruction, or None: the task info then has no relations.
         begun: A scene to which only background stages are added, those of the schedule or, if it has none, the two of the paper. None:
             the table is empty.
+        is_done: Whether the goal of a corrected scene's task holds; None: it is not looked at.
 
     Yields:
         The next request.
@@ -124,7 +127,7 @@ def dual_system(
     Returns:
         The scene, and all attempts.
     """
-    state, system = GenerationState(task), _StageLoop(seed, settings, interpret)
+    state, system = GenerationState(task), _StageLoop(seed, settings, interpret, is_done)
     schedule = settings.schedule
     if begun is not None:
         state.begin(begun)
@@ -157,6 +160,7 @@ class _StageLoop:
     seed: int
     settings: LoopSettings
     interpret: InstructionInterpreter | None
+    is_done: Callable[[Scene], bool] | None
 
     def stage(
         self, state: GenerationState, wanted: Wanted, *, is_last: bool, round_: int = 0
@@ -164,13 +168,14 @@ class _StageLoop:
         """Repeats a stage until an attempt is not rejected, or no attempts are left; each round has random choices of its own.
 
         Returns:
-            The attempt with the fewest missing relations, the last one of equals, or None if no attempt can be used.
+            The attempt with the fewest missing relations, of equals one whose goal does not hold yet, then the last one, or None if no
+            attempt can be used.
         """
         best: StageCandidate | None = None
         for attempt in range(round_ * self.settings.tries, (round_ + 1) * self.settings.tries):
             turn, candidate = yield from self._attempt(state, wanted, attempt, is_last)
             state.turns.append(turn)
-            if candidate is not None and (best is None or candidate.num_missing <= best.num_missing):
+            if candidate is not None and (best is None or candidate.num_faults <= best.num_faults):
                 best = replace(candidate, turn=len(state.turns) - 1)
             # A failure without rejected replies is caused by the question or the engine, so another attempt cannot help.
             if not turn.rejected or (not turn.proposal.refused and turn.proposal.failure):
@@ -205,7 +210,8 @@ class _StageLoop:
 
         Returns:
             The attempt, and its scene, or None if it cannot be used. An attempt that misses more relations of the instruction
-            than before is rejected, but its scene can be used if no attempt is better.
+            than before, or after whose first objects the goal holds already, is rejected, but its scene can be used if no attempt
+            is better.
         """
         task, before = state.task, state.scene
         # Propose the objects of the stage, given the corrected layout.
@@ -245,9 +251,13 @@ class _StageLoop:
             return replace(turn, rejected=done.reason, code=str(done.status)), None
         missing = self._num_missing(task, done)
         candidate = replace(candidate, scene=done.certified, correction=done, is_at_rest=is_last, num_missing=missing)
+        if self.is_done is not None and not before.movable:
+            candidate = replace(candidate, is_done=self.is_done(done.certified))
         if missing > state.num_missing:
             reason = f"{missing} relations of the instruction do not hold"
             turn = replace(turn, rejected=reason, code="relation_lost")
+        elif candidate.is_done:
+            turn = replace(turn, rejected="the goal of the task holds at the start", code=GOAL_HOLDS)
         return turn, candidate
 
     def _corrected(

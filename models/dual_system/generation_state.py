@@ -19,6 +19,9 @@ from stable_data.scene_graph.support_tree import SupportTree
 STEP = "generate"
 """The step that notices of the loop name."""
 
+GOAL_HOLDS = "goal_true_at_start"
+"""Code of a proposal after which there is nothing to do."""
+
 CARRYING = frozenset({RelationKind.ON, RelationKind.IN})
 """Relations of an object to what carries it."""
 
@@ -41,6 +44,7 @@ class StageCandidate:
         num_missing: Number of relations of the instruction that do not hold in the scene.
         correction: The correction of the scene, or None if it was not corrected.
         is_at_rest: Whether the physics engine has checked the scene.
+        is_done: Whether the goal of the task holds in the scene, so that there is nothing to do.
         turn: Index of the attempt among all turns.
     """
 
@@ -51,7 +55,13 @@ class StageCandidate:
     num_missing: int
     correction: Correction | None = None
     is_at_rest: bool = False
+    is_done: bool = False
     turn: int = -1
+
+    @property
+    def num_faults(self) -> tuple[int, bool]:
+        """What is wrong with it, to compare candidates by; a relation that does not hold counts more than a goal that does."""
+        return self.num_missing, self.is_done
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +140,8 @@ class GenerationState:
         """Replaces the scene by that of a candidate."""
         self.turns[candidate.turn] = replace(self.turns[candidate.turn], rejected="", code="")
         self.warnings += candidate.notices
+        if candidate.is_done:
+            self.warn(GOAL_HOLDS, "the goal of the task holds at the start, so there is nothing to do")
         # The name of an object that an earlier correction dropped may be that of another object now.
         earlier = (o for o in self.start.objects if o.instance in self.instances)
         self.start = replace(self.start, objects=(*earlier, *candidate.found))

@@ -1,14 +1,15 @@
 """The goal that an instruction states, as conditions between instances of a scene.
 
-A wrong goal is worse than none: an instruction that also asks for something that no state of the scene shows, such as handing a cup
-over, has no conditions.
+A wrong goal is worse than none: an instruction that also asks for something that no state of the scene shows, such as pouring tea, has
+no conditions. Nor has one that asks to hand something over or to show it, and for something else too: which comes first, and whether
+the hand is free then, a reading does not tell.
 """
 
 import re
 from collections.abc import Iterator, Mapping
 
 from models.instruction_reader.reading import InstructionReading, MentionedRelation
-from stable_data.condition import NAME_SEPARATOR, ConditionKind, GoalCondition
+from stable_data.condition import HAND_OVER_REGION, NAME_SEPARATOR, ConditionKind, GoalCondition
 
 K = ConditionKind
 
@@ -20,6 +21,19 @@ _SURE = 0.8
 """Least probability of a relation of the goal; a less likely one makes the goal unknown."""
 
 _BEFORE = 40  # characters before a mention in which the word of its direction is looked for
+
+_HAND_OVER = re.compile(
+    r"\b(?:hand|pass|give|bring|fetch|get)\s+(?:it |that |this )?(?:to )?(?:me|us)\b(?! (?:a|some|one) )|\blet (?:me|us) have\b(?! a )"
+    r"|\bhand(?:ing)? (?:over|.{1,40} over\b)"
+    r"|\b(?:hand|pass|give|bring) [^.;]{1,80}(?<! closer)(?<! nearer)(?<! close)(?<! near)(?<! next) to (?:me|us|the person)\b"
+)
+"""Words that ask to bring something to the user."""
+
+_SHOW = re.compile(
+    r"\bshow (?:it |that |this )?(?:to )?me\b(?! (?:where|how|what|which)\b)|\bto the camera\b"
+    r"|\b(?:let me have a )?closer look\b|\bhold (?:it|.{1,40}) up for me\b"
+)
+"""Words that ask to hold something up."""
 
 _UNSEEN = re.compile(
     r"\b(?:hand|pass|give|bring|fetch|show|get|let|throw|toss|serve)\s+(?:it |them |that |this )?(?:to )?(?:me|us|him|her|them|mum|dad)\b"
@@ -55,9 +69,14 @@ def conditions_of_reading(reading: InstructionReading, instruction: str, names: 
         names: The instance of each mentioned object; objects that were not found are missing.
     """
     text = " ".join(instruction.lower().replace("’", "'").split())
-    if _UNSEEN.search(text):
+    is_handed, is_shown = _HAND_OVER.search(text) is not None, _SHOW.search(text) is not None
+    if _UNSEEN.search(_SHOW.sub(" ", _HAND_OVER.sub(" ", text))):
         return ()
     goal = _Goal(reading, text, instruction, names)
+    if is_handed and is_shown:  # one thing is handed over, and another one shown
+        return ()
+    if is_handed or is_shown:
+        return goal.held(HAND_OVER_REGION if is_handed else "")
     return goal.conditions()
 
 
@@ -77,6 +96,17 @@ class _Goal:
             return (self._slid(self._names[movers[0]], slide),) if len(movers) == 1 and movers[0] in self._names else ()
         found = [*self._relations(), *self._regions(), *self._emptied(), *self._taken()]
         return () if None in found else tuple(dict.fromkeys(c for c in found if c is not None))
+
+    def held(self, region: str) -> tuple[GoalCondition, ...]:
+        """That the one object that the instruction asks for is held, in a region if one is given; none if it asks for more."""
+        objects = self._reading.objects
+        taken = [k for k, o in enumerate(objects) if o.is_taken]
+        asks_more = self._reading.goal or any(o.goal_region or o.is_filled for o in objects)
+        if asks_more or _SWAP.search(self._text) or _SLIDE.search(self._text):
+            return ()
+        if len(taken) != 1 or taken[0] not in self._names:
+            return ()
+        return (GoalCondition(self._names[taken[0]], K.HELD, region),)
 
     def _condition(self, subject: int, kind: ConditionKind, *targets: int) -> GoalCondition | None:
         names = [self._names.get(k) for k in (subject, *targets)]

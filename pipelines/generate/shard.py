@@ -75,6 +75,8 @@ from stable_data.scene import Scene
 from stable_data.simulation.settling import SettleResult
 from stable_data.storage import schemas
 from stable_data.storage.table_rows import card_row, notice_row, scene_row
+from stable_data.tasks.compiling import holds_at_start
+from stable_data.tasks.geometry import TaskGeometry
 
 SOURCE = "generated"
 """The ``source`` of rows of ``scenes``."""
@@ -116,6 +118,11 @@ class GenerateWorkerState:
     serves: Callable[[str], bool]
     world: VariantWorld
     supports: str | None
+
+    def is_done(self, scene: Scene) -> bool:
+        """Whether the goal of a scene's task holds; False if it cannot be checked."""
+        scene, shapes, _ = self.answers.certifier.store.resolved(scene)
+        return holds_at_start(TaskGeometry(scene, shapes, self.shelf.containers(scene)))
 
     @cached_property
     def varied(self) -> TableSource:
@@ -228,7 +235,7 @@ class GenerateWork(ShardStep[Task]):
             loops = [
                 vary(t, seed, settings, opened.world)
                 if isinstance(t, VariantTask)
-                else dual_system(t, named_seed(seed, t.scene_id), settings, opened.interpret)
+                else dual_system(t, named_seed(seed, t.scene_id), settings, opened.interpret, is_done=opened.is_done)
                 for t in some
             ]
             return run_batched(loops, opened.answers, watch)

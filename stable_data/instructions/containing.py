@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 
+from stable_data.condition import HAND_OVER_REGION
 from stable_data.instructions.ends import End
 from stable_data.instructions.kind import MAX_LISTED, Finder, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
@@ -318,5 +319,6 @@ KINDS = (
         ("The person in front of the table holds {x}.", "{x} {x:is} not in {y}."),
         ("Pick({x}); PlaceAt(hand of the person)",),
         (("x", None, "y"),),
+        ends=(End("x", "held", HAND_OVER_REGION), End("x", "in", "y", is_negated=True)),
     ),
 )

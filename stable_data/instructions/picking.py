@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 
+from stable_data.condition import HAND_OVER_REGION
 from stable_data.instructions.ends import End
 from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import OPPOSITE, SIDES, TaskContext
@@ -123,6 +124,7 @@ KINDS = (
         ("{x} {x:is} held up in front of the camera.",),
         ("Pick({x}); PlaceAt(in front of camera)",),
         theme="look",
+        ends=(End("x", "held"),),
     ),
     TaskKind(
         "hand_over",
@@ -137,6 +139,7 @@ KINDS = (
         ),
         ("The person in front of the table holds {x}.",),
         ("Pick({x}); PlaceAt(hand of the person)",),
+        ends=(End("x", "held", HAND_OVER_REGION),),
     ),
     TaskKind(
         "within_reach",

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from stable_data.condition import NAME_SEPARATOR
+from stable_data.condition import BY_HEIGHT, BY_SIZE, NAME_SEPARATOR
 from stable_data.instructions.ends import End
 from stable_data.instructions.kind import Roles, TaskKind
 from stable_data.instructions.situation import SIDES, TaskContext
@@ -168,7 +168,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(row)",),
         ends=(
             End("xs", "in a row"),
-            End("{order}", "ordered"),
+            End("{order}", "ordered", BY_SIZE),
         ),
     ),
     TaskKind(
@@ -183,7 +183,7 @@ KINDS = (
         ("Pick({xs}); PlaceAt(row)",),
         ends=(
             End("xs", "in a row"),
-            End("{order}", "ordered"),
+            End("{order}", "ordered", BY_HEIGHT),
         ),
     ),
     TaskKind(

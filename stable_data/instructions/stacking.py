@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 
+from stable_data.condition import HAND_OVER_REGION
 from stable_data.instructions.ends import End
 from stable_data.instructions.kind import MAX_LISTED, Roles, TaskKind
 from stable_data.instructions.situation import TaskContext
@@ -252,5 +253,6 @@ KINDS = (
         ("{x} {x:is} on the table.", "The person in front of the table holds {y}."),
         ("Pick({x}); PlaceAt(Table); Pick({y}); PlaceAt(hand of the person)",),
         (("x", None, "y"),),
+        ends=(End("x", "on", "table"), End("y", "held", HAND_OVER_REGION)),
     ),
 )

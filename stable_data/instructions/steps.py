@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.instructions.kind import TaskDraft, TaskKind
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.situation import TaskContext
@@ -49,8 +50,17 @@ class MultiStepKind:
             tuple(name for step in done for name in step.objects),
             tuple(noun for step in done for noun in step.nouns),
             tuple(sorted({relation for step in done for relation in step.relations})),
-            conditions=tuple(c for step in done for c in step.conditions) if all(step.conditions for step in done) else (),
+            conditions=_joined_conditions(done),
         )
+
+
+def _joined_conditions(done: Sequence[TaskDraft]) -> tuple[GoalCondition, ...]:
+    """The conditions of all steps; none if they do not state the goal.
+
+    What is held or handed over is so at the end, so it can only be asked for in the last step.
+    """
+    is_late = not any(c.kind is ConditionKind.HELD for step in done[:-1] for c in step.conditions)
+    return tuple(c for step in done for c in step.conditions) if is_late and all(step.conditions for step in done) else ()
 
 
 def _are_apart(one: TaskDraft, other: TaskDraft, namer: ObjectNamer) -> bool:

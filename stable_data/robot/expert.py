@@ -4,6 +4,7 @@ It is a program, not a policy: it sees the simulation's state. Its commands are 
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import islice
@@ -136,12 +137,7 @@ class Expert:
         Raises:
             ExpertError: The object is not held, or no place is reached.
         """
-        if not self._is_holding or instance not in self._world.contacts().gripped:
-            raise ExpertError(ExpertFailure.LOST, instance)
-        held = self._in_hand(instance)
-        self._clearance.look(self._world)
-        self._clearance.hold(held)
-        try:
+        with self._holding(instance) as held:
             found = self._reachable_place(held, places, may_turn=may_turn)
             if found is None:
                 raise ExpertError(ExpertFailure.NO_PLACE, instance)
@@ -149,12 +145,28 @@ class Expert:
             yield from self._follow(path, 0.0, CARRYING)
             yield from self._follow(lowering, 0.0, SLOW)
             yield from self._wait(STILL_SECONDS, 0.0)
-        finally:
-            self._clearance.hold(None)
         if instance not in self._world.contacts().gripped:
             raise ExpertError(ExpertFailure.LOST, instance)
         self._is_holding = False
         yield from self.withdraw()
+
+    def carry(self, instance: str, places: Sequence[TargetPose]) -> Iterator[Command]:
+        """Brings the held object to the first place that the arm reaches without touching anything else, and keeps it in the hand.
+
+        Args:
+            instance: The held object.
+            places: Poses in the air, best first; it may get there at another heading than theirs.
+
+        Raises:
+            ExpertError: The object is not held, or no place is reached.
+        """
+        with self._holding(instance) as held:
+            path = self._reachable_path(held, places)
+            if path is None:
+                raise ExpertError(ExpertFailure.NO_PLACE, instance)
+            yield from self._follow(path, 0.0, CARRYING)
+        if instance not in self._world.contacts().gripped:
+            raise ExpertError(ExpertFailure.LOST, instance)
 
     def withdraw(self) -> Iterator[Command]:
         """Opens the hand and moves it back along its approach, away from whatever is between or beside the fingers."""
@@ -192,16 +204,65 @@ class Expert:
             found |= {hit}
         return found
 
+    @contextmanager
+    def _holding(self, instance: str) -> Iterator[HeldObject]:
+        """Plans with the object in the hand, as it is held now.
+
+        Raises:
+            ExpertError: It is not held.
+        """
+        if not self._is_holding or instance not in self._world.contacts().gripped:
+            raise ExpertError(ExpertFailure.LOST, instance)
+        held = self._in_hand(instance)
+        self._clearance.look(self._world)
+        self._clearance.hold(held)
+        try:
+            yield held
+        finally:
+            self._clearance.hold(None)
+
+    def _reachable_path(self, held: HeldObject, places: Sequence[TargetPose]) -> FloatArray | None:
+        """A path to a place, with the object in the hand."""
+        start = self._world.commanded_joints
+        for place in self._turned(places, may_turn=True):
+            position, turn = self._tool_at(held, place, place.position[2])
+            joints = self._free_joints(position, turn, start)
+            path = None if joints is None else self._path_with_object(start, joints)
+            if path is not None:
+                return path
+        return None
+
+    def _tool_at(self, held: HeldObject, place: TargetPose, height: float) -> tuple[FloatArray, FloatArray]:
+        """Position (3,), metres, and rotation (3, 3) of the tool, frame of the base, with the held object at a place.
+
+        Args:
+            held: The object in the hand.
+            place: The place.
+            height: z of the object, metres, instead of that of the place.
+        """
+        turn = self._built.mount.rotation.T @ rotation_matrix(place.quat_xyzw) @ held.rotation.T
+        return self._built.mount.to_base(np.array([*place.position[:2], height])) - turn @ held.position, turn
+
+    def _free_joints(self, position: FloatArray, turn: FloatArray, start: FloatArray) -> FloatArray | None:
+        """Joints that bring the tool to a pose where the arm and the object in the hand touch nothing."""
+        solved = self._arm.solve(position[None], turn[None], start)
+        joints = solved.joints[0]
+        return joints if solved.can_place[0] and self._clearance.hits(joints, 0.0) is None else None
+
+    def _path_with_object(self, start: FloatArray, goal: FloatArray) -> FloatArray | None:
+        """A path with an object in the hand, which may touch on the way what it touches at the start."""
+        touched = self._touched(start, 0.0)
+        return plan_path(self._arm, self._clearance, start, goal, 0.0, allowed=touched, seed=self._seed)
+
     def _reachable_place(
         self, held: HeldObject, places: Sequence[TargetPose], *, may_turn: bool
     ) -> tuple[FloatArray, FloatArray] | None:
         """A path above a place, and the path down to it."""
         start = self._world.commanded_joints
         for place in self._turned(places, may_turn=may_turn):
-            tool_turn = self._built.mount.rotation.T @ rotation_matrix(place.quat_xyzw) @ held.rotation.T
-            x, y, z = place.position
+            z = place.position[2]
             height = max(z + _RELEASE, place.release_height) if place.release_height - z > _DROP else z + _RELEASE
-            position = self._built.mount.to_base(np.array([x, y, height])) - tool_turn @ held.position
+            position, tool_turn = self._tool_at(held, place, height)
             for rise in (_ABOVE, _ABOVE / 3):
                 found = self._way_down(held, place, position + np.array([0.0, 0.0, rise]), position, tool_turn, start)
                 if found is not None:
@@ -219,19 +280,17 @@ class Expert:
     ) -> tuple[FloatArray, FloatArray] | None:
         """A path to a pose of the tool above a place, and the path down to it; None if the arm touches anything on the way."""
         self._clearance.hold(held)
-        solved = self._arm.solve(above[None], turn[None], start)
-        over = solved.joints[0]
-        if not solved.can_place[0] or self._clearance.hits(over, 0.0) is not None:
+        over = self._free_joints(above, turn, start)
+        if over is None:
             return None
         lowering = tool_line(self._arm, over, position, turn)
         if lowering is None:
             return None
-        lowering = self._until_touch(lowering, frozenset({place.support}))
+        lowering = self._until_touch(lowering, frozenset() if place.support is None else frozenset({place.support}))
         ends, _ = self._arm.poses(lowering[-1:])
         if np.linalg.norm(ends[0] - position) > _MOST_DROPPED:
             return None
-        touched = self._touched(start, 0.0)
-        path = plan_path(self._arm, self._clearance, start, over, 0.0, allowed=touched, seed=self._seed)
+        path = self._path_with_object(start, over)
         return None if path is None else (path, lowering)
 
     def _until_touch(self, path: FloatArray, allowed: frozenset[str]) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from stable_data.condition import GROUP_KINDS, ConditionKind, GoalCondition
+from stable_data.condition import BY_HEIGHT, BY_SIZE, GROUP_KINDS, ConditionKind, GoalCondition
 from stable_data.errors import GoalError
 from stable_data.rotations import yaw_quat
 from stable_data.scene import TABLE, FloatArray, Relation, RelationKind, Scene, SceneObject
@@ -267,6 +267,10 @@ def check_condition(condition: GoalCondition, geometry: TaskGeometry) -> None:
     words: frozenset[str] = frozenset()
     if kind is ConditionKind.AT:
         words = REGIONS
+    elif kind is ConditionKind.HELD:
+        words, instances = REGIONS, {}.keys()
+    elif kind is ConditionKind.ORDERED:
+        words, instances = frozenset({BY_HEIGHT, BY_SIZE}), {}.keys()
     elif kind is ConditionKind.APART:
         words = frozenset(EDGES)
     elif kind is ConditionKind.ON:
@@ -277,12 +281,20 @@ def check_condition(condition: GoalCondition, geometry: TaskGeometry) -> None:
         words = frozenset(facing_of(k * math.pi / 4) for k in range(8))
     elif kind is ConditionKind.EMPTY:
         words, instances = frozenset({"in", "on", ""}), {}.keys()
-    count = 2 if kind is ConditionKind.BETWEEN else 0 if kind in _WITHOUT_TARGET else 1
+    counts = (
+        {2}
+        if kind is ConditionKind.BETWEEN
+        else {0, 1}
+        if kind in _TARGET_OPTIONAL
+        else {0}
+        if kind in _WITHOUT_TARGET
+        else {1}
+    )
     subjects = condition.subjects
     is_known = set(subjects) <= geometry.rows.keys() and len(set(subjects)) == len(subjects)
     is_several = (len(subjects) > 1) == (kind in GROUP_KINDS)
     targets = condition.targets or (("",) if kind is ConditionKind.EMPTY else ())
-    if is_known and is_several and len(targets) == count and all(t in words or t in instances for t in targets):
+    if is_known and is_several and len(targets) in counts and all(t in words or t in instances for t in targets):
         return
     raise GoalError(
         f"{geometry.scene.scene_id}: condition {str(condition)!r} names what is not in the scene, expected instances of it, regions or "
@@ -291,7 +303,8 @@ def check_condition(condition: GoalCondition, geometry: TaskGeometry) -> None:
     )
 
 
-_WITHOUT_TARGET = {ConditionKind.HELD, ConditionKind.UPRIGHT, *GROUP_KINDS}
+_TARGET_OPTIONAL = {ConditionKind.HELD, ConditionKind.ORDERED}
+_WITHOUT_TARGET = {ConditionKind.UPRIGHT, *GROUP_KINDS}
 
 
 class ConditionPredicates:
@@ -311,7 +324,7 @@ class ConditionPredicates:
         self.first = StateView(geometry, self.start)
         kind = ConditionKind
         self._tests: dict[ConditionKind, Callable[[GoalCondition, StateView], bool]] = {
-            kind.HELD: self._is_lifted,
+            kind.HELD: self._is_held,
             kind.ON: self._is_on_or_in,
             kind.IN: self._is_on_or_in,
             **dict.fromkeys((kind.LEFT_OF, kind.RIGHT_OF, kind.IN_FRONT_OF, kind.BEHIND), self._is_in_direction),
@@ -329,7 +342,7 @@ class ConditionPredicates:
             kind.EVEN: lambda c, view: are_even(sorted(self._centres(c, view)[:, 0].tolist())),
         }
         self._distances: dict[ConditionKind, Callable[[GoalCondition, StateView], float]] = {
-            kind.HELD: lambda c, view: LIFT - self.lift(c.subject, view),
+            kind.HELD: self._distance_to_hold,
             kind.ON: self._distance_to_support,
             kind.IN: self._distance_to_support,
             **dict.fromkeys((kind.LEFT_OF, kind.RIGHT_OF, kind.IN_FRONT_OF, kind.BEHIND), self._distance_to_direction),
@@ -350,7 +363,7 @@ class ConditionPredicates:
     def holds(self, condition: GoalCondition, view: StateView) -> bool:
         """Whether a condition holds; an object that is to be somewhere must be released there and be on the table."""
         if condition.kind is ConditionKind.HELD:
-            return self._is_lifted(condition, view) != condition.is_negated
+            return self._is_held(condition, view) != condition.is_negated
         subjects = condition.subjects
         named = {*subjects, *(t for t in condition.targets if t in self.geometry.rows)}
         if view.state.in_gripper.intersection(subjects) or any(map(view.has_fallen, named)):
@@ -387,8 +400,9 @@ class ConditionPredicates:
 
     # --- predicates ---
 
-    def _is_lifted(self, c: GoalCondition, view: StateView) -> bool:
-        return c.subject in view.state.held and self.lift(c.subject, view) >= LIFT
+    def _is_held(self, c: GoalCondition, view: StateView) -> bool:
+        is_lifted = c.subject in view.state.held and self.lift(c.subject, view) >= LIFT
+        return is_lifted and (not c.target or self._is_at(c, view))
 
     def _is_on_or_in(self, c: GoalCondition, view: StateView) -> bool:
         relation = Relation(c.subject, RelationKind(str(c.kind)), c.target)
@@ -481,6 +495,10 @@ class ConditionPredicates:
         return np.array([view.item(name).position[:2] for name in c.subjects])
 
     # --- distances ---
+
+    def _distance_to_hold(self, c: GoalCondition, view: StateView) -> float:
+        left = max(0.0, LIFT - self.lift(c.subject, view))
+        return left + max(0.0, self._distance_to_region(c, view)) if c.target else left
 
     def _distance_to_support(self, c: GoalCondition, view: StateView) -> float:
         item = view.item(c.subject)

@@ -40,6 +40,15 @@ def compile_goal(geometry: TaskGeometry) -> Goal:
         raise GoalError(f"{where}{error}", error.code) from error
 
 
+def holds_at_start(geometry: TaskGeometry) -> bool:
+    """Returns whether the goal of a scene's task holds already, so that there is nothing to do; False if it cannot be checked."""
+    try:
+        compile_goal(geometry)
+    except GoalError as error:
+        return error.code == "goal_true_at_start"
+    return False
+
+
 def stated_conditions(scene: Scene, containers: Mapping[str, bool | None]) -> tuple[GoalCondition, ...]:
     """Reads the conditions that the goal sentences and actions of a scene's task info state.
 
@@ -69,7 +78,9 @@ def goal_from_conditions(conditions: Sequence[GoalCondition], geometry: TaskGeom
     Raises:
         GoalError: ``goal_not_checkable``, ``goal_unresolved`` or ``goal_true_at_start``.
     """
-    scene = geometry.scene
+    scene, held = geometry.scene, _held(conditions)
+    # What the hand holds is in and on nothing else.
+    conditions = [c for c in conditions if not (c.is_negated and c.kind in _SUPPORTED and c.subject in held)]
     if not conditions:
         raise not_checkable("the goal", "it states no condition")
     predicates = ConditionPredicates(geometry)
@@ -87,9 +98,22 @@ def goal_from_conditions(conditions: Sequence[GoalCondition], geometry: TaskGeom
     return Goal(checker.goal.kind, tuple(conditions), planner.plan(conditions))
 
 
+_SUPPORTED = (ConditionKind.IN, ConditionKind.ON)
+
+
+def _held(conditions: Sequence[GoalCondition]) -> set[str]:
+    """What is held at the end."""
+    return {c.subject for c in conditions if c.kind is ConditionKind.HELD and not c.is_negated}
+
+
 def _refuse_unreachable(conditions: Sequence[GoalCondition], geometry: TaskGeometry) -> None:
     """Refuses goals that no state fulfils, or that move what is fixed."""
+    held = _held(conditions)
+    if len(held) > 1:
+        raise not_checkable(f"{' and '.join(sorted(held))} held", "one hand holds one object")
     for c in conditions:
+        if c.kind is not ConditionKind.HELD and not c.is_negated and held.intersection(c.subjects):
+            raise not_checkable(str(c), f"{', '.join(held)} is held at the end")
         if c.kind is ConditionKind.IN and not c.is_negated and geometry.containers.get(c.target) is False:
             raise not_checkable(str(c), f"{c.target} is no container, so nothing counts as in it")
         if c.kind is not ConditionKind.EMPTY and geometry.scene.fixed.intersection(c.subjects):

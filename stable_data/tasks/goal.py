@@ -1,12 +1,24 @@
 """The goal of the task of a scene: conditions on its state, and the steps that a robot takes to fulfil them."""
 
+import itertools
+import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from stable_data.condition import NAME_SEPARATOR, SIDE_KINDS, ConditionKind, GoalCondition, condition_document, condition_of
+from stable_data.condition import (
+    BY_HEIGHT,
+    BY_SIZE,
+    NAME_SEPARATOR,
+    SIDE_KINDS,
+    ConditionKind,
+    GoalCondition,
+    condition_document,
+    condition_of,
+)
 from stable_data.errors import GoalError
+from stable_data.scene import Vec3
 
 
 class StepAction(StrEnum):
@@ -16,6 +28,7 @@ class StepAction(StrEnum):
     PLACE = "place"
     PUSH = "push"
     TURN = "turn"
+    CARRY = "carry"
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +37,7 @@ class Step:
 
     Attributes:
         action: ``pick`` grasps and lifts; ``place`` puts a held object down; ``push`` slides one over the table; ``turn`` puts a held
-            object down in another orientation, where it was.
+            object down in another orientation, where it was; ``carry`` brings a held object to a place and keeps it in the hand.
         subject: The instance that is acted on.
         conditions: Conditions on it that hold after the step; a ``place`` without any means a free spot on the table.
     """
@@ -42,6 +55,7 @@ class GoalKind(StrEnum):
     """Kinds of goals, to group results by."""
 
     PICK = "pick"
+    HAND_OVER = "hand_over"
     PLACE_ON = "place_on"
     PLACE_IN = "place_in"
     PLACE_BESIDE = "place_beside"
@@ -77,19 +91,23 @@ class Goal:
 _ALWAYS_INSTANCES = SIDE_KINDS | {ConditionKind.IN, ConditionKind.BESIDE, ConditionKind.BETWEEN}
 _INSTANCES_OR_WORDS = frozenset({ConditionKind.ON, ConditionKind.AT, ConditionKind.APART, ConditionKind.FACING})
 
+_CLEARLY = 1.1
+"""Least ratio of two lengths of which one is clearly the larger."""
+
 
 def rename_conditions(
-    conditions: Sequence[GoalCondition], names: Mapping[str, str], known: Set[str]
+    conditions: Sequence[GoalCondition], names: Mapping[str, str], known: Set[str], sizes: Mapping[str, Vec3]
 ) -> tuple[GoalCondition, ...]:
     """Returns conditions between the instances of another scene; none if an instance has no counterpart there.
 
-    The order of sizes may be another one there, so ``ordered`` has no counterpart. What is to leave an object that shall be empty
-    may be missing there.
+    The order of sizes may be another one there, so ``ordered`` is ordered anew; without a measure, or where two of the sizes are nearly
+    equal, it has no counterpart. What is to leave an object that shall be empty may be missing there.
 
     Args:
         conditions: The conditions.
         names: Instance -> its counterpart.
         known: All instances of the first scene.
+        sizes: Size of each instance of the other scene, metres.
     """
     found = []
     is_emptied = any(c.kind is ConditionKind.EMPTY for c in conditions)
@@ -97,14 +115,32 @@ def rename_conditions(
         has_instances = c.kind in _ALWAYS_INSTANCES or (c.kind in _INSTANCES_OR_WORDS and c.target in known)
         targets = [names.get(t) for t in c.targets] if has_instances else list(c.targets)
         parts = [*(names.get(s) for s in c.subjects), *targets]
-        if None in parts or c.kind is ConditionKind.ORDERED:
+        if None in parts:
             if is_emptied and c.kind is not ConditionKind.EMPTY:
                 continue
             return ()
         filled = [part for part in parts if part is not None]
         count = len(c.subjects)
-        found.append(replace(c, subject=NAME_SEPARATOR.join(filled[:count]), target=NAME_SEPARATOR.join(filled[count:])))
+        subjects = filled[:count]
+        if c.kind is ConditionKind.ORDERED:
+            subjects = _ordered(subjects, c.target, sizes)
+            if not subjects:
+                return ()
+        found.append(replace(c, subject=NAME_SEPARATOR.join(subjects), target=NAME_SEPARATOR.join(filled[count:])))
     return tuple(found)
+
+
+def _ordered(names: Sequence[str], measure: str, sizes: Mapping[str, Vec3]) -> list[str]:
+    """Instances in the order of a measure, the smallest first; none without a measure, or if two are nearly equal."""
+    if measure == BY_HEIGHT:
+        lengths = {name: sizes[name][2] for name in names}
+    elif measure == BY_SIZE:
+        lengths = {name: math.cbrt(math.prod(sizes[name])) for name in names}
+    else:
+        return []
+    ordered = sorted(names, key=lambda name: lengths[name])
+    is_clear = all(lengths[b] > _CLEARLY * lengths[a] for a, b in itertools.pairwise(ordered))
+    return ordered if is_clear else []
 
 
 def goal_document(goal: Goal) -> dict[str, Any]:

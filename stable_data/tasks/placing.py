@@ -19,6 +19,7 @@ from stable_data.tasks.checking import (
     APART,
     BESIDE,
     LEAST_MOVE,
+    LIFT,
     SIDE_NAMES,
     ConditionPredicates,
     SceneState,
@@ -26,7 +27,7 @@ from stable_data.tasks.checking import (
     yaw_facing,
 )
 from stable_data.tasks.geometry import TaskGeometry, outline_of
-from stable_data.tasks.goal import Step
+from stable_data.tasks.goal import Step, StepAction
 from stable_data.tasks.regions import DIRECTIONS, EDGES, REGIONS, region_bounds
 
 K = ConditionKind
@@ -42,6 +43,8 @@ RELEASE = 0.01
 
 _STEP = 0.02  # of the grid on the table, metres
 _FINE_STEP = 0.01  # of the grid on an object, metres
+_CARRIED = 0.10  # height of the lowest point of a carried object above the table, metres
+_CARRY_STEP = 0.08  # of the grid over which objects are carried, metres
 _SIDE_GAP = 0.03  # preferred distance to an object beside which another one is put, metres
 _MOST_TRIED = 200  # poses that are checked exactly
 _ROW_GAP = 0.04  # metres between members of a row
@@ -60,18 +63,18 @@ class TargetPose:
         yaw: Heading of that rotation, radians.
         release_height: z of ``position`` at which the object is let go, metres: a little above its place; in a container, with its
             lowest point above the rim.
-        support: What it rests on: an instance or ``table``.
+        support: What it rests on: an instance or ``table``; None: it stays in the hand, in the air.
     """
 
     position: Vec3
     quat_xyzw: QuatXyzw
     yaw: float
     release_height: float
-    support: str
+    support: str | None
 
 
 def target_poses(step: Step, geometry: TaskGeometry, state: SceneState, count: int = 8) -> tuple[TargetPose, ...]:
-    """Finds poses for the object of a step, best first; each fulfils the conditions of the step when the object rests there.
+    """Finds poses for the object of a step, best first; each fulfils the conditions of the step when the object rests or is held there.
 
     Args:
         step: The step; one without conditions asks for a free spot on the table.
@@ -102,7 +105,7 @@ def target_poses(step: Step, geometry: TaskGeometry, state: SceneState, count: i
 
 
 def placed_state(geometry: TaskGeometry, state: SceneState, subject: str, pose: TargetPose) -> SceneState:
-    """Returns the state after an object, with all that it carries, was put down at a pose and released.
+    """Returns the state after an object, with all that it carries, was put down at a pose and released, or is held there.
 
     Args:
         geometry: The scene at the start and its geometry.
@@ -122,15 +125,15 @@ def placed_state(geometry: TaskGeometry, state: SceneState, subject: str, pose: 
         i, j, l, m = quats[k].tolist()  # noqa: E741
         quats[k] = quat_product(turn, (i, j, l, m))
     positions[row], quats[row] = pose.position, pose.quat_xyzw
-    touching = {**state.touching, subject: (pose.support,)}
-    released = frozenset({subject})
+    touching = {**state.touching, subject: () if pose.support is None else (pose.support,)}
+    moved = frozenset({subject})
     return replace(
         state,
         positions=positions,
         quats_xyzw=quats,
         touching=touching,
-        held=state.held - released,
-        grasped=state.grasped - released,
+        held=state.held | moved if pose.support is None else state.held - moved,
+        grasped=state.grasped - moved,
     )
 
 
@@ -217,6 +220,10 @@ class _Search:
             spots = self._spots_of_group(group, outline)
         elif self.base != TABLE:
             spots = self._spots_on_object(outline)
+        elif self._is_carried:
+            # In the air, a few spots far from each other offer more than many near each other.
+            low, high = -outline.min(axis=0), np.array(self.size) - outline.max(axis=0)
+            spots = _grid(np.array([low, high]), _CARRY_STEP)
         elif self._stays():
             here = self.view.state.positions[self.row, :2]
             offsets = _grid(np.array([[-0.1, -0.1], [0.1, 0.1]]), _STEP)
@@ -301,6 +308,11 @@ class _Search:
             nearest[nearest <= 1e-9] = -1.0  # the place on the object is taken
         return nearest
 
+    @property
+    def _is_carried(self) -> bool:
+        """Whether the object stays in the hand."""
+        return self.step.action is StepAction.CARRY
+
     def _is_into(self) -> bool:
         """Whether the object goes into a container."""
         return any(c.kind is K.IN for c in self.wanted) or (
@@ -317,7 +329,7 @@ class _Search:
             if self._is_into():  # contents may touch
                 skipped.update(carried_by(self.state, self.base))
         else:
-            low = 0.0
+            low = self._carry_height - CLEARANCE if self._is_carried else 0.0
         others = (name for name in self.geometry.rows if name not in skipped)
         found = [
             self.view.outline(name) for name in others if not self.view.has_fallen(name) and self.view.item(name).top > low
@@ -362,7 +374,7 @@ class _Search:
 
     def _cost_of(self, c: GoalCondition, spots: FloatArray, centres: FloatArray, outline: FloatArray) -> FloatArray:
         zeros = np.zeros(len(spots))
-        if c.kind is K.AT and c.target in EDGES:
+        if c.kind in (K.AT, K.HELD) and c.target in EDGES:
             axis, sign = DIRECTIONS[c.target.removesuffix("_edge")]
             margin = (
                 spots[:, axis] + outline[:, axis].min()
@@ -370,7 +382,7 @@ class _Search:
                 else self.size[axis] - spots[:, axis] - outline[:, axis].max()
             )
             return np.asarray(np.abs(margin - 0.05))
-        if c.kind is K.AT and c.target in REGIONS:
+        if c.kind in (K.AT, K.HELD) and c.target in REGIONS:
             low, high = region_bounds(c.target, self.size)
             outside = np.maximum(0.0, np.maximum(low + _STEP - centres, centres - high + _STEP))
             return np.asarray(5.0 * np.hypot(*outside.T) + 0.1 * np.linalg.norm(centres - (low + high) / 2, axis=1))
@@ -486,14 +498,22 @@ class _Search:
     # --- heights ---
 
     def _pose(self, spot: FloatArray, quat: QuatXyzw, outline: FloatArray, bottom: float) -> TargetPose:
-        """The pose at a spot: the lowest point rests on the surface below it."""
+        """The pose at a spot: the lowest point rests on the surface below it; that of a carried object is in the air."""
+        yaw, _ = heading(quat)
+        if self._is_carried:
+            z = self._carry_height - bottom
+            return TargetPose((float(spot[0]), float(spot[1]), z), quat, yaw, z, None)
         height = 0.0 if self.base == TABLE else self._surface_height(spot, outline)
         z = height - bottom
         over = z + RELEASE
         if self._is_into():
             over = max(over, self.view.item(self.base).top + RELEASE - bottom)
-        yaw, _ = heading(quat)
         return TargetPose((float(spot[0]), float(spot[1]), z), quat, yaw, over, self.base)
+
+    @property
+    def _carry_height(self) -> float:
+        """Height of the lowest point of a carried object, at which it counts as lifted, metres."""
+        return max(_CARRIED, self.predicates.first.item(self.name).bottom + 2 * LIFT)
 
     def _surface_height(self, spot: FloatArray, outline: FloatArray) -> float:
         """The highest point of the base below an object at a spot, metres; of a container, within reach of its opening."""

@@ -45,12 +45,15 @@ class StepPlanner:
         self._waiting: dict[str, list[GoalCondition]] = {}
 
     def plan(self, conditions: Sequence[GoalCondition]) -> tuple[Step, ...]:
-        """Returns the steps, each object's at the first of its conditions; held objects come last."""
+        """Returns the steps, each object's at the first of its conditions; what is held at the end comes last."""
         self._waiting = self._by_object(conditions)
-        held = [c.subject for c in conditions if c.kind is K.HELD and not c.is_negated]
+        held = [c for c in conditions if c.kind is K.HELD and not c.is_negated]
         while self._waiting:
             self._place(next(iter(self._waiting)), ())
-        self._steps += [Step(StepAction.PICK, name) for name in held]
+        for c in held:
+            self._steps.append(Step(StepAction.PICK, c.subject))
+            if c.target:
+                self._steps.append(Step(StepAction.CARRY, c.subject, (c,)))
         return tuple(self._steps)
 
     def _by_object(self, conditions: Sequence[GoalCondition]) -> dict[str, list[GoalCondition]]:
@@ -134,6 +137,8 @@ def kind_of(conditions: Sequence[GoalCondition], categories: Mapping[str, str]) 
 def _kind_of_one(c: GoalCondition, categories: Mapping[str, str]) -> GoalKind:
     if c.is_negated:
         return GoalKind.CLEAR
+    if c.kind is K.HELD and c.target:
+        return GoalKind.HAND_OVER
     if c.kind is K.ON and c.target != TABLE:
         return GoalKind.STACK if categories.get(c.subject) == categories.get(c.target) else GoalKind.PLACE_ON
     if c.kind is K.AT and c.target in categories:

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 
-from stable_data.condition import NAME_SEPARATOR, ConditionKind, GoalCondition
+from stable_data.condition import BY_HEIGHT, BY_SIZE, HAND_OVER_REGION, NAME_SEPARATOR, ConditionKind, GoalCondition
 from stable_data.errors import GoalError
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.wording.vocabulary import answers_to
@@ -187,6 +187,9 @@ class GoalSentences:
     def _held(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.HELD)
 
+    def _handed_over(self, m: re.Match[str]) -> Iterator[GoalCondition]:
+        return self._each(m["a"], K.HELD, HAND_OVER_REGION)
+
     def _on_table(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         return self._each(m["a"], K.ON, TABLE)
 
@@ -285,7 +288,8 @@ class GoalSentences:
             is_height = m["what"] in ("lowest", "shortest", "tallest")
             least_is_left = (m["what"] in ("largest", "tallest")) == (m["end"] == "right")
             names = self._resolver.by_size(self._resolver.several(m["a"]), is_height=is_height)
-            yield GoalCondition(NAME_SEPARATOR.join(names if least_is_left else names[::-1]), K.ORDERED)
+            measure = (BY_HEIGHT if is_height else BY_SIZE) if least_is_left else ""
+            yield GoalCondition(NAME_SEPARATOR.join(names if least_is_left else names[::-1]), K.ORDERED, measure)
 
     def _contents(self, m: re.Match[str]) -> Iterator[GoalCondition]:
         kinds = [K.IN if m[how].startswith("in") else K.ON for how in ("how", "there")]
@@ -327,6 +331,10 @@ class GoalSentences:
     def _of_place(self, verb: str, place: str, picked: str, action: str) -> Iterator[GoalCondition]:
         if type_words(place) == (TABLE,):
             yield GoalCondition(picked, K.ON, TABLE)
+        elif re.fullmatch(r"(?:in front of )?(?:the )?camera", place.lower()):
+            yield GoalCondition(picked, K.HELD)
+        elif re.fullmatch(r"(?:in )?(?:the )?hand of .+", place.lower()):
+            yield GoalCondition(picked, K.HELD, HAND_OVER_REGION)
         elif verb == "PlaceOn":
             target = self._resolver.one(place)
             yield GoalCondition(picked, K.IN if self._is_container(target) else K.ON, target)
@@ -352,7 +360,7 @@ def not_checkable(words: str, reason: str) -> GoalError:
     return GoalError(f"{words!r} cannot be checked ({reason}); leave the task out", "goal_not_checkable")
 
 
-_UNCHECKABLE = re.compile(r"\s*(?!Pick\b|PlaceOn\b|PlaceAt\b|Push\b)\w+\(|.*\((?:.*\b(?:hand of|camera)\b.*|above .*)\)")
+_UNCHECKABLE = re.compile(r"\s*(?!Pick\b|PlaceOn\b|PlaceAt\b|Push\b)\w+\(|.*\(above .*\)")
 _PUSH = re.compile(r"Push\((?P<a>[^,]+),(?P<way>[^,]+),\s*(?P<cm>\d+(?:\.\d+)?)\s*\)")
 _WAY = "|".join(DIRECTIONS)
 
@@ -363,7 +371,8 @@ def _form(pattern: str, handler: Handler) -> tuple[re.Pattern[str], Handler]:
 
 _S = GoalSentences
 _FORMS: tuple[tuple[re.Pattern[str], Handler], ...] = (
-    _form(rf"(?P<a>.+?) {_BE} held above the table", _S._held),
+    _form(rf"(?P<a>.+?) {_BE} held (?:above the table|up in front of the camera)", _S._held),
+    _form(r"the person in front of the table holds (?P<a>.+)", _S._handed_over),
     _form(rf"(?P<a>.+?) {_BE} on the table", _S._on_table),
     _form(rf"(?P<a>.+?) {_BE} in the (?P<row>front|back|rear) (?P<column>left|right) corner(?: of the table)?", _S._at_cell),
     _form(rf"(?P<a>.+?) {_BE} in the (?:middle|centre|center) of the table", _S._at_middle),

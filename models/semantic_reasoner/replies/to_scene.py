@@ -82,7 +82,8 @@ def attach_task_info(
         labelled = align(Scene("layout", scene.table, tuple(proposed)), reference)
         counterparts = {one: other for one, other in labelled.matches if other in {o.instance for o in scene.objects}}
         known = {name for c in labels for name in (*c.subjects, *c.targets)} - {TABLE} - REGIONS
-        conditions = rename_conditions(labels, counterparts, known) or conditions
+        sizes = {o.instance: o.size for o in scene.objects}
+        conditions = rename_conditions(labels, counterparts, known, sizes) or conditions
     task = TaskInfo("", instruction, task_objects=task_objects, relations=relations, conditions=conditions)
     return replace(scene, task=task)
 

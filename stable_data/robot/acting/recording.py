@@ -116,7 +116,9 @@ def task_commands(env: RobotEnv, seed: int) -> Iterator[Command]:
         if step.subject != held:
             yield from expert.pick(step.subject)
             held = step.subject
-        if step.action is not StepAction.PICK:
+        if step.action is StepAction.CARRY:
+            yield from expert.carry(step.subject, env.progress.places(step))
+        elif step.action is not StepAction.PICK:
             may_turn = not any(c.kind is ConditionKind.FACING for c in step.conditions)
             yield from expert.place(step.subject, env.progress.places(step), may_turn=may_turn)
             held = None

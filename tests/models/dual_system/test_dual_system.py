@@ -8,6 +8,7 @@ import pytest
 
 from models.dual_system.algorithm1 import Corrects, LoopSettings, dual_system
 from models.dual_system.batching import run_batched
+from models.dual_system.generation_state import StageCandidate
 from models.dual_system.requests import (
     CorrectionRequest,
     ExchangedAssets,
@@ -231,6 +232,39 @@ def test_what_finds_no_place_is_asked_for_again_and_then_left_out() -> None:
         ("secondary", ""),
     ]
     assert [n.code for n in made.warnings] == ["stage_left_out"]
+
+
+@pytest.mark.parametrize(("bad", "used"), [(1, 1), (2, 2), (9, 2)], ids=["once", "twice", "always"])
+def test_a_start_in_which_nothing_is_left_to_do_is_proposed_again(bad: int, used: int) -> None:
+    """The goal holds where the first ``bad`` proposals put the cube."""
+
+    def stages(request: ProposalRequest) -> Proposal:
+        things = {
+            Stage.TASK: [said("cube_0", 20 + 20 * len(seen), 40)],
+            Stage.IMPORTANT: [said("ball_0", 50, 20)],
+            Stage.SECONDARY: [],
+        }
+        return Proposal(LayoutReply(tuple(things[request.question.wanted])), tries=1)  # type: ignore[index]
+
+    def is_done(scene: Scene) -> bool:
+        seen.append(scene)
+        return len(seen) <= bad
+
+    seen: list[Scene] = []
+    (made,) = run_batched([dual_system(TASK, 7, LoopSettings(tries=3), is_done=is_done)], Answers(stages))
+    assert made.scene is not None
+    assert made.scene["cube_0"].position[0] == pytest.approx(0.2 + 0.2 * used)
+    assert [len(scene.objects) for scene in seen] == [1] * (used + 1)  # later stages are not looked at
+    codes = [turn.code for turn in made.turns if turn.wanted is Stage.TASK]
+    assert codes == ["goal_true_at_start"] * used + [""]
+    assert [n.code for n in made.warnings] == (["goal_true_at_start"] if bad > 3 else [])
+
+
+def test_a_relation_that_is_missing_counts_more_than_a_goal_that_holds() -> None:
+    scene = Scene("scene", TABLE, ())
+    done, missing = (StageCandidate(scene, (), {}, (), num, is_done=is_done) for num, is_done in ((0, True), (1, False)))
+    assert done.num_faults < missing.num_faults
+    assert StageCandidate(scene, (), {}, (), 0).num_faults < done.num_faults
 
 
 def test_a_task_object_without_an_asset_is_a_failure_that_says_so() -> None:

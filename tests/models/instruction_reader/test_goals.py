@@ -35,6 +35,11 @@ def said(reader: InstructionReader, text: str) -> set[str]:
         ("Push the book 10 cm to the left.", {"book moved left 10 cm"}),
         ("Empty the bowl.", {"bowl empty"}),
         ("Swap the salt and the pepper.", {"salt at pepper", "pepper at salt"}),
+        ("Hand me the cup.", {"cup held front_edge"}),
+        ("I need the whisk. Get it out of the crock and hand it over.", {"whisk held front_edge"}),
+        ("Bring the coaster to me.", {"coaster held front_edge"}),
+        ("Hold the jar up to the camera.", {"jar held"}),
+        ("Let me have a closer look at the vase.", {"vase held"}),
         ("There is a lamp on the left; put the alarm clock in front of it.", {"clock in front of lamp"}),
     ],
 )
@@ -45,13 +50,16 @@ def test_a_goal_is_stated(reader: InstructionReader, text: str, conditions: set[
 @pytest.mark.parametrize(
     "text",
     [
-        "Hand me the cup.",
         "Put the mug in the box and hand me the cup.",
+        "Hand me the cup and the plate.",
+        "Let me have a closer look at the teapot, but first let me have the sugar bowl.",
+        "Hand the spoon to me, then push the bowl to the left.",
+        "Pour some juice into the glass and hand it to me.",
+        "Give me a hand with the vase.",
+        "Show me where the vase goes.",
         "Pour some juice into the glass.",
         "Turn the radio to face the bed.",
         "Press the button of the remote control.",
-        "Bring me the whisk.",
-        "Hold the jar up to the camera.",
     ],
 )
 def test_an_instruction_that_also_asks_for_what_no_state_shows_has_no_goal(reader: InstructionReader, text: str) -> None:

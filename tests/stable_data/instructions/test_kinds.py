@@ -6,6 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from stable_data.condition import ConditionKind
 from stable_data.instructions.deriving import KINDS, NUM_PATTERNS, SIMPLE_KINDS
 from stable_data.instructions.kind import SEVERAL, SINGLE, TaskKind, members
 from stable_data.instructions.naming import mentions
@@ -112,6 +113,14 @@ def test_steps_add_up_and_speak_of_different_things(name: str, least: int) -> No
         assert len(told.objects) >= least
         said = [m.instance for m in mentions(told.text, one.namer)]
         assert set(said) <= set(told.objects)
+
+
+def test_what_is_held_at_the_end_is_asked_for_in_the_last_step() -> None:
+    joined = [told for name in ("two_steps", "before", "three_steps") for _, told in told_somewhere(name)]
+    held = [(told.conditions, k) for told in joined for k, c in enumerate(told.conditions) if c.kind is ConditionKind.HELD]
+    assert held
+    for conditions, k in held:
+        assert {c.subject for c in conditions[k:]} == {conditions[k].subject}
 
 
 def test_pushes_stay_on_the_table_and_meet_nothing() -> None:

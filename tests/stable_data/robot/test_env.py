@@ -137,6 +137,7 @@ def test_the_expert_goes_on_from_where_a_policy_came_to(geometry: SceneGeometry)
         ("place_on", GoalCondition(CAN, ConditionKind.ON, PLATE)),
         ("place_beside", GoalCondition(CAN, ConditionKind.RIGHT_OF, MUG)),
         ("move", GoalCondition(CAN, ConditionKind.AT, "left")),
+        ("hand_over", GoalCondition(CAN, ConditionKind.HELD, "front_edge")),
     ],
 )
 def test_the_expert_places(kind: str, condition: GoalCondition, geometry: SceneGeometry) -> None:

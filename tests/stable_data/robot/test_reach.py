@@ -99,6 +99,15 @@ def test_places_and_targets_are_looked_at_too(geometry: SceneGeometry) -> None:
     assert found.objects[0].reachable is True
 
 
+def test_where_an_object_is_handed_over_is_looked_at_too(geometry: SceneGeometry) -> None:
+    near = surveyed(geometry, GoalCondition(CAN, K.HELD, "front_edge"), tries=0)
+    assert (near.task_kind, near.task_reachable, near.task_reason) == ("hand_over", True, None)
+    long = with_objects(geometry, block("cube_0", 0.5, 2.2, SMALL), size=(1.0, 2.5))
+    far = surveyed(long, GoalCondition("cube_0", K.HELD, "front_edge"), tries=0, mount="back")
+    assert far.task_reason == "place_out_of_reach: cube_0, cube_0 held front_edge"
+    assert far.objects[0].reachable is True
+
+
 def test_a_later_step_finds_the_scene_as_the_earlier_one_leaves_it(geometry: SceneGeometry) -> None:
     """The lower cube is in a pit that the upper one closes, until it is taken away."""
     low, top = block("low_0", 0.4, 0.3, SMALL), block("top_0", 0.4, 0.3, (0.07, 0.07, 0.2), 0.05, "low_0")

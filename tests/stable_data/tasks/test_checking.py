@@ -139,6 +139,21 @@ def test_a_held_goal_needs_a_lift() -> None:
     assert checker.is_success(replace(lifted(START, SPACE, "mug_0"), max_speed=0.3))
 
 
+def test_what_is_handed_over_is_held_at_the_edge_of_the_user() -> None:
+    target = goal(of("block_1", "held", "front_edge"))
+    checker = GoalChecker(target, SPACE)
+    states = states_of(target, SPACE)
+    assert [checker.is_success(state) for state in states] == [False, False, True]
+    rewards = [checker.reward(state) for state in states]
+    assert rewards == sorted(rewards)
+    assert rewards[-1] == 1.0
+    standing = moved(START, SPACE, "block_1", (0.2, 0.05, 0.025), "table")
+    assert not checker.is_success(standing)  # it is at the edge, but not held
+    far = lifted(moved(START, SPACE, "block_1", (0.2, 0.2, 0.025)), SPACE, "block_1")
+    beyond = lifted(moved(START, SPACE, "block_1", (0.2, -0.1, 0.025)), SPACE, "block_1")
+    assert (checker.is_success(far), checker.is_success(beyond)) == (False, True)
+
+
 def test_a_push_of_another_length_or_direction_is_not_the_goal() -> None:
     checker = GoalChecker(goal(of("block_1", "moved", "left", 0.1)), SPACE)
     for x, y in ((0.17, 0.45), (0.05, 0.45), (0.3, 0.45), (0.1, 0.3)):
@@ -158,6 +173,7 @@ def test_a_push_of_another_length_or_direction_is_not_the_goal() -> None:
         of("mug_0, book_0", "held"),
         of("mug_0, mug_0", "together"),
         of("mug_0", "held", "book_0"),
+        of("block_1, block_2", "ordered", "by_weight"),
         of("bin_0", "empty", "under"),
     ],
 )

@@ -61,14 +61,30 @@ def test_a_condition_reads_as_words() -> None:
 
 def test_conditions_are_renamed_between_scenes() -> None:
     names = {"1_mug_0": "mug_4", "2_tray_0": "tray_0"}
+    sizes = {"mug_4": (0.1, 0.1, 0.2), "tray_0": (0.4, 0.3, 0.1)}
     known = {"1_mug_0", "2_tray_0", "3_pen_0"}
-    assert rename_conditions((of("1_mug_0", "on", "2_tray_0"),), names, known) == (of("mug_4", "on", "tray_0"),)
-    assert rename_conditions((of("1_mug_0", "at", "left"), of("1_mug_0", "on", "table")), names, known) == (
+    assert rename_conditions((of("1_mug_0", "on", "2_tray_0"),), names, known, sizes) == (of("mug_4", "on", "tray_0"),)
+    assert rename_conditions((of("1_mug_0", "at", "left"), of("1_mug_0", "on", "table")), names, known, sizes) == (
         of("mug_4", "at", "left"),
         of("mug_4", "on", "table"),
     )
-    assert rename_conditions((of("1_mug_0, 2_tray_0", "in a row"),), names, known) == (of("mug_4, tray_0", "in a row"),)
-    assert rename_conditions((of("1_mug_0", "on", "2_tray_0"), of("3_pen_0", "held")), names, known) == ()
-    assert rename_conditions((of("1_mug_0, 2_tray_0", "ordered"),), names, known) == ()
+    assert rename_conditions((of("1_mug_0, 2_tray_0", "in a row"),), names, known, sizes) == (of("mug_4, tray_0", "in a row"),)
+    assert rename_conditions((of("1_mug_0", "on", "2_tray_0"), of("3_pen_0", "held")), names, known, sizes) == ()
+    assert rename_conditions((of("1_mug_0", "held", "front_edge"),), names, known, sizes) == (
+        of("mug_4", "held", "front_edge"),
+    )
     emptied = (of("3_pen_0", "on", "table"), of("2_tray_0", "empty", "on"))
-    assert rename_conditions(emptied, names, known) == (of("tray_0", "empty", "on"),)
+    assert rename_conditions(emptied, names, known, sizes) == (of("tray_0", "empty", "on"),)
+
+
+def test_what_is_ordered_is_ordered_anew_by_the_sizes_of_the_other_scene() -> None:
+    names, known = {"1_mug_0": "mug_4", "2_tray_0": "tray_0"}, {"1_mug_0", "2_tray_0"}
+    sizes = {"mug_4": (0.1, 0.1, 0.2), "tray_0": (0.4, 0.3, 0.1)}
+
+    def ordered(measure: str, **other: tuple[float, float, float]) -> tuple[GoalCondition, ...]:
+        return rename_conditions((of("1_mug_0, 2_tray_0", "ordered", measure),), names, known, sizes | other)
+
+    assert ordered("by_height") == (of("tray_0, mug_4", "ordered", "by_height"),)
+    assert ordered("by_size") == (of("mug_4, tray_0", "ordered", "by_size"),)
+    assert ordered("by_height", tray_0=(0.4, 0.3, 0.19)) == ()  # nearly as high
+    assert ordered("") == ()  # by what is not known

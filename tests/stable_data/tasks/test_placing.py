@@ -1,5 +1,7 @@
 """Poses for objects that are put down: free, on the table, and where the step wants them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -48,6 +50,25 @@ def test_a_pose_on_the_table_is_free_and_right(condition: GoalCondition) -> None
         assert min(x_min, y_min, 1.2 - x_max, 0.7 - y_max) >= -1e-9
         assert min(view.gap("mug_0", name) for name in SPACE.rows if name != "mug_0") >= CLEARANCE - 1e-9
         assert GoalChecker(Goal(GoalKind.MOVE, (condition,), ()), SPACE).is_success(after)
+
+
+def test_a_pose_of_what_is_handed_over_is_in_the_air_at_the_front_edge() -> None:
+    held = of("block_0", "held", "front_edge")
+    poses = target_poses(Step(StepAction.CARRY, "block_0", (held,)), SPACE, START)
+    assert len({pose.position[0] for pose in poses}) >= 3  # far from each other
+    for pose in poses:
+        after = placed_state(SPACE, START, "block_0", pose)
+        item = StateView(SPACE, after).item("block_0")
+        assert pose.support is None
+        assert after.touching["block_0"] == ()
+        assert after.held == {"block_0"}
+        assert item.bottom >= 0.1 - 1e-9
+        assert pose.release_height == pose.position[2]
+        assert GoalChecker(Goal(GoalKind.HAND_OVER, (held,), ()), SPACE).is_success(after)
+    high = replace(SPACE.scene, objects=tuple(replace(o, position=(*o.position[:2], 0.4)) for o in SPACE.scene.objects))
+    raised = TaskGeometry(high, SPACE.shapes, SPACE.containers)
+    lowest = target_poses(Step(StepAction.CARRY, "block_0", (held,)), raised, start_state(raised))[0].position[2]
+    assert lowest > 0.4  # lifted, from wherever it was
 
 
 def test_a_pose_in_a_container_is_released_above_its_rim_and_rests_on_its_floor() -> None:

@@ -20,10 +20,6 @@ from tests.stable_data.instructions.tables import TABLES, Table, told_somewhere
 from tests.stable_data.tasks.task_scenes import states_of
 
 NOT_CHECKABLE = {
-    "show",
-    "hand_over",
-    "unload_and_hand_over",
-    "uncover_and_hand_over",
     "set_for_several",
     "pour",
     "water",
