@@ -155,7 +155,7 @@ class Experiment:
             if not set(cells) <= set(self.results):
                 for layouts, meshes in product(LAYOUTS, MESHES):
                     self._lay_out(seed, layouts, meshes)
-                names = self._common_scenes(seed)
+                names = self.common_scenes(seed)
                 recorded = {cell: self._demonstrate(cell, names[: cell.scenes]) for cell in cells}
                 count = min(self._options.demonstrations, *(values["usable"] for values in recorded.values()))
                 left = [cell for cell in cells if cell not in self.results]
@@ -206,9 +206,9 @@ class Experiment:
         )
         return _among(sorted(chosen))
 
-    def _common_scenes(self, seed: int) -> list[str]:
+    def common_scenes(self, seed: int) -> list[str]:
         """Scenes whose tasks were laid out in all four ways, in an order by the seed: the smaller sets are parts of the larger ones."""
-        pools = [self._pool(seed, layouts, meshes) for layouts, meshes in product(LAYOUTS, MESHES)]
+        pools = [self.pool(seed, layouts, meshes) for layouts, meshes in product(LAYOUTS, MESHES)]
         found = set.intersection(
             *({row["scene_id"] for row in _rows(pool / "scenes", "scenes", ["scene_id"])} for pool in pools)
         )
@@ -218,7 +218,8 @@ class Experiment:
             )
         return _shuffled(list(found), seed)
 
-    def _pool(self, seed: int, layouts: str, meshes: str) -> Path:
+    def pool(self, seed: int, layouts: str, meshes: str) -> Path:
+        """The folder of the scenes of one kind."""
         return self._work / f"seed_{seed}" / f"{layouts}_{meshes}"
 
     def _lay_out(self, seed: int, layouts: str, meshes: str) -> None:
@@ -228,12 +229,12 @@ class Experiment:
             else ["--assets", str(self._work / "library"), "--assets", "embedded"]
         )
         words = [*LAYOUTS[layouts], *assets, "--count", str(math.ceil(_SPARE_SCENES * max(self._options.scenes)))]
-        out = self._pool(seed, layouts, meshes) / "scenes"
+        out = self.pool(seed, layouts, meshes) / "scenes"
         _command("generate", *words, "--seed", str(1000 + seed), "--out", str(out), "--set", "num_pictures=0")
 
     def _demonstrate(self, cell: Cell, names: Sequence[str]) -> dict[str, Any]:
         """Records the demonstrations of a cell; returns what is known of them, and how many can be trained on."""
-        pool = self._pool(cell.seed, cell.layouts, cell.meshes)
+        pool = self.pool(cell.seed, cell.layouts, cell.meshes)
         episodes = math.ceil(_SPARE * self._options.demonstrations / cell.scenes)
         out = pool / f"demonstrations_{cell.scenes}"
         words = ["--scenes", str(pool / "scenes"), "--out", str(out), "--where", _among(names), "--robot", self._options.robot]
@@ -249,7 +250,7 @@ class Experiment:
 
     def _train_and_test(self, count: int, tests: str, cell: Cell) -> dict[str, Any]:
         """Trains a policy on some demonstrations and lets it act, in one process each; returns what is known of it."""
-        pool = self._pool(cell.seed, cell.layouts, cell.meshes)
+        pool = self.pool(cell.seed, cell.layouts, cell.meshes)
         policy, out = pool / f"policy_{cell.scenes}", pool / f"result_{cell.scenes}"
         words = ["--episodes", str(pool / f"demonstrations_{cell.scenes}"), "--out", str(policy)]
         train = (f"max_episodes={count}", f"max_actions={_LONGEST}", f"seed={cell.seed}", "held_out=0")

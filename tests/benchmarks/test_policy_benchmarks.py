@@ -1,11 +1,14 @@
 """What the experiment on policies and the test of the verdicts make of their results."""
 
 import math
+from argparse import Namespace
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pytest
 
-from benchmarks.policy import LAYOUTS, MESHES, Cell, Result, effects, mean_interval, show
+from benchmarks.policy import LAYOUTS, MESHES, Cell, Experiment, Result, effects, mean_interval, show
 from benchmarks.replay import area_under_curve, figures, outcomes
 from pipelines.demonstrate.job import demonstrate
 from pipelines.demonstrate.settings import DemonstrateSettings
@@ -45,6 +48,28 @@ def test_the_tables_have_a_line_for_each_cell_and_each_effect() -> None:
 def test_the_interval_of_a_mean() -> None:
     assert mean_interval([1.0, 3.0]) == pytest.approx((2.0, 2 - 12.706, 2 + 12.706), abs=1e-3)  # t of one degree of freedom
     assert mean_interval([5.0]) == (5.0, -math.inf, math.inf)
+
+
+def experiment(work: Path, **changes: object) -> Experiment:
+    options = {"scenes": [2, 1], "demonstrations": 4, "tests": 5, "robot": "simple"} | changes
+    return Experiment(work / "data", work / "out", Namespace(**options))
+
+
+def test_results_of_other_options_are_not_mixed(tmp_path: Path) -> None:
+    experiment(tmp_path)
+    experiment(tmp_path, scenes=[1, 2], seeds=9)  # more seeds may be added
+    with pytest.raises(SystemExit, match="is of other options"):
+        experiment(tmp_path, tests=6)
+
+
+def test_all_pools_have_the_same_scenes_and_fewer_are_part_of_more(tmp_path: Path) -> None:
+    found, scene = experiment(tmp_path), laid_table()
+    for number, (layouts, meshes) in enumerate(product(LAYOUTS, MESHES)):
+        ids = ["one", "two", "three", "four", f"only_{number}"]
+        scenes = tuple(replace(scene, scene_id=name) for name in (ids if number else ids[1:]))
+        write_run(found.pool(0, layouts, meshes) / "scenes", scenes)
+    assert sorted(found.common_scenes(0)) == ["four", "three", "two"]
+    assert found.common_scenes(0) == found.common_scenes(0)
 
 
 def test_the_area_under_the_curve() -> None:

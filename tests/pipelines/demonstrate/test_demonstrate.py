@@ -10,11 +10,14 @@ import pytest
 from typer.testing import CliRunner
 
 from pipelines.__main__ import app
+from pipelines.demonstrate import environments
+from pipelines.demonstrate.environments import EpisodeRef, open_episode
 from pipelines.demonstrate.job import demonstrate
 from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.execution.ray_executor import WorkerPool
 from stable_data.condition import ConditionKind, GoalCondition
 from stable_data.errors import ConfigError
+from stable_data.robot.acting.recording import record_episode
 from stable_data.robot.episodes import episode_from_row
 from stable_data.scene import Scene, Tabletop, TaskInfo
 from stable_data.storage.run_folder import RunFolder
@@ -130,3 +133,15 @@ def test_what_cannot_start_says_so_in_one_line(words: list[str], message: str, t
     assert result.exit_code == 2
     assert message in result.output + result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_an_episode_in_a_kept_environment_is_the_same_as_in_a_new_one(scenes: str) -> None:
+    settings = replace(SETTINGS, task="pick")
+
+    def record(number: int) -> bytes:
+        found = open_episode(scenes, EpisodeRef("laid", number), settings)
+        return record_episode(found.env, number=number, seed=found.seed).object_poses.tobytes()
+
+    after_others = [record(number) for number in range(4)]
+    environments._opened_picks.cache_clear()
+    assert record(3) == after_others[3]

@@ -97,6 +97,13 @@ def test_a_lying_box_that_is_too_wide_says_so(bench: Bench) -> None:
         assert survey.reachable or survey.reason is not None
 
 
+def test_grasps_that_are_found_one_by_one_are_those_of_the_survey(bench: Bench) -> None:
+    survey, found = bench.finder.survey(bench.world, CAN), list(bench.finder.reachable(bench.world, CAN))
+    assert len(found) == len(survey.reachable) > 0
+    for one, other in zip(found, survey.reachable, strict=True):
+        assert np.array_equal(one.approach, other.approach)
+
+
 def test_what_is_far_away_is_out_of_reach(tmp_path: Path) -> None:
     scene = laid_table()
     far = replace(scene, table=replace(scene.table, size_xy=(1.0, 2.0)), objects=(thing("can/0", CAN, 0.5, 1.8, 0.0),))
