@@ -1,4 +1,4 @@
-"""The leaderboard of policies: ``python -m benchmarks.leaderboard add RUN [--name NAME]``, and ``show``.
+"""The leaderboard of policies: ``python -m benchmarks.leaderboard add RUN [--name NAME] [--scenes NAME]``, and ``show``.
 
 RUN is a finished run of ``python -m pipelines evaluate-policy``. Its line replaces that of the same policy on the same episodes.
 Lines are compared with each other only within one block: the same scenes, condition, task, robot and settings of the episodes.
@@ -7,6 +7,7 @@ Lines are compared with each other only within one block: the same scenes, condi
 import argparse
 import csv
 import io
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -45,7 +46,7 @@ class Line:
         policy_fingerprint: Hash of the weights or the source of the policy.
         episodes_fingerprint: Hash of scenes, condition and settings of the episodes.
         code_version: Version of this library.
-        command: The command of the evaluation.
+        command: The command of the evaluation; of its paths the last part.
         date: Day on which the line was added, UTC.
     """
 
@@ -72,12 +73,13 @@ class Line:
         return self.policy_fingerprint, self.episodes_fingerprint
 
 
-def line_of(run: str, name: str = "") -> Line:
+def line_of(run: str, name: str = "", scenes: str = "") -> Line:
     """Returns the line of an evaluation.
 
     Args:
         run: Folder or URI of the run.
         name: Name of the policy; empty: that of the run.
+        scenes: Name of the scenes; empty: that of their run.
 
     Raises:
         ConfigError: It is not a finished run of evaluate-policy (``run_invalid``), or nothing was attempted (``set_empty``).
@@ -95,7 +97,7 @@ def line_of(run: str, name: str = "") -> Line:
     inputs = {key: value for key, value in manifest["inputs"].items() if key != "policy"}
     return Line(
         policy=name or manifest["policy"],
-        scenes=manifest["dataset"],
+        scenes=scenes or manifest["dataset"],
         where=inputs["where"],
         task=settings["task"],
         robot=settings["robot"],
@@ -108,9 +110,14 @@ def line_of(run: str, name: str = "") -> Line:
         policy_fingerprint=manifest["inputs"]["policy"],
         episodes_fingerprint=content_id(inputs, of_episodes),
         code_version=manifest["code_version"],
-        command=manifest["command"],
+        command=_public(manifest["command"]),
         date=f"{datetime.now(UTC):%Y-%m-%d}",
     )
+
+
+def _public(command: str) -> str:
+    """The command without the folders of the machine on which it ran."""
+    return shlex.join(word.rstrip("/").rpartition("/")[2] if "/" in word else word for word in shlex.split(command))
 
 
 def read_lines(file: Path) -> list[Line]:
@@ -180,13 +187,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     verbs = parser.add_subparsers(dest="verb", required=True)
     adding = verbs.add_parser("add", help="add the result of an evaluation")
     adding.add_argument("run", help="a finished run of evaluate-policy")
+    adding.add_argument("--scenes", default="", help="name of the scenes; default: that of the folder of their run")
     adding.add_argument("--name", default="", help="name of the policy; default: that of its folder or module")
     verbs.add_parser("show", help="print the leaderboard")
     chosen = parser.parse_args(arguments)
     try:
         lines = read_lines(chosen.file)
         if chosen.verb == "add":
-            lines = with_line(lines, line_of(chosen.run, chosen.name))
+            lines = with_line(lines, line_of(chosen.run, chosen.name, chosen.scenes))
             write_lines(chosen.file, lines)
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)

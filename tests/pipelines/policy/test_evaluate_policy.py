@@ -107,9 +107,10 @@ def test_the_leaderboard_keeps_the_newest_line_of_a_policy(
     run, file = str(tmp_path / "out"), tmp_path / "leaderboard.csv"
     evaluate_policy(f"{POLICIES}:StayingPolicy", str(two_scenes), run, SIMPLE, WorkerPool(), report=False)
     for name in ("still", "still again"):
-        leaderboard.main(["--file", str(file), "add", run, "--name", name])
+        leaderboard.main(["--file", str(file), "add", run, "--name", name, "--scenes", "two tables"])
     (line,) = leaderboard.read_lines(file)
-    assert (line.policy, line.successes, line.attempts, line.scenes) == ("still again", 0, 2, "run")
+    assert (line.policy, line.successes, line.attempts, line.scenes) == ("still again", 0, 2, "two tables")
+    assert str(tmp_path) not in line.command  # a published line names no folder of the machine
     leaderboard.write_lines(tmp_path / "again.csv", [line])
     assert (tmp_path / "again.csv").read_bytes() == file.read_bytes()
     leaderboard.main(["--file", str(file), "show"])
