@@ -48,6 +48,7 @@ _CARRY_STEP = 0.08  # of the grid over which objects are carried, metres
 _SIDE_GAP = 0.03  # preferred distance to an object beside which another one is put, metres
 _MOST_TRIED = 200  # poses that are checked exactly
 _ROW_GAP = 0.04  # metres between members of a row
+_SHIFTED = 0.05  # an object that is nearer to its place at the start was not put elsewhere, metres
 _OVERHANG = 0.15  # largest share of the outline of an object that may reach over the outline of its container
 _SURFACE_POINTS = 20_000
 _SHEET = 5e-4  # metres above a surface: contact within rounding
@@ -191,6 +192,9 @@ class _Search:
             yaw, _ = heading(current)
             return [quat_product(yaw_quat(self._yaw_for(facing) - yaw), current)]
         around = [current, quat_product(yaw_quat(math.pi / 2), current)]
+        if any(c.kind in GROUP_KINDS for c in self.wanted):  # an arrangement has room for the members as they stood
+            first, _ = heading(tuple(self.predicates.start.quats_xyzw[self.row].tolist()))
+            around.insert(0, quat_product(yaw_quat(first - heading(current)[0]), current))
         return [*around, self._on_end(current)] if any(c.kind is K.IN for c in self.wanted) else around
 
     def _on_end(self, quat: QuatXyzw) -> QuatXyzw:
@@ -464,15 +468,18 @@ class _Search:
         starts = np.cumsum([0.0, *(sizes[:, axis] + _ROW_GAP)])
         centres = starts[:-1] + sizes[:, axis] / 2
         length, half = float(starts[-1] - _ROW_GAP), float(sizes[:, 1 - axis].max()) / 2
-        # Other objects are where they are now, so that a second row leaves out the first one; members where they were.
-        others = [self.view.outline(n) for n in self.geometry.rows if n not in ordered]
+        # Other objects are where they were, unless they were put elsewhere, so that a second row leaves out the first one: what the
+        # hand only shifts a little does not move the row.
+        others = [
+            (self.view if self._was_put_elsewhere(n) else first).outline(n) for n in self.geometry.rows if n not in ordered
+        ]
         zone = self.geometry.scene.table.restricted_zone
         others += [] if zone is None else [shapely.box(zone[0], zone[2], zone[1], zone[3])]
-        high = np.array(self.size)
+        high = np.array(self.size) - CLEARANCE  # from the edge, because a member may be turned a little
         high[axis] -= length
         high[1 - axis] -= half
-        low = np.zeros(2)
-        low[1 - axis] = half
+        low = np.full(2, CLEARANCE)
+        low[1 - axis] += half
         corners = _grid(np.array([low, high]), _STEP)
         if not len(corners):
             return corners
@@ -494,6 +501,10 @@ class _Search:
         spot = corners[int(cost.argmin())]
         spot[axis] += centres[list(ordered).index(self.name)]
         return np.asarray(spot[None])
+
+    def _was_put_elsewhere(self, name: str) -> bool:
+        row = self.geometry.rows[name]
+        return bool(np.linalg.norm(self.state.positions[row] - self.predicates.start.positions[row]) > _SHIFTED)
 
     # --- heights ---
 

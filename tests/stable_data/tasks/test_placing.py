@@ -8,12 +8,13 @@ import shapely
 
 from stable_data.condition import GoalCondition
 from stable_data.errors import GoalError
+from stable_data.rotations import heading, yaw_quat
 from stable_data.scene import Tabletop
 from stable_data.tasks.checking import GoalChecker, StateView, start_state
 from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal, GoalKind, Step, StepAction
 from stable_data.tasks.placing import CLEARANCE, placed_state, target_poses
-from tests.stable_data.tasks.task_scenes import geometry, goal, of
+from tests.stable_data.tasks.task_scenes import geometry, goal, lifted, of
 
 SPACE = geometry()
 START = start_state(SPACE)
@@ -116,6 +117,19 @@ def test_what_an_object_carries_goes_with_it() -> None:
     step = after.positions - START.positions
     assert step[SPACE.rows["pen_0"]] == pytest.approx(step[SPACE.rows["bin_0"]], abs=1e-9)
     assert GoalChecker(goal(of("bin_0", "at", "front_right")), SPACE).is_success(after)
+
+
+def test_a_row_stays_where_it_is_when_a_hand_turns_a_member_and_shifts_another_object() -> None:
+    row = of("book_0, block_0", "in a row")
+    first = target_poses(place("book_0", row), SPACE, START)[0]
+    state = lifted(START, SPACE, "book_0")
+    quats, positions = state.quats_xyzw.copy(), state.positions.copy()
+    turn = yaw_quat(heading(tuple(quats[SPACE.rows["book_0"]].tolist()))[0] + 0.5)
+    quats[SPACE.rows["book_0"]] = turn
+    positions[SPACE.rows["plate_0"], 0] += 0.02
+    again = target_poses(place("book_0", row), SPACE, replace(state, quats_xyzw=quats, positions=positions))[0]
+    assert again.position[:2] == pytest.approx(first.position[:2], abs=1e-6)
+    assert again.yaw == pytest.approx(first.yaw, abs=1e-6)
 
 
 def test_a_push_ends_where_it_is_stated() -> None:
