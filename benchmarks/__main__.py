@@ -1,4 +1,7 @@
-"""All benchmarks: ``python -m benchmarks --data DIR --out DIR [--layouts FILE] [--quick]``. Each prints a table and writes a JSON file."""
+"""All benchmarks: ``python -m benchmarks --data DIR --out DIR [--layouts FILE] [--quick]``. Each prints a table and writes a JSON file.
+
+``benchmarks.policy`` takes hours, and ``benchmarks.replay`` needs recorded episodes: both are run by themselves (docs/policy.md).
+"""
 
 import argparse
 import json
