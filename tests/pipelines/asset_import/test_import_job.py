@@ -106,6 +106,7 @@ def test_the_library_is_one_that_retrieval_opens(library: Path) -> None:
 
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
+@pytest.mark.slow
 def test_ray_gives_the_same_bytes_as_this_process(source: Path, library: Path, tmp_path: Path) -> None:
     import_assets("mesh", str(source), str(tmp_path / "out"), SETTINGS, WorkerPool(2))
     assert content(tmp_path / "out") == content(library)

@@ -98,6 +98,7 @@ def opened() -> tuple[PhysicsCorrector, AssetStore]:
 
 
 @pytest.mark.ray
+@pytest.mark.slow
 def test_actors_take_their_parts_of_a_gpu_and_give_what_this_process_gives(local_ray: None) -> None:
     alone, meshes = opened()
     with corrector_pool(opened, 2, 0.5, may_grow=False) as pool:
