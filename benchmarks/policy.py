@@ -17,8 +17,7 @@ The test scenes are clean and at rest, as corrected ones are; tasks that could n
 Everything is kept in WORK; the same command continues after a stop, and a later one with more seeds adds them. Each cell is printed
 when it is there; then the table, and the effects: differences of cells that differ in one respect only, by seed, with their mean
 and a 95 % interval over the seeds (Student's t). It tells of other training scenes, not of other test scenes, which are the same for
-all seeds. At full size a seed takes about 16 hours of two cores; a tenth of the demonstrations, in at most as many scenes, takes a
-tenth of it.
+all seeds.
 """
 
 import argparse
@@ -41,7 +40,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from benchmarks.text_table import align_columns
-from pipelines.evaluate_policy.job import SEEN
+from pipelines.evaluate_policy.job import UNSEEN
 from stable_data.atomic_files import write_file_atomically
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.mesatask.asset_catalog import library_of_folder
@@ -158,6 +157,8 @@ class Experiment:
                 names = self.common_scenes(seed)
                 recorded = {cell: self._demonstrate(cell, names[: cell.scenes]) for cell in cells}
                 count = min(self._options.demonstrations, *(values["usable"] for values in recorded.values()))
+                if not count:  # max_episodes=0 would mean all
+                    raise SystemExit(f"a cell of seed {seed} has no demonstration to train on, expected some: {recorded}")
                 left = [cell for cell in cells if cell not in self.results]
                 with ThreadPoolExecutor(os.cpu_count()) as pool:
                     for cell, result in zip(left, pool.map(partial(self._train_and_test, count, tests), left), strict=True):
@@ -258,8 +259,8 @@ class Experiment:
         words = ["--policy", str(policy), "--scenes", str(self._work / "test"), "--where", tests, "--out", str(out)]
         _command("evaluate-policy", *words, *_set(*_TESTED), "--workers", "0")
         counts, trained = _manifest(out)["counts"], _manifest(policy)
-        if counts["by_assets"].get(SEEN, [0, 0])[1]:
-            raise SystemExit(f"{out}: a test is about an asset that the training has seen, report this")
+        if set(counts["by_assets"]) != {UNSEEN}:
+            raise SystemExit(f"{out}: the tests are about assets {counts['by_assets']}, expected only some {UNSEEN}")
         return {
             "demonstrations": trained["num_episodes"],
             "used_scenes": trained["num_scenes"],
