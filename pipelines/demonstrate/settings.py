@@ -1,20 +1,16 @@
 """Settings of episodes, the robot, what it sees, and how they vary; and those of the demonstrate job."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
-from pipelines.execution.shard_size import shard_size
+from models.settings import Count, NonNegative, PositiveCount, Settings, Share
+from pipelines.reach.settings import RobotSettings
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
 from stable_data.robot.arm.assembly import CAMERAS
 from stable_data.robot.arm.control import CONTROLS
-from stable_data.robot.arm.mounting import parse_mount
-from stable_data.robot.arm.robots import described_robot
 from stable_data.robot.env import RobotOptions
 from stable_data.robot.randomization import RandomizationOptions
-
-_PARTS, _FEWEST, _MOST = 16, 1, 16  # shards of a small job, scenes of a shard
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,19 +37,10 @@ class VariationSettings(Settings):
 
 
 @dataclass(frozen=True, slots=True)
-class EpisodeSettings(Settings):
+class EpisodeSettings(RobotSettings):
     """Settings of jobs that make episodes: the robot, what it sees, its task, and how episodes vary."""
 
-    section: ClassVar[str] = ""
     ASIDE: ClassVar[tuple[str, ...]] = ("num_pictures", "seconds_per_item")
-
-    robot: str = "panda"
-    """The robot: ``panda``, ``panda_2f85``, ``so101`` or ``simple``; ``stable-data robots`` lists them."""
-
-    mount: str = "auto"
-    """Where the robot stands: ``auto``, an edge of the table (``front``, ``left``, ``right``, ``back``), or an edge and a share of its
-    length, such as ``front:0.25``.
-    """
 
     control: str = "ee_delta"
     """What an action commands beside the opening of the hand: ``ee_delta``, ``ee``, ``joint_delta`` or ``joint``."""
@@ -90,14 +77,8 @@ class EpisodeSettings(Settings):
     seed: int = 0
     """Seed of all choices; an episode's seed follows from it and from the episode's name."""
 
-    scenes_per_shard: Count = 0
-    """Scenes of a shard. 0: by the number of scenes."""
-
     num_pictures: Count = 24
     """Episodes that the report shows."""
-
-    seconds_per_item: Positive = 300.0
-    """Seconds; an episode that takes longer is a failure. Not enforced without worker processes."""
 
     def check(self) -> None:
         """Refuses names that do not exist.
@@ -105,8 +86,7 @@ class EpisodeSettings(Settings):
         Raises:
             ConfigError: See above (``setting_invalid``).
         """
-        described_robot(self.robot)
-        parse_mount(self.mount)
+        RobotSettings.check(self)  # super() does not work in a class with slots
         if self.control not in CONTROLS:
             raise ConfigError(
                 f"setting {self.section}.control is {quote_value(self.control)}, expected one of {', '.join(CONTROLS)}",
@@ -117,10 +97,6 @@ class EpisodeSettings(Settings):
                 f"setting {self.section}.cameras has {quote_value(strange[0])}, expected some of {', '.join(CAMERAS)}",
                 "setting_invalid",
             )
-
-    def shaping(self) -> dict[str, Any]:
-        """The settings that shape rows; a run is resumed only if they are equal."""
-        return {k: sorted(v) if isinstance(v, frozenset) else v for k, v in asdict(self).items() if k not in self.ASIDE}
 
     def options(self) -> RobotOptions:
         """The robot as the environment takes it."""
@@ -134,10 +110,6 @@ class EpisodeSettings(Settings):
             max_steps=self.max_steps,
             randomization=RandomizationOptions(**asdict(self.variation)),
         )
-
-    def shard_size(self, num_scenes: int) -> int:
-        """Scenes of a shard."""
-        return self.scenes_per_shard or shard_size(num_scenes, parts=_PARTS, fewest=_FEWEST, most=_MOST)
 
 
 @dataclass(frozen=True, slots=True)
