@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from stable_data.embedded_world.scenes import RECORD
+from stable_data.metrics.layout_similarity import SceneLayouts, near_duplicates
 from stable_data.scene import FloatArray, Scene
 
 _TILTED = 1.0  # degrees
 _UNEVEN = 1.02  # largest component of a scale over the smallest
-_SAME = 0.02  # largest distance of two objects at the same place, metres
 
 MESATASK: Mapping[str, str] = MappingProxyType(
     {
@@ -90,7 +89,7 @@ def summarise_counts(scenes: Sequence[SceneCounts]) -> dict[str, str]:
     width, depth = 100 * np.array([s.table_size for s in scenes]).T
     longest = 100 * np.concatenate([s.longest for s in scenes])
     categories = Counter(c for s in scenes for c in s.categories)
-    twins = near_duplicates(scenes)
+    twins = scenes_with_duplicates(scenes)
     return {
         "scenes": f"{len(scenes):,}",
         "assets in use": f"{len({a for s in scenes for a in s.assets}):,}",
@@ -120,26 +119,10 @@ def _share(flags: Iterable[bool]) -> str:
     return f"{share:.0f} %" if share >= 10 or share == 0 else f"{share:.2g} %"
 
 
-def near_duplicates(scenes: Sequence[SceneCounts]) -> frozenset[str]:
+def scenes_with_duplicates(scenes: Sequence[SceneCounts]) -> frozenset[str]:
     """Scenes that have a near-duplicate: the same categories, each object within 2 cm of its counterpart."""
-    alike: dict[tuple[str, tuple[str, ...]], list[SceneCounts]] = defaultdict(list)
-    for scene in scenes:
-        alike[scene.table_type, scene.categories].append(scene)
-    found = set()
-    for group in alike.values():
-        for k, one in enumerate(group):
-            for other in group[k + 1 :]:
-                if _is_same(one, other):
-                    found |= {one.scene_id, other.scene_id}
-    return frozenset(found)
-
-
-def _is_same(one: SceneCounts, other: SceneCounts) -> bool:
-    distance = np.linalg.norm(one.positions[:, None] - other.positions[None], axis=2)
-    differs = np.array(one.categories)[:, None] != np.array(other.categories)[None]
-    # The large cost prevents matches between different categories.
-    rows, columns = linear_sum_assignment(np.where(differs, 1e3, distance))
-    return bool(distance[rows, columns].max(initial=0.0) < _SAME and not differs[rows, columns].any())
+    layouts = SceneLayouts.from_lists((s.table_type, s.table_size, s.categories, s.positions) for s in scenes)
+    return frozenset(scenes[k].scene_id for k in np.unique(near_duplicates(layouts, share=1.0)).tolist())
 
 
 def dataset_card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:

@@ -12,7 +12,7 @@ from pipelines.synth.job import synth
 from stable_data.embedded_world import EmbeddedWorld, scenes, world, write_world
 from stable_data.embedded_world.families.catalogue import KEYS, asset
 from stable_data.embedded_world.scenes import make_scene, scene_id_of
-from stable_data.embedded_world.statistics import SceneCounts, count_scene, near_duplicates
+from stable_data.embedded_world.statistics import SceneCounts, count_scene, scenes_with_duplicates
 from stable_data.embedded_world.world import TABLE_UID
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
@@ -170,8 +170,8 @@ def test_scene_that_fails_is_recorded_and_the_others_are_made(tmp_path: Path, mo
 def test_near_duplicates_are_the_same_things_in_the_same_places(written: Path) -> None:
     dataset = MesaTaskDataset(written)
     found = [count_scene(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
-    assert near_duplicates(found) == frozenset()
+    assert scenes_with_duplicates(found) == frozenset()
     one: SceneCounts = found[0]
     close = replace(one, scene_id="close", positions=one.positions + 0.01)
     far = replace(one, scene_id="far", positions=one.positions + np.array([0.03, 0.0, 0.0]))
-    assert near_duplicates([one, close, far]) == {one.scene_id, "close"}
+    assert scenes_with_duplicates([one, close, far]) == {one.scene_id, "close"}
