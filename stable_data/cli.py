@@ -298,6 +298,47 @@ def query(
     typer.echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
 
 
+@app.command("diversity")
+@with_clear_errors
+def compare_diversity(
+    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Runs with the table scenes: folders or URIs.")],
+    where: Annotated[str | None, typer.Option(help='Only scenes that satisfy this, for example "clean".')] = None,
+    limit: Annotated[int, typer.Option(min=0, help="Most scenes of a run; of more, so many are drawn. 0: all.")] = 20_000,
+    sample: Annotated[int, typer.Option(min=1, help="Scenes of which a Vendi score is computed.")] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    table: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Output file with the group of near-duplicates of each scene (Parquet).")
+    ] = None,
+    figures: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Output file of the figures.")] = None,
+) -> None:
+    """Say how diverse runs are, and which scenes are near-duplicates, within a run, between splits and between runs.
+
+    Two scenes are near-duplicates if nine tenths of their objects have a counterpart of the same category within 2 cm. In the
+    table, group_split is a split that all scenes of a group have, in all of the runs.
+    """
+    import json
+
+    import polars as pl
+
+    from stable_data.diversity.comparison import compare_sets
+    from stable_data.diversity.scene_set import SceneSet
+    from stable_data.mesatask.dataset_split import split_of
+    from stable_data.mesatask.lint import prepare_place
+
+    if len(set(runs)) < len(runs):
+        raise ConfigError(f"runs are {runs}, expected no duplicates", "usage")
+    for file in (table, figures):
+        if file is not None:
+            prepare_place(file)
+    found = compare_sets([SceneSet.read(run, where=where, limit=limit, seed=seed) for run in runs], sample=sample, seed=seed)
+    typer.echo(str(found))
+    if table is not None:
+        groups = [row | {"group_split": split_of(row["group"], row["table_type"])} for row in found.groups]
+        pl.DataFrame(groups).write_parquet(table)
+    if figures is not None:
+        figures.write_text(json.dumps(found.figures(), indent=2) + "\n", "utf-8")
+
+
 @app.command("judge")
 @with_clear_errors
 def judge_scenes(

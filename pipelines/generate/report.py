@@ -24,6 +24,8 @@ from pipelines.reports.scene_pictures import SceneGrids, ShownScene, draw_scene
 from pipelines.sources.scenes import TableSource, mesh_cache
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
+from stable_data.diversity.comparison import compare_sets
+from stable_data.diversity.scene_set import SceneSet
 from stable_data.errors import ConfigError
 from stable_data.simulation.render import contact_sheet
 from stable_data.storage.run_folder import RunFolder
@@ -35,6 +37,7 @@ SHEET = "report/contact_sheet.png"
 _AT_ONCE = 16  # small files that are read in parallel, because each read from an object store has a delay
 _COLUMNS = 5
 _SMALL = (384, 240)
+_COMPARED = 5000  # scenes whose layouts are compared, because the time grows with their square
 _MEASURES = (
     ("objects", "num_objects", 1.0, ""),
     ("stacked", "num_stacked", 1.0, ""),
@@ -86,6 +89,7 @@ def write_generate_report(
         *_variants(scenes, rejected),
         *_quality(scenes, rejected),
         *judge_agreement(folder, ("scenes", "rejected"), settings.judge_names),
+        *_diversity(folder),
         *reach_figures(folder, ("scenes", "rejected")),
         *_stages(folder, turns),
         *_time(spent),
@@ -179,6 +183,16 @@ def _quality(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
     yield histogram("Largest move in MuJoCo, mm", scenes["settle_move_max_mm"], [0, 0.1, 0.5, 1, 3, 10, 1000])
     yield bars("Table type", scenes["table_type"])
     yield "</div>"
+
+
+def _diversity(folder: RunFolder) -> Iterable[str]:
+    """How different the accepted scenes are from each other."""
+    scenes = SceneSet.read(folder.uri, limit=_COMPARED)
+    if len(scenes):
+        [found] = compare_sets([scenes]).sets
+        drawn = f", drawn of {found.num_all}" if found.num_all > len(scenes) else ""
+        yield f"<h2>Diversity</h2><p class=note>{found.num_scenes} accepted scenes{drawn}; stable-data diversity says more.</p>"
+        yield f"<pre>{escape(chr(10).join(found.lines()))}</pre>"
 
 
 def _stages(folder: RunFolder, turns: pl.DataFrame) -> Iterable[str]:

@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from stable_data.diversity.layout_similarity import SceneLayouts, near_duplicates
 from stable_data.embedded_world.scenes import RECORD
-from stable_data.metrics.layout_similarity import SceneLayouts, near_duplicates
 from stable_data.scene import FloatArray, Scene
 
 _TILTED = 1.0  # degrees

@@ -12,12 +12,15 @@ import pyarrow.parquet as pq
 from tqdm import tqdm
 
 from stable_data.assets.store import AssetStore
+from stable_data.diversity.comparison import compare_sets
+from stable_data.diversity.scene_set import ComparedScene, SceneSet
 from stable_data.errors import Notice, StableDataError, cannot_write
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.convention_detection import position_convention
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.summary import AuditSummary, summarise
+from stable_data.scene import Scene
 from stable_data.storage import schemas
 
 
@@ -30,12 +33,14 @@ class LintResult:
         rows: One row per scene: its id, the metric card, pairs and verdicts.
         failures: Scenes that could not be read or judged.
         warnings: Notices about the other scenes.
+        scenes: What is compared of the scenes of the rows.
     """
 
     root: Path
     rows: tuple[schemas.Row, ...]
     failures: tuple[Notice, ...]
     warnings: tuple[Notice, ...]
+    scenes: tuple[ComparedScene, ...] = ()
 
     def frame(self) -> pl.DataFrame:
         """The rows as a table."""
@@ -65,7 +70,9 @@ class LintResult:
         for n in self.warnings:
             counted[n.code] = counted.get(n.code, 0) + 1
         warned = [f"warning {code:<36} {count:>6}" for code, count in sorted(counted.items())]
-        return "\n".join([head, "", str(self.summary()), *([""] if warned or failed else []), *warned, *failed])
+        [diversity] = compare_sets([SceneSet(str(self.root), self.scenes, len(self.scenes))]).sets
+        page = [head, "", str(self.summary()), "", *diversity.lines()]
+        return "\n".join([*page, *([""] if warned or failed else []), *warned, *failed])
 
     def _arrow(self) -> pa.Table:
         schema = schemas.SCHEMAS["scenes"]
@@ -97,23 +104,24 @@ def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
     dataset = MesaTaskDataset(root)
     store = AssetStore(dataset)
     convention = position_convention(dataset, store)
-    rows: list[schemas.Row] = []
+    rows, scenes = list[schemas.Row](), list[ComparedScene]()
     failures = [n for n in dataset.notices if n.code == "layout_missing"]
     warnings = [n for n in dataset.notices if n.code != "layout_missing"]
     for scene_id in tqdm(dataset.scene_ids, desc="lint", unit="scene", disable=not progress):
-        row, notices = _lint_scene(dataset, store, convention, scene_id)
-        if row is None:
+        found, notices = _lint_scene(dataset, store, convention, scene_id)
+        if found is None:
             failures += notices
         else:
-            rows.append(row)
+            rows.append(found[0])
+            scenes.append(ComparedScene.of(found[1]))
             warnings += notices
-    return LintResult(root, tuple(rows), tuple(failures), tuple(warnings))
+    return LintResult(root, tuple(rows), tuple(failures), tuple(warnings), tuple(scenes))
 
 
 def _lint_scene(
     dataset: MesaTaskDataset, store: AssetStore, convention: PositionConvention, scene_id: str
-) -> tuple[schemas.Row | None, tuple[Notice, ...]]:
-    """Returns the row of a scene and notices about it; without a row, the reason."""
+) -> tuple[tuple[schemas.Row, Scene] | None, tuple[Notice, ...]]:
+    """Returns the row of a scene, the scene, and notices about it; without a row, the reason."""
     step = "read"
     try:
         scene, read_notices = dataset.read(scene_id)
@@ -127,4 +135,4 @@ def _lint_scene(
         message = f"{scene_id}: {type(error).__name__}: {error}; please report this with the file"
         return None, (Notice(scene_id, step, "unexpected", message),)
     row = {"scene_id": scene_id, "table_type": scene.table.table_type, **asdict(audit.card()), **audit.rows()}
-    return row, (*read_notices, *mesh_notices, *audit.notices)
+    return (row, scene), (*read_notices, *mesh_notices, *audit.notices)

@@ -7,6 +7,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from stable_data.assets.store import AssetStore
+from stable_data.diversity.scene_set import ComparedScene
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.formats import SUFFIXES, is_scene_candidate, is_usd, repaired_name
@@ -55,7 +56,7 @@ def lint_scene_files(root: Path, paths: Sequence[str], *, progress: bool = False
     Raises:
         ConfigError: There is no scene, and no file that could not be read (``source_missing``).
     """
-    rows: list[Row] = []
+    rows, scenes = list[Row](), list[ComparedScene]()
     failures: list[Notice] = []
     warnings: list[Notice] = []
     used: set[str] = set()
@@ -71,6 +72,7 @@ def lint_scene_files(root: Path, paths: Sequence[str], *, progress: bool = False
                 audit = audit_scene(scene, shapes)
                 head = {"scene_id": scene.scene_id, "table_type": scene.table.table_type}
                 rows.append({**head, **asdict(audit.card()), **audit.rows()})
+                scenes.append(ComparedScene.of(scene))
                 warnings += [*notices, *audit.notices]
         except StableDataError as error:
             failures.append(Notice(path, "read", error.code, str(error)))
@@ -81,4 +83,4 @@ def lint_scene_files(root: Path, paths: Sequence[str], *, progress: bool = False
     if not rows and not left:
         others = ", or Layout_info/<table type>/<scene> as in the MesaTask-10K format"
         raise no_scene_error(root, len(paths), others)
-    return LintResult(root, tuple(rows), tuple(left), tuple(warnings))
+    return LintResult(root, tuple(rows), tuple(left), tuple(warnings), tuple(scenes))

@@ -1,6 +1,7 @@
 """Lint on real folders: what was made wrong on purpose is found, what was not is let pass, the page adds up."""
 
 import json
+import re
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -62,6 +63,16 @@ def test_the_page_counts_scenes_failures_and_warnings(few: LintResult) -> None:
     assert f"3 scenes, 1 not usable, {len(few.warnings)} warnings" in page
     assert "warning glb_missing" in page
     assert "not usable: office_table_9999" in page
+    assert re.search(r"scenes with a near-duplicate +0\n", page)
+
+
+def test_scenes_that_hardly_differ_are_named(tmp_path: Path) -> None:
+    write_world(tmp_path, 1, EmbeddedWorld(pictures=False))
+    [first] = tmp_path.glob("Layout_info/*/*")
+    shutil.copytree(first, first.parent / "copy")
+    found = re.search(r"near-duplicates: (.*), (.*)\n", str(lint_folder(tmp_path)) + "\n")
+    assert found is not None
+    assert set(found.groups()) == {first.name, "copy"}
 
 
 def test_the_rows_are_written_as_a_table(few: LintResult, tmp_path: Path) -> None:

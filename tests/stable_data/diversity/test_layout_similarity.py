@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stable_data.metrics.layout_similarity import SceneLayouts, group_pairs, layout_kernel, near_duplicates
+from stable_data.diversity.layout_similarity import SceneLayouts, group_pairs, layout_kernel, near_duplicates
 from stable_data.scene import Scene, SceneObject, Tabletop
 
 KINDS = ("cup", "plate", "pen")

@@ -20,7 +20,9 @@ SAME_PLACE = 0.02
 SAME_SHARE = 0.9
 """Share of the objects of two near-duplicates that have a counterpart."""
 
-_LENGTH = 0.1  # of the kernel, metres: how far an object moves until its place counts as another one
+OTHER_PLACE = 0.1
+"""How far an object moves until its place counts as another one, metres."""
+
 _BLOCK = 2048  # scenes that are compared with all others at once
 
 
@@ -84,11 +86,15 @@ class SceneLayouts:
         return SceneLayouts(tuple(self.table_types[k] for k in chosen), first, self.category[objects], self.position[objects])
 
 
-def layout_kernel(layouts: SceneLayouts) -> FloatArray:
+def layout_kernel(layouts: SceneLayouts, length: float = OTHER_PLACE) -> FloatArray:
     """Returns the similarities of layouts, (S, S): 1 for equal ones, 0 for those without a common category.
 
-    k(a, b) is the sum over all pairs of objects of the same category of exp(-d² / (2 · 0.1²)), d their distance in metres, divided by
+    k(a, b) is the sum over all pairs of objects of the same category of exp(-d² / (2 · length²)), d their distance, divided by
     sqrt(k(a, a) · k(b, b)). It is positive semi-definite, as a sum of Gaussian kernels. Two scenes without objects are equal.
+
+    Args:
+        layouts: The scenes.
+        length: Length of the kernel, metres; infinity compares what is on the tables, wherever it is.
     """
     size, scene = len(layouts), np.repeat(np.arange(len(layouts)), layouts.counts)
     kernel = np.zeros((size, size))
@@ -98,7 +104,7 @@ def layout_kernel(layouts: SceneLayouts) -> FloatArray:
         for k in range(0, len(group), _BLOCK):
             part = slice(k, k + _BLOCK)
             square = ((place[part, None] - place[None]) ** 2).sum(-1)
-            np.add.at(kernel, (own[part, None], own[None]), np.exp(-square / (2 * _LENGTH**2)))
+            np.add.at(kernel, (own[part, None], own[None]), np.exp(-square / (2 * length**2)))
     norm = np.sqrt(np.diagonal(kernel))
     is_empty = norm == 0.0
     kernel /= np.where(norm[:, None] * norm[None] > 0.0, norm[:, None] * norm[None], 1.0)
