@@ -44,6 +44,7 @@ def main() -> None:
             "export": ([run], ["--scenes", "6"]),
             "viewing": ([run], ["--scenes", "6", "--rows", "200"]),
             "query": ([run, f"{run}/large", "--rows", "100000"], ["--rows", "2000"]),
+            "diversity": ([run], ["--scenes", "50"]),
             "judges": ([data, "--limit", "40"], ["--limit", "2"]),
             "env": ([run], ["--scenes", "2", "--steps", "10"]),
             "robot_environment": ([run, "--robot", "simple"], ["--scenes", "2", "--steps", "5"]),

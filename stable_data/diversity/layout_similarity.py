@@ -137,7 +137,7 @@ def near_duplicates(layouts: SceneLayouts, within: float = SAME_PLACE, share: fl
         pairs += [
             (a, b)
             for a, b in zip(rows[is_ordered].tolist(), columns[is_ordered].tolist(), strict=True)
-            if _num_matched(layouts, a, b, within) * 2 >= share * (counts[a] + counts[b]) - 1e-9
+            if num_matched(layouts, a, b, within) * 2 >= share * (counts[a] + counts[b]) - 1e-9
         ]
     return np.array(pairs, np.int64).reshape(-1, 2)
 
@@ -158,8 +158,8 @@ def _unary_counts(layouts: SceneLayouts) -> np.ndarray[tuple[int, int], np.dtype
     return np.concatenate([np.zeros((len(layouts), 0), np.bool_), *columns], axis=1).astype(np.float32)
 
 
-def _num_matched(layouts: SceneLayouts, one: int, other: int, within: float) -> int:
-    """The largest number of objects of two scenes that can be matched."""
+def num_matched(layouts: SceneLayouts, one: int, other: int, within: float) -> int:
+    """Returns the largest number of objects of two scenes, given by their indices, that can be matched; see :func:`near_duplicates`."""
     a, b = (slice(layouts.first[k], layouts.first[k + 1]) for k in (one, other))
     distance = np.linalg.norm(layouts.position[a][:, None] - layouts.position[b][None], axis=2)
     fits = (layouts.category[a][:, None] == layouts.category[b][None]) & (distance <= within)
