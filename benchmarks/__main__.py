@@ -42,6 +42,7 @@ def main() -> None:
             "preprocess": ([data, "--scenes", "1000"], ["--scenes", "160"]),
             "loader": ([run, data], []),
             "export": ([run], ["--scenes", "6"]),
+            "manipulability": ([run], ["--scenes", "4"]),
             "viewing": ([run], ["--scenes", "6", "--rows", "200"]),
             "query": ([run, f"{run}/large", "--rows", "100000"], ["--rows", "2000"]),
             "diversity": ([run], ["--scenes", "50"]),

@@ -435,9 +435,9 @@ def export(
         typer.Option(
             "--format",
             help="Output format: mjcf, mjcf-objects (robosuite, RoboCasa), usd, sdformat, urdf, arena (Isaac Lab-Arena), glb, "
-            "mesatask; lance: the rows as a Lance dataset; lerobot: the successful episodes as a LeRobotDataset v3.0; envhub: "
-            "environments for LeRobot's EnvHub; or original: the "
-            "scene files that were imported, with the new poses.",
+            "mesatask; manipvqa: pictures with the boxes of handles; lance: the rows as a Lance dataset; lerobot: the successful "
+            "episodes as a LeRobotDataset v3.0; envhub: environments for LeRobot's EnvHub; or original: the scene files that were "
+            "imported, with the new poses.",
         ),
     ],
     flavour: Annotated[str | None, typer.Option(help="Variant of the format for one consumer; usd has isaaclab.")] = None,
@@ -580,6 +580,43 @@ def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: 
     typer.echo(f"{out}: {result.num_written} scene files, {result.num_moved} bodies moved")
     if result.failures:
         raise typer.Exit(SOME_FAILED)
+
+
+@app.command("score-boxes")
+@with_clear_errors
+def score_boxes(
+    labels: Annotated[Path, typer.Argument(metavar="LABELS", help="manipvqa.json of export --format manipvqa.")],
+    boxes: Annotated[
+        Path,
+        typer.Argument(
+            metavar="BOXES",
+            help="JSON list with image, category (or question), box as four shares of the picture, and optionally score; or what "
+            "ManipVQA writes.",
+        ),
+    ],
+    category: Annotated[
+        list[str] | None, typer.Option("--category", help="Only this category, such as kettle; may be repeated.")
+    ] = None,
+    figures: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Output file of the figures.")] = None,
+) -> None:
+    """Score the boxes of a detector by their average precision at overlaps of 0.5 and 0.75, by category."""
+    import json
+    from dataclasses import asdict
+
+    from stable_data.metrics.detection import OVERLAPS, read_detections, read_labels, score_detections
+
+    known, found = read_labels(labels), read_detections(boxes)
+    if category and (strange := sorted(set(category) - {label.category for label in known})):
+        raise ConfigError(f"{labels} has no {', '.join(strange)}, expected some of its categories", "usage")
+    scores = [s for s in score_detections(known, found) if not category or s.category in category]
+    head = [*(f"AP@{at}" for at in OVERLAPS), *(f"running@{at}" for at in OVERLAPS)]
+    typer.echo(f"{'object':<20} {'labels':>6} {'boxes':>6} {'  '.join(head)}")
+    for one in scores:
+        values = [one.precision[at] for at in OVERLAPS] + [one.running_precision[at] for at in OVERLAPS]
+        cells = "  ".join(f"{value:>{len(name)}.2f}" for name, value in zip(head, values, strict=True))
+        typer.echo(f"{one.category:<20} {one.labels:>6} {one.detections:>6} {cells}")
+    if figures is not None:
+        figures.write_text(json.dumps([asdict(one) for one in scores], indent=2) + "\n", "utf-8")
 
 
 @app.command()

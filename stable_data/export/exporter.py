@@ -160,6 +160,8 @@ def _export(
             failures.append(_line(name, f"unexpected {type(error).__name__}: {error}; please report it"))
         if progress is not None:
             progress(written + existing + len(failures), total, len(failures))
+    if (finish := getattr(chosen, "finish", None)) is not None:
+        finish(out)
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     assets = [annotations[asset_id] for asset_id in sorted(used)]
     write_file_atomically(out / "README.md", _readme(chosen, written + existing, assets).encode())

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 from stable_data.errors import ConfigError
-from stable_data.export import arena, glb, mesatask, mjcf, mjcf_objects, sdformat, urdf
+from stable_data.export import arena, glb, manipvqa, mesatask, mjcf, mjcf_objects, sdformat, urdf
 from stable_data.export.usd import UsdFormat
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import SceneGeometry
@@ -39,6 +39,7 @@ class ExportFormat(Protocol):
 FORMATS: dict[str, ExportFormat] = {
     "arena": arena,
     "glb": glb,
+    "manipvqa": manipvqa,
     "mesatask": mesatask,
     "mjcf": mjcf,
     "mjcf-objects": mjcf_objects,
@@ -49,7 +50,7 @@ FORMATS: dict[str, ExportFormat] = {
 }
 """Name -> format; ``NAME:FLAVOUR`` is a variant for one consumer. A program adds its own format here before it calls
 ``export_run``, see ``examples/own_exporter.py``. A format that imports an optional package when it exports a scene names the
-package in ``NEEDS``.
+package in ``NEEDS``; one with files about all scenes has a function ``finish(out)``.
 """
 
 

@@ -6,6 +6,7 @@ A thread keeps its OpenGL context, because in software a new one compiles all it
 import os
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import ConfigError
-from stable_data.scene import FloatArray
+from stable_data.scene import FloatArray, IntArray
 from stable_data.simulation.mujoco_import import mujoco
 
 Picture: TypeAlias = npt.NDArray[np.uint8]
@@ -54,6 +55,41 @@ def draw_model(model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> tup
     Raises:
         ConfigError: The machine cannot render (``no_gl``).
     """
+    with _drawing(model, camera) as (scene, context):
+        shaded = [_read(scene, context, size) for _ in _sun_directions(scene)]
+        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        plain = _read(scene, context, size)
+        return plain, np.mean(shaded or [plain], axis=0)
+
+
+def draw_segments(model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> IntArray:
+    """Draws which geom of a model is seen at each pixel, in its first pose.
+
+    Args:
+        model: The model; its off-screen buffer has the size of the picture or more, and one sample for each pixel.
+        camera: Name of the camera.
+        size: Width and height, pixels.
+
+    Returns:
+        The index of the geom, -1 where none is, (H, W) int64.
+
+    Raises:
+        ConfigError: The machine cannot render (``no_gl``).
+    """
+    with _drawing(model, camera) as (scene, context):
+        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = 1
+        red, green, blue = np.moveaxis(_read(scene, context, size).astype(np.int64), 2, 0)
+        geom = np.full(scene.ngeom + 1, -1, np.int64)
+        for drawn in scene.geoms[: scene.ngeom]:
+            if drawn.segid != -1 and drawn.objtype == mujoco.mjtObj.mjOBJ_GEOM:
+                geom[drawn.segid + 1] = drawn.objid
+        seen: IntArray = geom[red + 256 * green + 65536 * blue]  # black, 0, is the background
+        return seen
+
+
+@contextmanager
+def _drawing(model: mujoco.MjModel, camera: str) -> Iterator[tuple[mujoco.MjvScene, mujoco.MjrContext]]:
+    """What a camera sees of a model, and a context to draw it."""
     data, view = mujoco.MjData(model), mujoco.MjvCamera()
     mujoco.mj_forward(model, data)
     view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(camera).id
@@ -66,10 +102,7 @@ def draw_model(model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> tup
         raise _no_gl(error) from error
     try:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
-        shaded = [_read(scene, context, size) for _ in _sun_directions(scene)]
-        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-        plain = _read(scene, context, size)
-        return plain, np.mean(shaded or [plain], axis=0)
+        yield scene, context
     finally:
         context.free()
 

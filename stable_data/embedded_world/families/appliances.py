@@ -13,7 +13,7 @@ def _electric_kettle(r: float, h: float, trim: str) -> Solid:
     foot = lathe([(r + 0.004, 0.0), (r + 0.008, 0.003), (r + 0.008, 0.016), (r - 0.004, 0.024)])
     jug = lathe([(r - 0.002, 0.022), (r, 0.028), (0.72 * r, h - 0.004), (0.68 * r, h)])
     lid = lathe([(0.66 * r, h - 0.002), (0.6 * r, h + 0.008), (0.015, h + 0.012)]) + disc(0.012, 0.0, 0.026).moved(z=h)
-    grip = angular_grip(0.72 * r, 0.55 * h, 0.95 * r, 0.34 * h, 0.024, 0.018)
+    grip = angular_grip(0.72 * r, 0.55 * h, 0.95 * r, 0.34 * h, 0.024, 0.018).as_handle()
     return join([jug, pouring_lip(0.77 * r, h - 0.006, 0.03, 0.06, 0.022), join([foot, lid, grip]).painted(trim)])
 
 
@@ -25,7 +25,7 @@ def _stovetop_kettle(r: float, h: float, trim: str) -> Solid:
     mouth = disc(0.0095, 0.0, 0.03).moved(z=0.65 * r - 0.0288).painted("black")
     spout = (lathe([(0.026, 0.0), (0.013, 0.65 * r)]) + mouth).turned(y=-48).moved(-0.72 * r, 0.0, 0.42 * h)
     arc = arc_points(1.0, range(0, 181, 30))
-    arch = bar([(0.8 * r * c, 0.72 * h + 0.85 * r * s) for c, s in arc], 0.018, 0.012)
+    arch = bar([(0.8 * r * c, 0.72 * h + 0.85 * r * s) for c, s in arc], 0.018, 0.012).as_handle()
     return join([body, lid, spout, (arch + knob).painted(trim)])
 
 

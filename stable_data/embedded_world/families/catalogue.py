@@ -15,7 +15,7 @@ from stable_data.embedded_world.modelling.solids import box, coats, mesh_of, vol
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
-from stable_data.scene import IntArray, QuatXyzw, Vec3
+from stable_data.scene import FloatArray, IntArray, QuatXyzw, Vec3
 
 NUM_VARIANTS = 6
 """Number of assets of each category."""
@@ -50,6 +50,7 @@ class EmbeddedAsset:
         paint: Colours of its faces: (``#rrggbb``, indices).
         top: The area that objects can stand on, in the frame of the mesh; None if there is none.
         hollow: The space that objects can be in, likewise.
+        handle: Corners of the convex parts by which a hand holds it, (K, 3) each, in the frame of the mesh; empty without a handle.
     """
 
     key: str
@@ -65,6 +66,7 @@ class EmbeddedAsset:
     paint: tuple[tuple[str, IntArray], ...]
     top: SupportArea | None
     hollow: SupportArea | None
+    handle: tuple[FloatArray, ...]
 
     @property
     def category(self) -> str:
@@ -145,6 +147,7 @@ def asset(key: str) -> EmbeddedAsset:
         paint=paint,
         top=top,
         hollow=hollow,
+        handle=tuple(part - centre for part in design.solid.handle),
     )
 
 

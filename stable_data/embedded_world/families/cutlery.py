@@ -28,9 +28,10 @@ def _handle(draw: VariantSampler, length: float) -> tuple[Solid, str, str]:
     shares += [(0.4, 0.0066, 0.011, 0.0042), (0.55, 0.0092, 0.0075, 0.0038), (0.66, 0.0072, 0.0066, 0.0034)]
     stations = [(y * length, z, width, thick) for y, z, width, thick in shares]
     if not grip:
-        return _strip(stations), color, word
+        return _strip(stations).as_handle(), color, word
     wood = _strip([(y, z, w + 0.001, t + 0.0016 * (z > 0)) for y, z, w, t in stations[:4]]).painted(grip)
-    return wood + _strip([(0.38 * length, 0.0068, 0.008, 0.0036), *stations[4:]]), color, word
+    neck = _strip([(0.38 * length, 0.0068, 0.008, 0.0036), *stations[4:]])
+    return (wood + neck).as_handle(), color, word
 
 
 def fork(draw: VariantSampler) -> AssetDesign:
@@ -73,7 +74,7 @@ def table_knife(draw: VariantSampler) -> AssetDesign:
     length, share, thick = draw.between(0.2, 0.24), draw.between(0.44, 0.5), draw.between(0.006, 0.0085)
     y, wide = share * length, draw.between(0.017, 0.021)
     widths = ((0.0, 0.016, 0.8), (0.09, 0.019, 1.0), (0.85, 0.0135, 1.0), (1.0, 0.013, 0.7))
-    handle = _strip([(share * y, 0.0, width, part * thick) for share, width, part in widths])
+    handle = _strip([(share * y, 0.0, width, part * thick) for share, width, part in widths]).as_handle()
     blade = [(y - 0.008, 0.0005, 0.011, 0.0026), (y + 0.02, 0.0005, wide, 0.0022), (0.86 * length, 0.0005, wide, 0.002)]
     blade += [(0.95 * length, 0.0005, 0.8 * wide, 0.002), (length, 0.0005, 0.35 * wide, 0.002)]
     captions = (f"a {word} table knife", f"{word} dinner knife with a rounded blade", "knife for eating")

@@ -52,7 +52,7 @@ def hair_brush(draw: VariantSampler) -> AssetDesign:
     )
     grip = [(-0.02, 0.007, 0.006, 0.0055), (0.02, 0.0085, 0.007, 0.006)]
     grip += [(0.07, 0.012, 0.009, 0.0075), (length - head, 0.009, 0.007, 0.006)]
-    handle = lying_body(grip, 16).turned(z=-90).moved(0.0, 0.004 - head / 2)
+    handle = lying_body(grip, 16).turned(z=-90).moved(0.0, 0.004 - head / 2).as_handle()
     bristle = loft([rectangle(0.0032, 0.0032, 0.0), rectangle(0.002, 0.002, 0.016)]).moved(z=thick + 0.003)
     spots = [(i, j) for i in (-1.5, -0.5, 0.5, 1.5) for j in (-2, -1, 0, 1, 2) if abs(i) < 1 or abs(j) < 2]
     tufts = [
@@ -80,7 +80,7 @@ def hair_dryer(draw: VariantSampler) -> AssetDesign:
         [(left - 0.003, 0.74 * radius, 0.74 * radius, middle), (left + 0.004, 0.78 * radius, 0.78 * radius, middle)]
     )
     grip = [(0.0, 0.017, 0.017, 0.0155), (0.1, 0.0155, 0.0155, 0.014), (draw.between(0.135, 0.155), 0.0185, 0.0175, 0.0155)]
-    handle = lying_body(grip, 16).turned(z=-97).moved(-0.02, -0.25 * radius)
+    handle = lying_body(grip, 16).turned(z=-97).moved(-0.02, -0.25 * radius).as_handle()
     switch = box(0.012, 0.03, 0.006, 0.002).moved(-0.03, -0.085, 0.0275).painted(accent)
     parts = [barrel, lying_body(mouth).painted(accent), dark.painted("black"), grill.painted("grey"), handle, switch]
     captions = (f"{color} hair dryer with a flat {accent} nozzle", f"{color} hairdryer on its side", "blow dryer for the hair")
@@ -94,7 +94,7 @@ def razor(draw: VariantSampler) -> AssetDesign:
     accent = draw.pick("grey", "black", "teal", "silver", "navy", "white")
     half = length / 2
     path = [(-half, 0.006), (-0.4 * half, 0.0075), (0.3 * half, 0.011), (half - 0.016, 0.0175), (half - 0.007, 0.012)]
-    handle = bar(path, 0.0125, 0.0115).turned(z=90)
+    handle = bar(path, 0.0125, 0.0115).turned(z=90).as_handle()
     grips = [
         box(0.0135, 0.006, 0.0125, 0.002).moved(0.0, y * half, z).painted(accent)
         for y, z in ((-0.8, 0.0003), (-0.6, 0.0006), (-0.4, 0.0013))

@@ -35,7 +35,7 @@ def saucepan(draw: VariantSampler) -> AssetDesign:
     color, grip = pick_words(draw, "silver black, copper silver, red black, black oak, cream oak, navy silver")
     pot, hollow = _pot(r, h, draw.between(0.88, 0.97))
     neck = bar([(r - 0.002, 0.78 * h), (r + 0.06, 0.88 * h)], 0.015, 0.009)
-    handle = bar([(r + 0.035, 0.83 * h), (r + 0.07, 0.9 * h), (r + reach, h + 0.004)], 0.024, 0.016).painted(grip)
+    handle = bar([(r + 0.035, 0.83 * h), (r + 0.07, 0.9 * h), (r + reach, h + 0.004)], 0.024, 0.016).painted(grip).as_handle()
     lip = [pouring_lip(0.995 * r, h, 0.008, 0.03)] if draw.pick(True, False) else []
     kind = "milk pan with a pouring lip" if lip else "sauce pot with one handle"
     captions = fix_articles(
@@ -54,7 +54,9 @@ def frying_pan(draw: VariantSampler) -> AssetDesign:
     free = room.width - 0.002
     lining = disc(free / 2, 0.0, 0.0014, 48).moved(z=0.0046).painted(coat)
     neck = bar([(r - 0.003, 0.8 * h), (r + 0.06, 1.1 * h + 0.008)], 0.018, 0.009)
-    handle = bar([(r + 0.03, h), (r + 0.07, 1.1 * h + 0.01), (r + reach, 1.1 * h + 0.018)], 0.026, 0.015).painted(grip)
+    handle = (
+        bar([(r + 0.03, h), (r + 0.07, 1.1 * h + 0.01), (r + reach, 1.1 * h + 0.018)], 0.026, 0.015).painted(grip).as_handle()
+    )
     size = "large" if r > 0.122 else "small"
     captions = fix_articles(
         f"a {size} {material_word(color)} frying pan with a {grip} handle", f"{color} skillet", f"{size} pan for eggs, {color}"
@@ -186,7 +188,7 @@ def measuring_cup(draw: VariantSampler) -> AssetDesign:
         cup, hollow = _pot(r, h, 0.8, 0.004)
         lines = [(0.02 if k % 2 else 0.012, z * h) for k, z in enumerate((0.25, 0.38, 0.51, 0.64, 0.77))]
         marks = [box(w, 0.005, 0.0022).moved(w / 2 - 0.01, -r * (0.8 + 0.2 * z / h) + 0.0011, z) for w, z in lines]
-        grip = angular_grip(0.86 * r, 0.55 * h, 0.7 * r, 0.3 * h, 0.014, 0.009)
+        grip = angular_grip(0.86 * r, 0.55 * h, 0.7 * r, 0.3 * h, 0.014, 0.009).as_handle()
         solid, kind = join([cup, pouring_lip(0.995 * r, h, 0.012, 0.03), grip, join(marks).painted(mark)]), "jug with a handle"
     captions = fix_articles(
         f"a {material_word(color)} measuring cup, a {kind}",

@@ -104,6 +104,7 @@ def sugar_bowl(draw: VariantSampler) -> AssetDesign:
         f"a {color} sugar bowl with a {lid} lid", f"{color} sugar pot with two handles", f"{color} ceramic sugar jar"
     )
     solid = join([_lidded(profile, [(high, lid)], 0.007, lid), side, side.turned(z=180)])
+    solid = replace(solid, handle=())  # two ears, of which a hand needs both
     return AssetDesign(solid, "ceramic", color, captions, density=950.0)
 
 

@@ -83,7 +83,7 @@ def kitchen_knife(draw: VariantSampler) -> AssetDesign:
     captions = fix_articles(
         f"a {name} with a {grip} handle", f"{size} kitchen knife with a {grip} handle", f"sharp {name} for cooking"
     )
-    return AssetDesign(join([blade, bolster, handle.painted(grip), *rivets]), "metal", "silver", captions)
+    return AssetDesign(join([blade, bolster, handle.painted(grip).as_handle(), *rivets]), "metal", "silver", captions)
 
 
 def ladle(draw: VariantSampler) -> AssetDesign:
@@ -95,7 +95,7 @@ def ladle(draw: VariantSampler) -> AssetDesign:
     tilt = math.degrees(math.atan(1 / math.cos(math.pi / 16)))  # brings its lowest facet level
     bowl = bowl.turned(z=90 - 180 / 16).turned(x=-tilt).grounded()
     stick = bar([(1.24 * r, 0.2 * r), (1.7 * r, 0.0075), (length, 0.0055)], 0.013, 0.008)
-    hold = bar([(0.55 * length, 0.007), (length + 0.01, 0.007)], 0.02, 0.0139).painted(grip)
+    hold = bar([(0.55 * length, 0.007), (length + 0.01, 0.007)], 0.02, 0.0139).painted(grip).as_handle()
     captions = fix_articles(
         f"a {material_word(color)} soup ladle with a long handle", f"{color} ladle with a {grip} grip", "ladle for soup"
     )
@@ -118,7 +118,7 @@ def spatula(draw: VariantSampler) -> AssetDesign:
         right.append((half - 0.008, -blade))
         head = prism([*right, *((-x, y) for x, y in right[::-1])], 0.0, thick)
     stick = bar([(-0.012, 0.004), (0.004, 0.0045), (0.04, 0.012), (length, 0.006)], 0.014, 0.007)
-    hold = bar([(0.38 * length, 0.0095), (length + 0.005, 0.0058)], 0.022, 0.0115)
+    hold = bar([(0.38 * length, 0.0095), (length + 0.005, 0.0058)], 0.022, 0.0115).as_handle()
     name = f"{color} rubber spatula" if style == "rubber" else f"{style} {material_word(color)} spatula"
     captions = fix_articles(f"a {name} with a {grip} handle", f"{color} spatula", f"{style} spatula for cooking")
     solid = _stood_up(head + (stick + hold).turned(z=90).painted(grip))
@@ -139,7 +139,9 @@ def wooden_spoon(draw: VariantSampler) -> AssetDesign:
     captions = fix_articles(
         f"a wooden spoon with a {shape} bowl", f"{color} cooking spoon", f"{shape} wooden spoon for stirring"
     )
-    return AssetDesign(_stood_up(vessel(outer, inner) + (stick + end).turned(z=90)), "wood", color, captions, tilts=LYING)
+    return AssetDesign(
+        _stood_up(vessel(outer, inner) + (stick + end).as_handle().turned(z=90)), "wood", color, captions, tilts=LYING
+    )
 
 
 def whisk(draw: VariantSampler) -> AssetDesign:
@@ -150,7 +152,7 @@ def whisk(draw: VariantSampler) -> AssetDesign:
     loop = bar([*half, *((-x, z) for x, z in half[-2::-1])], 0.0026, 0.0026, corners=6)
     wires = join([loop.turned(z=angle) for angle in (30, 90, 150)]).painted(wire)
     profile = ((0.008, -hold), (0.011, 0.004 - hold), (0.012, -0.5 * hold), (0.0085, -0.01), (0.0085, 0.012))
-    handle = lathe(profile, 16)
+    handle = lathe(profile, 16).as_handle()
     # Lying it rests on two of its wires and on the end of its handle.
     lean = math.degrees(math.atan((0.87 * r + 0.0013 - 0.011) / (0.78 * long + hold)))
     captions = fix_articles(

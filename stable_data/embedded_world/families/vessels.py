@@ -137,14 +137,14 @@ def round_handle(low: Point, high: Point, reach: float, width: float, thickness:
     (x, z), (dx, dz) = ((low[n] + high[n]) / 2 for n in (0, 1)), ((high[n] - low[n]) / 2 for n in (0, 1))
     # Six points on the right side of an ellipse.
     turns = [(math.cos(math.radians(d)), math.sin(math.radians(d))) for d in (-68, -40, -13, 13, 40, 68)]
-    return bar([low, *((x + dx * s + reach * c, z + dz * s) for c, s in turns), high], width, thickness)
+    return bar([low, *((x + dx * s + reach * c, z + dz * s) for c, s in turns), high], width, thickness).as_handle()
 
 
 def square_handle(low: Point, high: Point, reach: float, width: float, thickness: float) -> Solid:
     """An angular handle on the right of a wall; its measures are those of :func:`round_handle`."""
     x, cut = max(low[0], high[0]) + reach, 0.35 * reach
     path = [low, (x - cut, low[1]), (x, low[1] + cut), (x, high[1] - cut), (x - cut, high[1]), high]
-    return bar(path, width, thickness)
+    return bar(path, width, thickness).as_handle()
 
 
 def angular_grip(x: float, z: float, reach: float, rise: float, width: float = 0.016, thickness: float = 0.011) -> Solid:

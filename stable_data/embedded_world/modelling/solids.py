@@ -3,8 +3,8 @@
 Frame: z up, metres. An outer circle has 48 corners and the circle of a hollow has 16, so that each part of a wall is convex.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
 from operator import add
@@ -37,46 +37,54 @@ class Solid:
         body: The solid, a ``manifold3d.Manifold``.
         parts: Corners of each convex part, (P, 3) float64, metres.
         paints: Colours of painted surfaces: (manifold's number of the original, colour).
+        handle: Corners of the convex parts by which a hand holds the solid; empty if it has no handle.
     """
 
     body: Any
     parts: tuple[FloatArray, ...]
     paints: tuple[tuple[int, str], ...] = ()
+    handle: tuple[FloatArray, ...] = ()
 
     def __add__(self, other: "Solid") -> "Solid":
         """The union."""
-        return Solid(self.body + other.body, self.parts + other.parts, self.paints + other.paints)
+        return Solid(self.body + other.body, self.parts + other.parts, self.paints + other.paints, self.handle + other.handle)
 
     def painted(self, color: str) -> "Solid":
         """The solid in one colour, which its surface retains in unions."""
         # The numbers of originals count up, and unions order their faces by them: the order of creation shapes the mesh.
         body = self.body.as_original()
-        return Solid(body, self.parts, ((body.original_id(), color),))
+        return replace(self, body=body, paints=((body.original_id(), color),))
+
+    def as_handle(self) -> "Solid":
+        """The solid as the part by which a hand holds what it becomes a part of."""
+        return replace(self, handle=self.parts)
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
         """The translated solid, metres."""
-        return Solid(self.body.translate((x, y, z)), tuple(part + np.array([x, y, z]) for part in self.parts), self.paints)
+        return self._mapped(self.body.translate((x, y, z)), lambda corners: corners + np.array([x, y, z]))
 
     def turned(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
         """The solid rotated about x, then y, then z, degrees."""
         rotation = _rotation(x, y, z)
-        body = self.body.transform(np.c_[rotation, np.zeros(3)])
-        return Solid(body, tuple(part @ rotation.T for part in self.parts), self.paints)
+        return self._mapped(self.body.transform(np.c_[rotation, np.zeros(3)]), lambda corners: corners @ rotation.T)
 
     def resized(self, share: float) -> "Solid":
         """The solid scaled about the origin."""
-        return Solid(self.body.scale((share, share, share)), tuple(part * share for part in self.parts), self.paints)
+        return self._mapped(self.body.scale((share, share, share)), lambda corners: corners * share)
 
     def leaned(self, slope: float) -> "Solid":
         """The solid sheared backwards by ``slope`` metres per metre of height; its foot stays level."""
         shear = np.eye(3)
         shear[1, 2] = slope
-        body = self.body.transform(np.c_[shear, np.zeros(3)])
-        return Solid(body, tuple(part @ shear.T for part in self.parts), self.paints)
+        return self._mapped(self.body.transform(np.c_[shear, np.zeros(3)]), lambda corners: corners @ shear.T)
 
     def grounded(self) -> "Solid":
         """The solid with its lowest point at z = 0."""
         return self.moved(z=-self.body.bounding_box()[2])
+
+    def _mapped(self, body: Any, of: Callable[[FloatArray], FloatArray]) -> "Solid":
+        """The solid with another body, and its corners changed likewise."""
+        return Solid(body, tuple(map(of, self.parts)), self.paints, tuple(map(of, self.handle)))
 
 
 def join(solids: Iterable[Solid]) -> Solid:
