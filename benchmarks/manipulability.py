@@ -17,7 +17,7 @@ from statistics import mean
 from benchmarks.text_table import align_columns
 from stable_data.export.exporter import export_run
 from stable_data.export.manipvqa import QUESTIONS_FILE, SIZE
-from stable_data.metrics.detection import OVERLAPS, Box, DetectedBox, LabelledBox, read_labels, score_detections
+from stable_data.scores.detection import OVERLAPS, Box, DetectedBox, LabelledBox, read_labels, score_detections
 from stable_data.simulation.run_reader import SceneSelection
 from stable_data.storage.run_folder import RunFolder
 
@@ -63,7 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         scores = score_detections(labels, boxes)
         for at in OVERLAPS:
             figures[f"{answer}@{at}"] = mean(one.precision[at] for one in scores) if scores else None
-        rows.append((answer, *("unknown" if (value := figures[f"{answer}@{at}"]) is None else f"{value:.2f}" for at in OVERLAPS)))
+        rows.append(
+            (answer, *("unknown" if (value := figures[f"{answer}@{at}"]) is None else f"{value:.2f}" for at in OVERLAPS))
+        )
     print(align_columns(rows, 1))
     if given.json is not None:
         given.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")

@@ -26,8 +26,8 @@ from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.execution.resume import read_manifest
 from stable_data.errors import StableDataError
 from stable_data.robot.acting.recording import replay
-from stable_data.robot.acting.success_rate import wilson_interval
 from stable_data.robot.episodes import read_episodes
+from stable_data.scores.intervals import wilson_interval
 from stable_data.storage.run_folder import RunFolder
 
 NUMBERS = ("max_penetration_mm", "table_penetration_mm", "max_gap_mm", "settle_move_max_mm")

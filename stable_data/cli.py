@@ -603,7 +603,7 @@ def score_boxes(
     import json
     from dataclasses import asdict
 
-    from stable_data.metrics.detection import OVERLAPS, read_detections, read_labels, score_detections
+    from stable_data.scores.detection import OVERLAPS, read_detections, read_labels, score_detections
 
     known, found = read_labels(labels), read_detections(boxes)
     if category and (strange := sorted(set(category) - {label.category for label in known})):

@@ -18,7 +18,7 @@ from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import run_job
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
-from stable_data.robot.acting.success_rate import wilson_interval
+from stable_data.scores.intervals import wilson_interval
 from stable_data.storage.run_folder import RunFolder
 
 SEEN, UNSEEN, UNKNOWN = "seen in training", "not seen in training", "not known"

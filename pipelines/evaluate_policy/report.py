@@ -5,7 +5,7 @@ from typing import Any
 import polars as pl
 
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
-from stable_data.robot.acting.success_rate import wilson_interval
+from stable_data.scores.intervals import wilson_interval
 from stable_data.storage.run_folder import RunFolder
 
 _HEAD = ("episodes", "successes", "rate", "95 % interval")

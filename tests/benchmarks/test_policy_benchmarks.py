@@ -1,6 +1,5 @@
 """What the experiment on policies and the test of the verdicts make of their results."""
 
-import math
 from argparse import Namespace
 from dataclasses import replace
 from itertools import product
@@ -8,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.policy import LAYOUTS, MESHES, Cell, Experiment, Result, effects, mean_interval, show
+from benchmarks.policy import LAYOUTS, MESHES, Cell, Experiment, Result, effects, show
 from benchmarks.replay import area_under_curve, figures, outcomes
 from pipelines.demonstrate.job import demonstrate
 from pipelines.demonstrate.settings import DemonstrateSettings
@@ -43,11 +42,6 @@ def test_the_tables_have_a_line_for_each_cell_and_each_effect() -> None:
     assert len(lines) == 1 + 8 + 1 + 1 + 3
     assert "55.5" in lines[8]  # the best cell: the mean of 55 and 56
     assert "unknown" in "\n".join(show(results(1)))  # one repetition has no interval
-
-
-def test_the_interval_of_a_mean() -> None:
-    assert mean_interval([1.0, 3.0]) == pytest.approx((2.0, 2 - 12.706, 2 + 12.706), abs=1e-3)  # t of one degree of freedom
-    assert mean_interval([5.0]) == (5.0, -math.inf, math.inf)
 
 
 def experiment(work: Path, **changes: object) -> Experiment:

@@ -15,7 +15,6 @@ from pipelines.evaluate_policy.job import EvaluatePolicyJob, evaluate_policy, se
 from pipelines.evaluate_policy.settings import EvaluatePolicySettings
 from pipelines.execution.ray_executor import WorkerPool
 from stable_data.errors import ConfigError
-from stable_data.robot.acting.success_rate import wilson_interval
 from stable_data.simulation.offscreen import can_render
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.policy.test_train_policy import train
@@ -120,11 +119,3 @@ def test_the_leaderboard_keeps_the_newest_line_of_a_policy(
     file.write_text("a,b\n", "utf-8")
     with pytest.raises(ConfigError, match="has columns"):
         leaderboard.read_lines(file)
-
-
-def test_wilson_intervals() -> None:
-    assert wilson_interval(0, 0) == (0.0, 1.0)
-    low, high = wilson_interval(8, 10)
-    assert (round(low, 3), round(high, 3)) == (0.49, 0.943)  # Wilson 1927
-    with pytest.raises(ValueError, match="3 successes of 2"):
-        wilson_interval(3, 2)

@@ -11,8 +11,8 @@ from PIL import Image
 from stable_data.assets.store import AssetStore
 from stable_data.export.exporter import export_run
 from stable_data.export.manipvqa import QUESTIONS_FILE, SIZE, handle_boxes, question_about
-from stable_data.metrics.detection import DetectedBox, read_labels, score_detections
 from stable_data.scene import Scene
+from stable_data.scores.detection import DetectedBox, read_labels, score_detections
 from stable_data.simulation.offscreen import can_render
 from stable_data.simulation.run_reader import SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from stable_data.cli import app
 from stable_data.errors import ConfigError
-from stable_data.metrics.detection import (
+from stable_data.scores.detection import (
     DetectedBox,
     LabelledBox,
     average_precision,

@@ -1,6 +1,11 @@
-"""How sure a success rate is."""
+"""How sure a rate or a mean is."""
+
+import math
+from collections.abc import Sequence
+from statistics import mean, stdev
 
 from scipy.stats import binomtest
+from scipy.stats import t as student
 
 
 def wilson_interval(successes: int, attempts: int) -> tuple[float, float]:
@@ -19,3 +24,16 @@ def wilson_interval(successes: int, attempts: int) -> tuple[float, float]:
         return 0.0, 1.0
     found = binomtest(successes, attempts).proportion_ci(method="wilson")
     return float(found.low), float(found.high)
+
+
+def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
+    """Returns the mean of repetitions and its 95 % interval (Student's t); infinitely wide for fewer than two.
+
+    Args:
+        values: At least one value, taken as independent of each other.
+    """
+    centre = mean(values)
+    if len(values) < 2:
+        return centre, -math.inf, math.inf
+    half = float(student.ppf(0.975, len(values) - 1)) * stdev(values) / math.sqrt(len(values))
+    return centre, centre - half, centre + half

@@ -1,0 +1,1 @@
+"""Scores of sets of answers: intervals of rates and means, average precision."""
