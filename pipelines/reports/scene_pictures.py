@@ -13,10 +13,9 @@ from pipelines.reports.html import image_uri
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import safe_file_name
 from stable_data.errors import ConfigError
-from stable_data.geometry.mesh import Mesh
 from stable_data.scene import Scene
-from stable_data.simulation.render import object_colour, render_scene
 from stable_data.simulation.scene_geometry import SceneGeometry
+from stable_data.simulation.views import draw_geometry
 from stable_data.storage.run_folder import RunFolder
 from stable_data.viewer.facts import AssetNotes, SceneFacts
 from stable_data.viewer.page import SCRIPT_NAME, PageScene, html_page, script
@@ -54,14 +53,7 @@ def draw_scene(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -
     Raises:
         ConfigError: The machine cannot render (``no_gl``).
     """
-    return _draw(SceneGeometry.of(scene, store), size)
-
-
-def _draw(geometry: SceneGeometry, size: tuple[int, int]) -> Any:
-    meshes = [Mesh(s.vertices, s.faces) if s.is_exact else None for s in geometry.shapes]
-    colors = [geometry.store.paint_of(o) or object_colour(o) for o in geometry.scene.objects]
-    looks = [None if mesh is None else geometry.look(k) for k, mesh in enumerate(geometry.meshes)]
-    return render_scene(geometry.scene, meshes, size=size, colors=colors, looks=looks, support=geometry.support)
+    return draw_geometry(SceneGeometry.of(scene, store), size)
 
 
 class SceneGrids:
@@ -113,7 +105,7 @@ class SceneGrids:
         if self._no_pictures:
             return None, ""
         try:
-            return _draw(geometry, size), ""
+            return draw_geometry(geometry, size), ""
         except Exception as error:  # noqa: BLE001 - see the module
             if isinstance(error, ConfigError) and error.code == "no_gl":
                 self._no_pictures = str(error).rstrip(".") + "."
