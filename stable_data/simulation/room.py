@@ -1,7 +1,7 @@
 """A table as a piece of furniture in a room: what pictures show of it. Nothing here collides.
 
 The table top is the slab below z = 0 over the table's rectangle. What carries it, its materials, the floor and the walls follow
-from the table's type alone, so that scenes of a type look alike.
+from the table's type alone, so that scenes of a type look alike. Instead of the room there may be a plain floor, or nothing.
 """
 
 import math
@@ -31,6 +31,12 @@ _CHAMFER = 0.002  # of the upper edge of a table top, metres
 _SIDE_WALL = 2.5  # from the table to the wall on its right, metres
 _FLOOR_MARGIN = 6.0  # on the left and in front, metres
 _WALL_HEIGHT = 3.0  # above the floor, metres
+_PLAIN_MARGIN = 60.0  # of a plain floor, on all sides, metres: its end is above the picture
+
+Surroundings: TypeAlias = Literal["room", "floor", "none"]
+"""What is around the table: a room of its kind, a plain grey floor, or nothing on a black background."""
+
+_PLAIN_FLOOR = Material("plain_floor", "#b9b9b7", gloss=0.0)
 
 Support: TypeAlias = Literal["square legs", "tapered legs", "round legs", "steel frame", "cabinet", "low cabinet"]
 
@@ -140,27 +146,35 @@ def design_of(table_type: str) -> Design:
 
 
 def furnish(
-    table: Tabletop, low: FloatArray, high: FloatArray, support: tuple[FloatArray, FloatArray] | None = None
+    table: Tabletop,
+    low: FloatArray,
+    high: FloatArray,
+    support: tuple[FloatArray, FloatArray] | None = None,
+    surroundings: Surroundings = "room",
 ) -> tuple[RoomPart, ...]:
-    """Returns the table and the room around it; the room alone if the table is a surface of a support.
+    """Returns the table and its surroundings; the surroundings alone if the table is a surface of a support.
 
     Args:
         table: The table top.
         low: Lowest corner of objects and table, (3,), metres, world frame. The room keeps clear of what is there.
         high: Highest corner.
         support: Lowest and highest corner of the support, (3,) each, metres, world frame; it stands on the floor.
+        surroundings: What is around the table.
     """
     design = design_of(table.table_type)
     joinery = _Joinery()
-    if support is not None:
-        _add_room(joinery, table, design, (np.minimum(low, support[0]), np.maximum(high, support[1])), float(support[0][2]))
-        return joinery.parts()
-    floor = min(-design.height, float(low[2]) - 0.01)
-    _add_top(joinery, table, design)
-    if table.restricted_zone is not None:
-        _add_zone(joinery, table.restricted_zone, design)
-    _SUPPORTS[design.support](joinery, table.size_xy, floor, design)
-    _add_room(joinery, table, design, (low, high), floor)
+    if support is None:
+        floor = min(-design.height, float(low[2]) - 0.01)
+        _add_top(joinery, table, design)
+        if table.restricted_zone is not None:
+            _add_zone(joinery, table.restricted_zone, design)
+        _SUPPORTS[design.support](joinery, table.size_xy, floor, design)
+    else:
+        low, high, floor = np.minimum(low, support[0]), np.maximum(high, support[1]), float(support[0][2])
+    if surroundings == "room":
+        _add_room(joinery, table, design, (low, high), floor)
+    elif surroundings == "floor":
+        _add_plain_floor(joinery, (low, high), floor)
     return joinery.parts()
 
 
@@ -391,3 +405,11 @@ def _add_room(joinery: _Joinery, table: Tabletop, design: Design, bounds: tuple[
         ((right - 0.012, near, floor), (right, back, floor + 0.07)),
     ):
         joinery.board(WALL, skirting, *corners)
+
+
+def _add_plain_floor(joinery: _Joinery, bounds: tuple[FloatArray, FloatArray], floor: float) -> None:
+    """A floor of one colour that ends far away on all sides."""
+    low, high = bounds
+    x_axis, y_axis, _ = np.diag(high - low + 2 * _PLAIN_MARGIN)
+    corner = np.array([low[0] - _PLAIN_MARGIN, high[1] + _PLAIN_MARGIN, floor])
+    joinery.sheet(FLOOR, _PLAIN_FLOOR, corner, -y_axis, x_axis)

@@ -9,6 +9,7 @@ from stable_data.scene import FloatArray, IntArray, Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import draw_segments
 from stable_data.simulation.render import View, add_camera, set_lighting
+from stable_data.simulation.scene_geometry import SceneGeometry
 
 NOTHING = -1
 """Value of a pixel at which no surface is seen."""
@@ -48,3 +49,21 @@ def segment_view(
     add_camera(spec, low, high, view, size, scene.table)
     geoms = draw_segments(spec.compile(), "view", size)
     return np.append(np.array(drawn, np.int64), NOTHING)[geoms]  # geom -1, none, reads the last one
+
+
+def segment_scene(
+    geometry: SceneGeometry, surfaces: Sequence[Mesh], *, size: tuple[int, int], view: View = "front"
+) -> IntArray:
+    """Returns the index of the surface that is seen at each pixel of a picture of a scene, (H, W) int64; NOTHING where none is.
+
+    Args:
+        geometry: The scene; the pixels are those of :func:`stable_data.simulation.views.draw_geometry`.
+        surfaces: The surfaces, world frame, metres.
+        size: Width and height, pixels.
+        view: The side from which the camera looks.
+
+    Raises:
+        ConfigError: The machine cannot render (``no_gl``).
+    """
+    low, high = geometry.seen_bounds
+    return segment_view(geometry.scene, surfaces, low, high, size=size, view=view)

