@@ -18,6 +18,10 @@ NumWorkers = Annotated[
     ),
 ]
 JobSettings = Annotated[list[str] | None, typer.Option("--set", help="key=value, overrides the file; may be repeated.")]
+RunOfScenes = Annotated[
+    str,
+    typer.Option(help="A run with the tables scenes, assets and meshes, such as one of generate; every node must see it."),
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and the plan, and stop.")]
 
 

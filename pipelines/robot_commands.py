@@ -6,14 +6,10 @@ from typing import Annotated
 
 import typer
 
-from pipelines.job_options import DryRun, JobSettings, NumWorkers, RunOut, worker_count
+from pipelines.job_options import DryRun, JobSettings, NumWorkers, RunOfScenes, RunOut, worker_count
 from stable_data.cli import SOME_FAILED, Address, with_clear_errors
 from stable_data.errors import ConfigError
 
-RunOfScenes = Annotated[
-    str,
-    typer.Option(help="A run with the tables scenes, assets and meshes, such as one of generate; every node must see it."),
-]
 RobotName = Annotated[
     str | None,
     typer.Option(help="panda, panda_2f85, so101 or simple (stable-data robots); overrides the file. Default: panda."),

@@ -57,6 +57,7 @@ JOBS: Mapping[str, SettingsLocation] = {
     "import": SettingsLocation("pipelines.asset_import.settings:ImportSettings"),
     "preprocess": SettingsLocation("pipelines.preprocess.settings:PreprocessSettings"),
     "correct": SettingsLocation("pipelines.correct.settings:CorrectSettings"),
+    "views": SettingsLocation("pipelines.views.settings:ViewsSettings"),
     "edit": SettingsLocation("pipelines.edit.settings:EditSettings"),
     "generate": SettingsLocation("pipelines.generate.settings:GenerateSettings"),
     "demonstrate": SettingsLocation("pipelines.demonstrate.settings:DemonstrateSettings"),

@@ -590,8 +590,7 @@ def score_boxes(
         Path,
         typer.Argument(
             metavar="BOXES",
-            help="JSON list with image, category (or question), box as four shares of the picture, and optionally score; or what "
-            "ManipVQA writes.",
+            help="JSON list: image, category or question, box (shares of the picture), score.",
         ),
     ],
     category: Annotated[
@@ -599,7 +598,10 @@ def score_boxes(
     ] = None,
     figures: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Output file of the figures.")] = None,
 ) -> None:
-    """Score the boxes of a detector by their average precision at overlaps of 0.5 and 0.75, by category."""
+    """Score the boxes of a detector by their average precision at overlaps of 0.5 and 0.75, by category.
+
+    What ManipVQA writes is read too.
+    """
     import json
     from dataclasses import asdict
 

@@ -122,6 +122,7 @@ SURFACE = pa.struct(
 )
 DROPPED = pa.struct([("instance", _text), ("reason", _text)])
 POSE = pa.struct([("instance", _text), ("position", _numbers), ("yaw", _number)])
+VIEW = pa.struct([("view", _text), ("picture", pa.binary()), ("features", _floats)])
 CAMERA = pa.struct([("camera", _text), ("images", pa.list_(pa.binary()))])
 
 _CARD_TYPES: dict[type, pa.DataType] = {int: _count, float: _number, bool: _truth}
@@ -645,6 +646,20 @@ SCHEMAS: dict[str, pa.Schema] = {
             ),
             _column("asset_ids", _texts, "asset of each of the instances, empty for one that has none; null: not known"),
             _column("subjects", _texts, "instances that the steps of the goal act on; null: not known"),
+        ]
+    ),
+    "views": pa.schema(
+        [
+            _column("scene_id", _text, "identifier of the scene; a scene that could not be drawn is in failures"),
+            _column("extractor", _text, "name of what computed the features"),
+            _column(
+                "extractor_fingerprint", _text, "hash of all that determines the features; only equal ones can be compared"
+            ),
+            _column(
+                "views",
+                pa.list_(VIEW),
+                "the pictures of the scene: view (front or perspective), the picture as a PNG file of 8-bit RGB, and its features (D)",
+            ),
         ]
     ),
     "warnings": pa.schema(
