@@ -129,3 +129,6 @@ CONSUMERS: Mapping[str, Consumer] = {
     )
 }
 """The consumers by name."""
+
+FID_LIBRARIES = Consumer("fid_libraries", "features", "fid", engine=False, judges=True)
+"""pytorch-fid and torch-fidelity. They open features and pictures instead of exports, so they are not among the others."""

@@ -26,6 +26,7 @@ _BLOCK = 1 << 20
 _KINDS = "AAABCCCCDEE"  # of the blocks, in their order
 _STEM = ("Conv2d_1a_3x3", "Conv2d_2a_3x3", "Conv2d_2b_3x3", "Conv2d_3b_1x1", "Conv2d_4a_3x3")
 _BLOCKS = ("5b", "5c", "5d", "6a", "6b", "6c", "6d", "6e", "7a", "7b", "7c")
+_STATE_DICT_PARTS = ("conv.weight", "bn.weight", "bn.bias", "bn.running_mean", "bn.running_var")
 # The convolutions of each kind of block in the order of the network: in the state dict, and in the archive.
 _STATE_DICT_NAMES = {
     "A": "branch1x1 branch5x5_1 branch5x5_2 branch3x3dbl_1 branch3x3dbl_2 branch3x3dbl_3 branch_pool",
@@ -100,8 +101,17 @@ def layers_of_state_dict(tensors: Mapping[str, Tensor]) -> list[LayerWeights]:
     Raises:
         ConfigError: A tensor is missing (``weights_invalid``).
     """
-    parts = ("conv.weight", "bn.weight", "bn.bias", "bn.running_mean", "bn.running_var")
-    return [LayerWeights(*(_tensor(tensors, f"{name}.{part}") for part in parts)) for name in state_dict_names()]
+    return [LayerWeights(*(_tensor(tensors, f"{name}.{part}") for part in _STATE_DICT_PARTS)) for name in state_dict_names()]
+
+
+def state_dict_of_layers(layers: Sequence[LayerWeights]) -> dict[str, Tensor]:
+    """Returns a state dict for other implementations of FID; its classes, which no feature needs, are zero."""
+    tensors = {"fc.weight": torch.zeros(1008, 2048), "fc.bias": torch.zeros(1008)}
+    for name, layer in zip(state_dict_names(), layers, strict=True):
+        values = (layer.weight, layer.scale, layer.shift, layer.mean, layer.variance)
+        tensors |= {f"{name}.{part}": value for part, value in zip(_STATE_DICT_PARTS, values, strict=True)}
+        tensors[f"{name}.bn.num_batches_tracked"] = torch.zeros((), dtype=torch.long)
+    return tensors
 
 
 def layers_of_archive(tensors: Mapping[str, Tensor]) -> list[LayerWeights]:

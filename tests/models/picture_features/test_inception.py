@@ -15,6 +15,7 @@ from models.picture_features.inception_weights import (
     layers_of_state_dict,
     read_layers,
     state_dict_names,
+    state_dict_of_layers,
 )
 from stable_data.errors import ConfigError
 from stable_data.feature_files import fetch_command, inception_file
@@ -32,12 +33,8 @@ def shapes() -> list[torch.Size]:
 
 
 def state_dict() -> dict[str, torch.Tensor]:
-    tensors = {}
-    for name, shape in zip(state_dict_names(), shapes(), strict=True):
-        tensors[f"{name}.conv.weight"] = torch.zeros(1).expand(shape)
-        for part in ("weight", "bias", "running_mean", "running_var"):
-            tensors[f"{name}.bn.{part}"] = torch.ones(shape[0])
-    return tensors
+    layers = [LayerWeights(torch.zeros(1).expand(shape), *[torch.ones(shape[0])] * 4) for shape in shapes()]
+    return state_dict_of_layers(layers)
 
 
 def test_the_network_has_the_parts_of_inception_v3() -> None:
