@@ -27,14 +27,14 @@ from models.picture_features import FeatureExtractor, Pictures, extractor_named
 from stable_data.assets.store import AssetStore
 from stable_data.feature_files import GRADIENTS, INCEPTION, fetch_command, inception_file
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.set_distance import (
+from stable_data.scene import FloatArray, Scene
+from stable_data.scores.set_distance import (
     FeatureStatistics,
     frechet_distance,
     kernel_distance,
     kernel_distance_at,
     vendi_score,
 )
-from stable_data.scene import FloatArray, Scene
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.simulation.views import draw_view
 

@@ -1,4 +1,4 @@
-"""Features of pictures, for distances between sets of pictures and their diversity (``stable_data/metrics/set_distance.py``).
+"""Features of pictures, for distances between sets of pictures and their diversity (``stable_data/scores/set_distance.py``).
 
 ``extractor_named`` gives an extractor by its name; ``inception`` is the network of FID, ``vision_model`` any local model of Hugging Face,
 ``gradients`` a feature without weights. ``python -m models.picture_features DIR DIR`` compares two folders of pictures.

@@ -14,7 +14,7 @@ from models.picture_features.extractor import Pictures, Rows
 from models.picture_features.inception import InceptionFeatures, InceptionNetwork, inception_network, prepared
 from models.picture_features.inception_weights import LayerWeights, layers_of_state_dict, read_layers, state_dict_of_layers
 from stable_data.feature_files import fetch_command, inception_file
-from stable_data.metrics.set_distance import FeatureStatistics, frechet_distance, kernel_distance, kernel_distance_at
+from stable_data.scores.set_distance import FeatureStatistics, frechet_distance, kernel_distance, kernel_distance_at
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
