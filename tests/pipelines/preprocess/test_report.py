@@ -35,7 +35,7 @@ def drawn(*_: Any, **__: Any) -> Any:
 
 
 def test_the_report_shows_the_scenes_and_the_counts(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_pictures, "render_scene", drawn)
+    monkeypatch.setattr(scene_pictures, "draw_geometry", drawn)
     text = page(clean_run, dataset, 4)
     assert "<h2>Audit</h2>" in text
     assert "<b>4 / 4</b><span>scenes usable</span>" in text
@@ -61,12 +61,12 @@ def test_assets_without_a_mesh_are_counted(bare_run: Path, bare: Path) -> None:
 def test_a_scene_that_cannot_be_drawn_is_a_note(clean_run: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first, *others = scene_names(clean_run)
 
-    def draw(scene: Any, *_: Any, **__: Any) -> Any:
-        if scene.scene_id == first:
+    def draw(geometry: Any, *_: Any, **__: Any) -> Any:
+        if geometry.scene.scene_id == first:
             raise ValueError("too <small>")
         return drawn()
 
-    monkeypatch.setattr(scene_pictures, "render_scene", draw)
+    monkeypatch.setattr(scene_pictures, "draw_geometry", draw)
     text = page(clean_run, dataset, 4)
     assert f"{first} cannot be rendered: ValueError: too &lt;small&gt;" in text
     assert all(f"<figcaption><b>{name}</b>" in text for name in others)
@@ -79,7 +79,7 @@ def test_a_scene_that_cannot_be_turned_keeps_its_picture(
     def refuse(*_: Any, **__: Any) -> bytes:
         raise ConfigError("a page with 1 scenes has 999 MB", "page_too_big")
 
-    monkeypatch.setattr(scene_pictures, "render_scene", drawn)
+    monkeypatch.setattr(scene_pictures, "draw_geometry", drawn)
     monkeypatch.setattr(scene_pictures, "html_page", refuse)
     text = page(clean_run, dataset, 4)
     for name in scene_names(clean_run):
@@ -91,7 +91,7 @@ def test_a_machine_that_cannot_draw_is_said_once(clean_run: Path, dataset: Path,
     def draw(*_: Any, **__: Any) -> Any:
         raise ConfigError("rendering failed: OpenGL does not start", "no_gl")
 
-    monkeypatch.setattr(scene_pictures, "render_scene", draw)
+    monkeypatch.setattr(scene_pictures, "draw_geometry", draw)
     text = page(clean_run, dataset, 4)
     assert text.count("OpenGL does not start") == 1
     assert text.count('<a class="turn bare"') == 4
