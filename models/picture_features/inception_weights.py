@@ -155,7 +155,8 @@ def _read_archive(path: Path) -> list[LayerWeights]:
     with warnings.catch_warnings():
         # torch.export, which torch recommends instead, does not read these archives.
         warnings.simplefilter("ignore", DeprecationWarning)
-        return layers_of_archive(torch.jit.load(path, map_location="cpu").state_dict())
+        archive = torch.jit.load(path, map_location="cpu")  # type: ignore[no-untyped-call]
+    return layers_of_archive(archive.state_dict())
 
 
 def _sha256(path: Path) -> str:

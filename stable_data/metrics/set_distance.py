@@ -218,7 +218,7 @@ def vendi_score_of_kernel(kernel: FloatArray) -> float:
         raise ConfigError(
             "kernel is not symmetric with 1 on the diagonal, expected the similarity of samples", "kernel_invalid"
         )
-    values = scipy.linalg.eigvalsh(given / len(given))
+    values = np.asarray(scipy.linalg.eigvalsh(given / len(given)), np.float64)
     if values.min() < -_NEGATIVE:
         raise ConfigError(
             f"kernel has the eigenvalue {values.min() * len(given):.3g}, expected none below 0: it is no similarity",
@@ -286,7 +286,7 @@ def _kernel_sum(first: FloatArray, second: FloatArray) -> float:
 def _vendi_score(rows: FloatArray) -> float:
     """The score of unit rows. X X^T / N and X^T X / N have the same eigenvalues above 0; the smaller one is taken."""
     product = rows @ rows.T if len(rows) <= rows.shape[1] else rows.T @ rows
-    return _exponential_of_entropy(scipy.linalg.eigvalsh(product / len(rows), check_finite=False))
+    return _exponential_of_entropy(np.asarray(scipy.linalg.eigvalsh(product / len(rows), check_finite=False), np.float64))
 
 
 def _exponential_of_entropy(eigenvalues: FloatArray) -> float:
@@ -321,14 +321,14 @@ def _checked(features: Features, name: str, fewest: int = 2) -> FloatArray:
             f"{name} have the shape {rows.shape} and the type {rows.dtype}, expected rows of numbers", "features_invalid"
         )
     _check_count(len(rows), name, fewest)
-    rows = rows.astype(np.float64)
-    bad = ~np.isfinite(rows).all(axis=1)
+    numbers: FloatArray = rows.astype(np.float64)
+    bad = ~np.isfinite(numbers).all(axis=1)
     if bad.any():
         raise ConfigError(
             f"{name}: {bad.sum()} of {len(rows)} rows have values that are no finite numbers, row {np.flatnonzero(bad)[0]} first",
             "features_invalid",
         )
-    return rows
+    return numbers
 
 
 def _check_count(count: int, name: str, fewest: int = 2) -> None:

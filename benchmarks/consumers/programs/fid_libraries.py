@@ -63,12 +63,13 @@ def features(pictures: np.ndarray, weights: Path) -> tuple[dict[str, np.ndarray]
         "pytorch_fid": lambda batch: network(batch.float() / 255)[0].flatten(1),
         "torch_fidelity": lambda batch: fidelity(batch)[0],
     }
+    batches = [channels_first[k : k + BATCH] for k in range(0, len(channels_first), BATCH)]
     found, seconds = {}, {}
     with torch.no_grad():
         for name, compute in networks.items():
             compute(channels_first[:1])  # the first call of a network is slower
-            rows, seconds[name] = timed(lambda compute=compute: [compute(batch) for batch in channels_first.split(BATCH)])
-            found[name] = torch.cat(rows).numpy()
+            rows, seconds[name] = timed(partial(lambda network: torch.cat([network(batch) for batch in batches]), compute))
+            found[name] = rows.numpy()
     return found, seconds
 
 
@@ -84,7 +85,7 @@ def look(folder: Path) -> dict[str, object]:
             )
     if question.get("pictures"):
         found, answer["picture_seconds"] = features(np.load(folder / "pictures.npy"), folder / "weights.pth")
-        np.savez(folder / "answer.npz", **found)
+        np.savez(folder / "answer.npz", allow_pickle=False, **found)
     return answer
 
 

@@ -31,7 +31,8 @@ def noise(number: int, size: tuple[int, int] = (40, 50)) -> Pictures:
 
 def test_shape_type_and_sum_of_histograms() -> None:
     rows = FEATURES(noise(3))
-    assert (rows.shape, rows.dtype) == ((3, 936), np.float32)
+    assert rows.shape == (3, 936)
+    assert rows.dtype == np.float32
     np.testing.assert_allclose((rows.astype(np.float64) ** 2).sum(axis=1), 3 * 21 + 3 * 16, rtol=1e-5)
     assert FEATURES(noise(3)[:0]).shape == (0, 936)
 

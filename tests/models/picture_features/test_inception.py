@@ -117,10 +117,11 @@ def test_it_agrees_with_the_published_network() -> None:
     pictures = np.concatenate([random.integers(0, 256, (2, 299, 299, 3), np.uint8), (255 * smooth.numpy()).astype(np.uint8)])
     extractor = InceptionFeatures(path)
     found = extractor(pictures)
-    assert (found.shape, found.dtype) == ((4, 2048), np.float32)
+    assert found.shape == (4, 2048)
+    assert found.dtype == np.float32
     with warnings.catch_warnings(), torch.inference_mode():
         warnings.simplefilter("ignore", DeprecationWarning)
-        published = torch.jit.load(path).eval()
+        published = torch.jit.load(path).eval()  # type: ignore[no-untyped-call]
         expected = published(prepared(torch.from_numpy(pictures))).numpy()
     assert expected.max() > 1
     np.testing.assert_allclose(found, expected, atol=1e-4)

@@ -45,7 +45,8 @@ def test_rows_are_the_pooled_output(tmp_path: Path) -> None:
     folder = vit(tmp_path)
     extractor = VisionModelFeatures(folder)
     rows = extractor(PICTURES)
-    assert (rows.shape, rows.dtype) == ((11, 16), np.float32)
+    assert rows.shape == (11, 16)
+    assert rows.dtype == np.float32
     inputs = ViTImageProcessor.from_pretrained(folder)(images=list(PICTURES), return_tensors="pt")
     with torch.inference_mode():
         expected = ViTModel.from_pretrained(folder).eval()(**inputs).pooler_output.numpy()

@@ -51,7 +51,8 @@ def test_both_views_have_the_size_and_are_the_same_again() -> None:
     first, again = (draw_scored_views(geometry, (64, 48)) for _ in range(2))
     assert tuple(first) == SCORED_VIEWS == ("front", "perspective")
     for view in SCORED_VIEWS:
-        assert (first[view].shape, first[view].dtype) == ((48, 64, 3), np.uint8)
+        assert first[view].shape == (48, 64, 3)
+        assert first[view].dtype == np.uint8
         np.testing.assert_array_equal(first[view], again[view])
     assert (first["front"] != first["perspective"]).any()
 
