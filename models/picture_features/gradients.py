@@ -17,6 +17,7 @@ proportional to the Hellinger distance of their histograms.
 
 import hashlib
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +30,7 @@ _BINS, _CELLS = 8, 4
 _STRENGTH = 4.0
 _CHUNK = 32  # pictures at a time, which bounds the memory
 
-Planes = npt.NDArray[np.float32]
+Planes: TypeAlias = npt.NDArray[np.floating[Any]]
 
 
 class GradientFeatures:
@@ -65,7 +66,7 @@ def _rows(pictures: Pictures) -> Rows:
         histograms += [_cell_means(shares, cells) for cells in (_CELLS, 2, 1)]
     for scale in _SCALES:
         histograms.append(_orientations(_block_means(brightness, _SIDE // scale)))
-    return np.sqrt(np.concatenate(histograms, axis=1))
+    return np.asarray(np.sqrt(np.concatenate(histograms, axis=1)), np.float32)
 
 
 def _reduced(pictures: Pictures) -> Planes:
@@ -86,10 +87,10 @@ def _area_weights(side: int) -> Planes:
 
 def _shares(positions: Planes, bins: int) -> Planes:
     """The share of each bin in each value, (bins, …): 1 at the bin, 0 at the next one."""
-    return np.stack([np.maximum(1 - np.abs(positions - k), 0) for k in range(bins)])
+    return np.stack([np.asarray(np.maximum(1 - np.abs(positions - k), 0)) for k in range(bins)])
 
 
-def _orientations(brightness: Planes) -> Rows:
+def _orientations(brightness: Planes) -> Planes:
     """Histograms of orientations of (N, S, S) in cells, (N, 9 * cells)."""
     down, right = np.gradient(brightness, axis=(1, 2))
     strength = np.minimum(_STRENGTH * np.hypot(down, right), 1)
@@ -101,7 +102,7 @@ def _orientations(brightness: Planes) -> Rows:
     return _cell_means(shares, _CELLS)
 
 
-def _cell_means(shares: Planes, cells: int) -> Rows:
+def _cell_means(shares: Planes, cells: int) -> Planes:
     """Means of planes (B, N, S, S) in cells x cells, (N, B * cells²)."""
     means = np.stack([_block_means(plane, cells) for plane in shares], axis=1)
     return np.ascontiguousarray(means.reshape(len(means), -1))

@@ -188,7 +188,10 @@ def test_a_run_that_keeps_no_settled_poses_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--format", "stl"], "format is 'stl', expected one of arena, glb, manipvqa, mesatask, mjcf, mjcf-objects, sdformat, urdf"),
+        (
+            ["--format", "stl"],
+            "format is 'stl', expected one of arena, glb, manipvqa, mesatask, mjcf, mjcf-objects, sdformat, urdf",
+        ),
         (["--format", "glb", "--where", "num_objects >"], "cannot be read"),
         (["--format", "glb", "--where", "num_objects > 1000"], "no scene is selected, expected at least one"),
         (["--format", "glb", "--limit", "0"], "no scene is selected, expected at least one"),
