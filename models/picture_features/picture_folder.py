@@ -27,7 +27,7 @@ def picture_files(folder: Path, name: str = "") -> list[Path]:
     """
     found = [p for p in sorted(folder.rglob(name or "*")) if p.suffix.lower() in SUFFIXES and p.is_file()]
     if not found:
-        what = name or f"a picture ({', '.join(SUFFIXES)})"
+        what = name or f"picture ({', '.join(SUFFIXES)})"
         raise ConfigError(f"{folder}: has no {what}, expected a folder with pictures", "pictures_missing")
     return found
 

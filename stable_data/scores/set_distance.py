@@ -22,6 +22,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
+from scipy.linalg.lapack import dpstrf
 
 from stable_data.errors import ConfigError
 from stable_data.scene import FloatArray
@@ -140,7 +141,8 @@ def frechet_distance(first: FeatureStatistics, second: FeatureStatistics) -> flo
     spread = float(np.trace(one) + np.trace(other))
     distance = float(apart @ apart + spread - 2 * shared)
     # Below the rounding of its terms the difference has no meaning: equal sets have exactly 0, in whatever order they are read.
-    rounding = np.finfo(np.float64).eps * 16 * (spread + float(first.mean @ first.mean + second.mean @ second.mean))
+    terms = spread + float(first.mean @ first.mean + second.mean @ second.mean)
+    rounding = np.finfo(np.float64).eps * 16 * terms
     return distance if distance > rounding else 0.0
 
 
@@ -259,10 +261,11 @@ def _drawn(value: Callable[[np.random.RandomState], float], fewest: int, size: i
 
 
 def _factor(covariance: FloatArray) -> FloatArray:
-    """F with C = F F^T, (D, R) float64, R the rank of the covariance (D, D)."""
-    values, vectors = scipy.linalg.eigh(covariance, check_finite=False)
-    kept = values > np.finfo(np.float64).eps * len(values) * max(float(values[-1]), 0.0)
-    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+    """F with C = F F^T, (D, R) float64, R the numerical rank of the covariance (D, D): a Cholesky decomposition with pivots."""
+    lower, pivots, rank, _ = dpstrf(covariance, lower=1)
+    factor = np.zeros((len(covariance), rank))
+    factor[pivots - 1] = np.tril(lower)[:, :rank]
+    return factor
 
 
 def _kernel_distance(first: FloatArray, second: FloatArray) -> float:
