@@ -23,8 +23,8 @@ def views(
 ) -> None:
     """Draw the scenes of a run from the front and in perspective, and describe the pictures. Run again to continue after a stop.
 
-    Pictures and features are in the table views, for distances between sets of pictures (FID, KID), their diversity, and as the
-    reference of evaluate. Status 0: done. 1: some scenes could not be drawn; the table failures gives the reasons. 2: could not start.
+    Pictures and features are in the table views, for distances between sets of pictures (FID, KID) and their diversity. Status 0:
+    done. 1: some scenes could not be drawn; the table failures gives the reasons. 2: could not start.
     """
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe

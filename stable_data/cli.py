@@ -334,7 +334,8 @@ def compare_diversity(
     typer.echo(str(found))
     if table is not None:
         groups = [row | {"group_split": split_of(row["group"], row["table_type"])} for row in found.groups]
-        pl.DataFrame(groups).write_parquet(table)
+        # The type of a column does not follow from its first rows: runs may have no splits.
+        pl.DataFrame(groups, schema_overrides={"split": pl.String}).write_parquet(table)
     if figures is not None:
         figures.write_text(json.dumps(found.figures(), indent=2) + "\n", "utf-8")
 
@@ -605,8 +606,11 @@ def score_boxes(
     import json
     from dataclasses import asdict
 
+    from stable_data.mesatask.lint import prepare_place
     from stable_data.scores.detection import OVERLAPS, read_detections, read_labels, score_detections
 
+    if figures is not None:
+        prepare_place(figures)
     known, found = read_labels(labels), read_detections(boxes)
     if category and (strange := sorted(set(category) - {label.category for label in known})):
         raise ConfigError(f"{labels} has no {', '.join(strange)}, expected some of its categories", "usage")

@@ -21,7 +21,6 @@ STATE_DICT_SHA256 = "6726825d0af5f729cebd5821db510b11b1cfad8faad88a03f1befd49fb9
 ARCHIVE_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
 
 _EPSILON = 0.001  # of the batch normalisations
-_BLOCK = 1 << 20
 
 _KINDS = "AAABCCCCDEE"  # of the blocks, in their order
 _STEM = ("Conv2d_1a_3x3", "Conv2d_2a_3x3", "Conv2d_2b_3x3", "Conv2d_3b_1x1", "Conv2d_4a_3x3")
@@ -159,13 +158,10 @@ def _read_archive(path: Path) -> list[LayerWeights]:
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     try:
         with path.open("rb") as stream:
-            while block := stream.read(_BLOCK):
-                digest.update(block)
+            return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot be read ({error.strerror}), expected the weights of Inception", "weights_missing"
         ) from error
-    return digest.hexdigest()

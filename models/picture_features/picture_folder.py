@@ -63,8 +63,8 @@ def read_picture(path: Path) -> Pictures:
                     "pictures_invalid",
                 )
             clear = image.convert("RGBA")
+    except ConfigError:
+        raise
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        if isinstance(error, ConfigError):
-            raise
         raise ConfigError(f"{path}: cannot be read ({error}), expected a picture", "pictures_invalid") from error
     return np.asarray(Image.alpha_composite(Image.new("RGBA", clear.size, "black"), clear).convert("RGB"))

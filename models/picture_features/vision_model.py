@@ -19,7 +19,6 @@ from stable_data.errors import ConfigError
 from stable_data.feature_files import TRANSFORMERS
 
 _FILES = ("config.json", "preprocessor_config.json", "model.safetensors")
-_BLOCK = 1 << 20
 
 
 class VisionModelFeatures:
@@ -62,8 +61,7 @@ class VisionModelFeatures:
         digest = hashlib.sha256()
         for name in _FILES:
             with (self._folder / name).open("rb") as stream:
-                while block := stream.read(_BLOCK):
-                    digest.update(block)
+                hashlib.file_digest(stream, lambda: digest)  # continues this one
         return digest.hexdigest()[:16]
 
     def __call__(self, pictures: Pictures, /) -> Rows:

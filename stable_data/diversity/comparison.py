@@ -14,7 +14,7 @@ import numpy as np
 
 from stable_data.content_id import content_id
 from stable_data.diversity.layout_similarity import OTHER_PLACE, SceneLayouts, group_pairs, layout_kernel, near_duplicates
-from stable_data.diversity.scene_set import SceneSet, layouts_of
+from stable_data.diversity.scene_set import ComparedScene, SceneSet, layouts_of
 from stable_data.errors import ConfigError
 from stable_data.scene import IntArray
 from stable_data.scores.set_distance import vendi_score_of_kernel
@@ -55,7 +55,7 @@ class SetDiversity:
         layouts: Effective number of layouts among so many scenes (Vendi score), mean over the draws; None without scenes.
         contents: The same for what is on the tables, wherever it is.
         duplicates: Scenes that have a near-duplicate in the set.
-        across_splits: Scenes that have one in another split.
+        across_splits: Scenes that have one in another split; None if no scene has a split.
         largest_group: Scenes of the largest group of near-duplicates.
         examples: Scenes of the largest groups of near-duplicates.
     """
@@ -73,7 +73,7 @@ class SetDiversity:
     layouts: float | None
     contents: float | None
     duplicates: int
-    across_splits: int
+    across_splits: int | None
     largest_group: int
     examples: tuple[tuple[str, ...], ...]
 
@@ -90,7 +90,7 @@ class SetDiversity:
             f" ({100 * self.duplicates / self.num_scenes:.1f} %), largest group {self.largest_group}" if self.duplicates else ""
         )
         yield _line("scenes with a near-duplicate", f"{self.duplicates}{share}")
-        if self.duplicates:
+        if self.duplicates and self.across_splits is not None:
             yield _line("of these, with one in another split", str(self.across_splits))
         for names in self.examples:
             more = f", and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
@@ -126,7 +126,7 @@ class SetComparison:
         sets: The diversity of each.
         overlaps: What each two of them share.
         groups: A row for each scene: ``run``, ``scene_id``, ``table_type``, ``split``, ``group`` and ``group_size``. The name of a group
-            is the same wherever its scenes are the same.
+            is a hash of its scenes, the same wherever their runs are.
     """
 
     sets: tuple[SetDiversity, ...]
@@ -172,6 +172,7 @@ def compare_sets(sets: Sequence[SceneSet], *, sample: int = SAMPLE, draws: int =
     layouts = layouts_of(scenes)
     pairs = near_duplicates(layouts)
     sample = min([sample, *(len(one) for one in sets if len(one))])
+    splits = np.array([scene.split or "" for scene in scenes], dtype=np.str_)
     found = []
     for k, one in enumerate(sets):
         own, rng = np.flatnonzero(owner == k), np.random.default_rng(seed)
@@ -184,8 +185,8 @@ def compare_sets(sets: Sequence[SceneSet], *, sample: int = SAMPLE, draws: int =
         categories = Counter(name for scene in one.scenes for name in scene.categories)
         assets = Counter(name for scene in one.scenes for name in scene.assets if name is not None)
         inside = pairs[(owner[pairs] == k).all(axis=1)]
-        splits = np.array([scenes[j].split or "" for j in range(len(scenes))], dtype=np.str_)
-        between = inside[splits[inside[:, 0]] != splits[inside[:, 1]]]
+        ends = splits[inside]
+        between = inside[(ends[:, 0] != ends[:, 1]) & (ends != "").all(axis=1)]
         members = _members(group_pairs(inside, len(scenes)), own)
         found.append(
             SetDiversity(
@@ -202,7 +203,7 @@ def compare_sets(sets: Sequence[SceneSet], *, sample: int = SAMPLE, draws: int =
                 layout_score,
                 content_score,
                 len(np.unique(inside)),
-                len(np.unique(between)),
+                len(np.unique(between)) if (splits[own] != "").any() else None,
                 max(map(len, members), default=0),
                 tuple(tuple(scenes[j].scene_id for j in group) for group in members[:_EXAMPLES] if len(group) > 1),
             )
@@ -224,9 +225,7 @@ def _members(groups: IntArray, items: IntArray) -> list[list[int]]:
 
 
 def _overlap(sets: Sequence[SceneSet], owner: IntArray, pairs: IntArray, first: int, second: int) -> SetOverlap:
-    shared = pairs[
-        (owner[pairs[:, 0]] == first) & (owner[pairs[:, 1]] == second)
-    ]  # of a pair, the set that is named first is first
+    shared = pairs[(owner[pairs] == (first, second)).all(axis=1)]  # of a pair, the set that is named first is first
     one, other = sets[first], sets[second]
     categories, assets = (
         [{name for scene in s.scenes for name in getattr(scene, what)} - {None} for s in (one, other)]
@@ -246,7 +245,7 @@ def _groups(sets: Sequence[SceneSet], pairs: IntArray) -> Iterable[dict[str, Any
     scenes = [(one.name, scene) for one in sets for scene in one.scenes]
     number = group_pairs(pairs, len(scenes))
     for own in sorted(_members(number, np.arange(len(scenes)))):
-        name = content_id(sorted((scenes[k][0], scenes[k][1].scene_id) for k in own))
+        name = content_id(sorted(_content(scenes[k][1]) for k in own))
         for run, scene in (scenes[k] for k in own):
             yield {
                 "run": run,
@@ -256,6 +255,11 @@ def _groups(sets: Sequence[SceneSet], pairs: IntArray) -> Iterable[dict[str, Any
                 "group": name,
                 "group_size": len(own),
             }
+
+
+def _content(scene: ComparedScene) -> list[Any]:
+    """What names a scene, without the run in which it is."""
+    return [scene.scene_id, scene.table_type, list(scene.categories), scene.positions.tolist()]
 
 
 def _line(label: str, value: str) -> str:

@@ -1,1 +1,1 @@
-"""Scores of sets of answers: intervals of rates and means, average precision."""
+"""Scores of sets: intervals of rates and means, average precision, distances and diversity of features."""

@@ -56,7 +56,7 @@ class DetectionScore:
     Attributes:
         category: The category.
         labels: Number of labelled boxes.
-        detections: Number of detected ones.
+        detections: Number of detected ones in the same images.
         precision: Average precision by overlap.
         running_precision: By overlap, the mean over the labelled boxes, in their order, of the share of right ones so far, one detected
             box for each: what the program of ManipVQA prints.
@@ -116,13 +116,15 @@ def score_detections(
 
     Args:
         labels: The labelled boxes.
-        found: The detected boxes; those of categories without a label are left out.
+        found: The detected boxes. Those of a category in an image without a label of it are left out: nobody asked for them, and
+            something of the category may be there.
         overlaps: The overlaps from which a box counts as right.
     """
     scores = []
     for category in sorted({label.category for label in labels}):
         own = [label for label in labels if label.category == category]
-        boxes = [box for box in found if box.category == category]
+        asked = {label.image for label in own}
+        boxes = [box for box in found if box.category == category and box.image in asked]
         precision = {at: average_precision(own, boxes, at) for at in overlaps}
         running = {at: _running_precision(own, boxes, at) for at in overlaps}
         scores.append(DetectionScore(category, len(own), len(boxes), precision, running))
@@ -166,6 +168,8 @@ def read_detections(path: Path) -> list[DetectedBox]:
     found = []
     for number, item in enumerate(_items(path)):
         where = f"{path}: item {number}"
+        if not {"box", "format_answer"} & item.keys():
+            raise ConfigError(f"{where} has neither box nor format_answer, expected one of them", "file_invalid")
         values = item.get("box", item.get("format_answer"))
         if not isinstance(item.get("image"), str):
             raise ConfigError(f"{where} has image {item.get('image')!r}, expected a name", "file_invalid")

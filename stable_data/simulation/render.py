@@ -313,6 +313,24 @@ def _coloured_parts(mesh: Mesh, paint: str | Paint) -> list[tuple[str, FloatArra
     return [(colour, *found) for colour, found in drawn if found is not None]
 
 
+def add_triangles(
+    spec: mujoco.MjSpec, name: str, triangles: FloatArray, colour: Sequence[float] = (1.0, 1.0, 1.0, 1.0)
+) -> None:
+    """Adds a surface of one colour, with which nothing collides.
+
+    Args:
+        spec: The description to add it to.
+        name: Its name.
+        triangles: Corners of its faces, (F, 3, 3), metres, at least one face with an area.
+        colour: Red, green, blue and opacity, 0 to 1.
+    """
+    corners = np.arange(triangles.size // 3, dtype=np.int32)
+    spec.add_mesh(
+        name=name, uservert=triangles.ravel(), userface=corners, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    )  # fmt: skip
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=list(colour), contype=0, conaffinity=0)
+
+
 def add_lights(spec: mujoco.MjSpec, low: FloatArray, high: FloatArray) -> None:
     """Adds the lights for a scene between two corners, (3,) each, metres."""
     centre, reach = (low + high) / 2, float((high - low).max())

@@ -4,15 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh import Mesh, double_areas
 from stable_data.scene import FloatArray, IntArray, Scene
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import draw_segments
-from stable_data.simulation.render import View, add_camera, set_lighting
+from stable_data.simulation.render import View, add_camera, add_triangles, set_lighting
 from stable_data.simulation.scene_geometry import SceneGeometry
 
 NOTHING = -1
 """Value of a pixel at which no surface is seen."""
+
+_FLATTEST = 1e-14  # double area of a face that is not drawn, m²
 
 
 def segment_view(
@@ -25,7 +27,7 @@ def segment_view(
 
     Args:
         scene: The scene, whose table decides from how high the camera looks below a ceiling.
-        surfaces: The surfaces, world frame, metres; one without faces is not seen.
+        surfaces: The surfaces, world frame, metres; one without an area is not seen.
         low: Lowest corner of what the picture shows, (3,), metres (``scene_bounds``).
         high: Highest corner.
         size: Width and height, pixels.
@@ -37,14 +39,12 @@ def segment_view(
     spec = mujoco.MjSpec()
     set_lighting(spec, size)
     spec.visual.quality.offsamples = 0  # a mean of two indices is a third one
-    drawn = [k for k, surface in enumerate(surfaces) if len(surface.faces)]
-    for k in drawn:
-        corners = np.arange(3 * len(surfaces[k].faces), dtype=np.int32)
-        spec.add_mesh(
-            name=f"surface_{k}", uservert=surfaces[k].triangles.ravel(), userface=corners,
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )  # fmt: skip
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"surface_{k}", contype=0, conaffinity=0)
+    drawn = list[int]()
+    for k, surface in enumerate(surfaces):
+        triangles = surface.triangles[double_areas(surface) > _FLATTEST]  # MuJoCo refuses a surface without an area
+        if len(triangles):
+            add_triangles(spec, f"surface_{k}", triangles)
+            drawn.append(k)
     spec.stat.center, spec.stat.extent = ((low + high) / 2).tolist(), float((high - low).max())
     add_camera(spec, low, high, view, size, scene.table)
     geoms = draw_segments(spec.compile(), "view", size)

@@ -9,7 +9,7 @@ from stable_data.geometry.mesh import Mesh, double_areas
 from stable_data.scene import FloatArray
 from stable_data.simulation.mujoco_import import mujoco
 from stable_data.simulation.offscreen import Picture, draw_model
-from stable_data.simulation.render import PALETTE, View, add_camera, add_lights, rgba, set_lighting
+from stable_data.simulation.render import PALETTE, View, add_camera, add_lights, add_triangles, rgba, set_lighting
 from stable_data.supports.surface import SupportSurface
 
 _BODY = "#9aa0a6"
@@ -34,9 +34,9 @@ def draw_surfaces(
     """
     spec = mujoco.MjSpec()
     set_lighting(spec, size)
-    _add_triangles(spec, "support", mesh.triangles[double_areas(mesh) > _FLATTEST], rgba(_BODY, _OPACITY))
+    add_triangles(spec, "support", mesh.triangles[double_areas(mesh) > _FLATTEST], rgba(_BODY, _OPACITY))
     for number, surface in enumerate(surfaces):
-        _add_triangles(
+        add_triangles(
             spec, f"surface_{number}", np.add(region_triangles(surface), (0.0, 0.0, _RISE)), rgba(surface_colour(number))
         )
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
@@ -56,11 +56,3 @@ def region_triangles(surface: SupportSurface) -> FloatArray:
     parts = shapely.get_parts(shapely.constrained_delaunay_triangles(shapely.Polygon(surface.outline, surface.holes)))
     flat = np.array([shapely.get_coordinates(shapely.orient_polygons(part))[:3] for part in parts])
     return surface.to_support(np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2))
-
-
-def _add_triangles(spec: mujoco.MjSpec, name: str, triangles: FloatArray, colour: list[float]) -> None:
-    corners = np.arange(triangles.size // 3, dtype=np.int32)
-    spec.add_mesh(
-        name=name, uservert=triangles.ravel(), userface=corners, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    )  # fmt: skip
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=colour, contype=0, conaffinity=0)

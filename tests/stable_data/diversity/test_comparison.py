@@ -86,6 +86,24 @@ def test_near_duplicates_in_other_splits_and_other_runs_are_counted_apart() -> N
     assert [groups[name]["group_size"] for name in "abcdef"] == [2, 2, 2, 1, 2, 1]
 
 
+def test_a_split_that_is_not_known_is_no_other_split() -> None:
+    twins = [scene("a", 1), scene("b", 1, 0.01), scene("c", 1, 0.005)]
+    without = SceneSet("without", tuple(ComparedScene.of(s) for s in twins), 3)
+    [found] = compare_sets([without]).sets
+    assert (found.duplicates, found.across_splits) == (3, None)
+    assert "another split" not in "\n".join(found.lines())
+    partly = SceneSet("partly", (ComparedScene.of(twins[0], "train"), *without.scenes[1:]), 3)
+    assert compare_sets([partly]).sets[0].across_splits == 0
+
+
+def test_groups_have_the_same_names_wherever_their_runs_are() -> None:
+    scenes = [scene("a", 1), scene("b", 1, 0.01), scene("c", 2)]
+    names = [[row["group"] for row in compare_sets([compared(run, scenes)]).groups] for run in ("here", "there")]
+    assert names[0] == names[1]
+    other = [replace(scenes[0], scene_id="c"), scenes[2]]  # two different scenes with one id
+    assert len({row["group"] for row in compare_sets([compared("x", other[:1]), compared("y", other[1:])]).groups}) == 2
+
+
 def test_scores_of_sets_are_compared_at_one_size() -> None:
     many = compared("many", [scene(f"s{k}", k) for k in range(1, 9)])
     few = compared("few", [scene(f"t{k}", k) for k in range(1, 4)])

@@ -87,6 +87,12 @@ def test_scores_are_by_category_and_the_running_precision_is_that_of_manipvqa() 
     assert (kettle.detections, kettle.precision[0.5], kettle.running_precision[0.5]) == (0, 0.0, 0.0)
 
 
+def test_boxes_where_nobody_asked_for_the_category_are_left_out() -> None:
+    others = [box(7, False), DetectedBox("0.png", "kettle", UNIT)]
+    [fork] = score_detections(labels(1), [box(0, True, 0.5), *others])
+    assert (fork.detections, fork.precision[0.5]) == (1, 1.0)
+
+
 def asked(image: str, name: str, answer: str) -> dict[str, Any]:
     words = f"Please provide the bounding box coordinate of the region this sentence describes: handle of a {name}"
     return {"image": image, "conversations": [{"from": "human", "value": words}, {"from": "gpt", "value": answer}]}
@@ -133,6 +139,7 @@ def test_an_answer_that_is_no_box_is_a_miss(tmp_path: Path) -> None:
         [{"image": "a", "box": [0, 0, 1, 1]}],
         [{"image": "a", "category": "fork", "box": [1, 0, 0, 1]}],
         [{"image": "a", "category": "fork", "box": 3}],
+        [{"image": "a", "category": "fork", "bbox": [0, 0, 1, 1]}],
         [{"image": "a", "category": "fork", "box": [0, 0, 1, 1], "score": "high"}],
         [{"image": "a", "question": "Where is it?", "box": [0, 0, 1, 1]}],
     ],

@@ -42,7 +42,9 @@ def test_what_is_in_front_hides_what_is_behind() -> None:
 
 
 def test_nothing_is_seen_of_nothing() -> None:
+    flat = Mesh(np.ones((3, 3)) * 0.5, np.array([[0, 1, 2]]))
     assert (segments(EMPTY, EMPTY) == NOTHING).all()
+    assert (segments(flat) == NOTHING).all()
     assert (segments() == NOTHING).all()
 
 
