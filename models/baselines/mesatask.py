@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.baselines.hulls import ConvexBodies
-from benchmarks.baselines.outcome import BaselineResult
-from benchmarks.baselines.projection import Freedom, ProjectionSettings, project
-from benchmarks.baselines.steerable import turned_parts
+from models.baselines.hulls import ConvexBodies
+from models.baselines.outcome import BaselineResult
+from models.baselines.projection import Freedom, ProjectionSettings, project
+from models.baselines.steerable import turned_parts
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
@@ -56,7 +56,7 @@ class MesaTask:
     lift: float = 0.25
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Baseline`.
+        """Moves objects apart; see :class:`~models.baselines.outcome.Baseline`.
 
         Converged: all pairs have the required distance and, in the released form, the result was used.
         """
