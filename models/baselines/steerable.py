@@ -55,6 +55,7 @@ class Steerable:
         start = np.concatenate([poses[:, :3], middle[None]])
         is_free = np.ones(start.shape, np.bool_)
         is_free[-1] = False
+        is_free[:-1][[o.instance in scene.fixed for o in scene.objects]] = False
         anywhere = np.full(start.shape, np.inf)
         settings = ProjectionSettings(
             0.0, self.influence, self.tolerance * self.influence, self.max_iterations, self.max_seconds
