@@ -14,9 +14,13 @@ from stable_data.scene import Scene
 STEP = "layout"
 """The step that notices of this module name."""
 
+_PART = "__"  # between the parts of an id that import-scenes makes of a path
+
 
 class LayoutFiles:
     """The scenes of a place, each under the id of its task.
+
+    ``import-scenes`` names scenes after their files: also ``<id>__scene`` of the file ``<id>/scene.xml`` is the scene of the task ``<id>``.
 
     Args:
         place: A run with a table ``scenes`` (also one that ``import-scenes`` made), or a folder in the MesaTask-10K format.
@@ -29,7 +33,7 @@ class LayoutFiles:
     def __init__(self, place: str, assets: AssetSource | None = None) -> None:
         self._place = place
         self._source: SceneSource = scene_source(place, assets)
-        self._ids = frozenset(self._source.scene_ids)
+        self._ids = self._source.scene_ids
 
     @cached_property
     def _settings(self) -> SceneSettings:
@@ -42,12 +46,15 @@ class LayoutFiles:
 
     def of_task(self, scene_id: str) -> Scene | Notice:
         """Returns the scene of a task, or why there is none."""
-        if scene_id not in self._ids:
-            message = (
-                f"{scene_id}: {self._place} has no scene of this id, expected one for each task; make it, or leave out the task"
-            )
-            return Notice(scene_id, STEP, "layout_missing", message)
+        found = sorted((name for name in self._ids if name == scene_id or name.startswith(f"{scene_id}{_PART}")), key=len)
+        if not found:
+            message = f"{self._place} has no scene of this id, expected one for each task; make it, or leave out the task"
+            return Notice(scene_id, STEP, "layout_missing", f"{scene_id}: {message}")
+        # Of several surfaces of one file, the first has its name, and the others have longer ones.
+        if any(not name.startswith(f"{found[0]}{_PART}") for name in found[1:]):
+            message = f"{self._place} has {', '.join(found[:3])}, expected one scene for each task; rename the others"
+            return Notice(scene_id, STEP, "layout_ambiguous", f"{scene_id}: {message}")
         try:
-            return self._source.take(scene_id, self._settings, ItemProgress("read")).scene
+            return self._source.take(found[0], self._settings, ItemProgress("read")).scene
         except SceneError as error:
             return Notice(scene_id, STEP, error.code, str(error))

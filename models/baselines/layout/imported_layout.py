@@ -40,9 +40,12 @@ def imported_layout(
     if max(abs(a - b) for a, b in zip(table.size_xy, task.table.size_xy, strict=True)) > _SAME:
         theirs, ours = (" x ".join(f"{100 * s:.1f}" for s in size) for size in (table.size_xy, task.table.size_xy))
         state.warn("table_differs", f"the table of the layout is {theirs} cm, that of the task {ours} cm; the former is used")
-    staged = staged_by_instruction(found.movable, table, task.instruction, interpret)
-    objects = (*found.surroundings, *staged)
-    scene = Scene(task.scene_id, table, objects, source=found.source, fixed=found.fixed, frame=found.frame)
+    plain = replace(
+        found, objects=tuple(replace(o, source=None) for o in found.objects)
+    )  # it is no scene of their file any more
+    staged = staged_by_instruction(plain.movable, table, task.instruction, interpret)
+    objects = (*plain.surroundings, *staged)
+    scene = Scene(task.scene_id, table, objects, fixed=found.fixed, frame=found.frame)
     scene = attach_task_info(scene, task.instruction, staged, interpret, task.reference, task.conditions)
     state.scene = state.start = scene
     return (yield from closed(state, settings))
