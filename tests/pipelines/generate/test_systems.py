@@ -271,35 +271,34 @@ def test_a_run_is_not_continued_with_other_layouts(
         generate(tasks, str(tmp_path / "out"), settings, ALONE, [str(dataset)])
 
 
-def test_scenes_of_a_folder_are_judged_against_the_tasks(real_data: Path, chatty: str, tmp_path: Path) -> None:
+def test_scenes_of_a_folder_are_judged_against_the_tasks(real_data: Path, dataset: Path, chatty: str, tmp_path: Path) -> None:
     """A folder in the MesaTask format with real meshes, of which one layout is broken and one task has none."""
     theirs = tmp_path / "theirs"
     shutil.copytree(real_data, theirs)
-    layouts = sorted(theirs.glob("Layout_info/*/*/layout.json"))[:3]
-    for other in sorted(theirs.glob("Layout_info/*/*/layout.json"))[3:]:
+    layouts = sorted(theirs.glob("Layout_info/*/*/layout.json"), key=lambda p: len(json.loads(p.read_text())["objects"]))
+    for other in layouts[2:]:
         shutil.rmtree(other.parent)
-    layouts[2].write_text("{")
-    asked = TaskSource("tasks", [LayoutTask(name, "Lift it.", DESK) for name in (*(p.parent.name for p in layouts), "nobody")])
+    layouts[1].write_text("{")
+    whole, broken = (path.parent.name for path in layouts[:2])
+    asked = TaskSource("tasks", [LayoutTask(name, "Lift it.", DESK) for name in (whole, broken, "nobody")])
     settings = settings_of("files", chatty, f"layout_files={json.dumps(str(theirs))}")
-    generate(asked, str(tmp_path / "out"), settings, ALONE)
-    rows = rows_of(tmp_path / "out", "scenes")
-    assert [row["scene_id"] for row in rows] == [p.parent.name for p in layouts[:2]]
-    for row, path in zip(rows, layouts, strict=False):
-        assert row["num_objects"] == len(json.loads(path.read_text())["objects"])
-        assert row["oc"] is not None
-        assert row["task"]["task"] == "Lift it."
+    generate(asked, str(tmp_path / "out"), settings, ALONE, [str(dataset)])
+    (row,) = rows_of(tmp_path / "out", "scenes")
+    assert (row["scene_id"], row["task"]["task"]) == (whole, "Lift it.")
+    assert row["num_objects"] == len(json.loads(layouts[0].read_text())["objects"])
+    assert row["oc"] is not None
     failures = {row["id"]: row["code"] for row in rows_of(tmp_path / "out", "failures")}
     assert failures["nobody"] == "layout_missing"
-    assert failures[layouts[2].parent.name] not in ("layout_missing", "unexpected")
+    assert failures[broken] not in ("layout_missing", "unexpected")
     assert {row["code"] for row in rows_of(tmp_path / "out", "warnings")} >= {"table_differs"}
 
 
 @pytest.mark.parametrize("place", ["nowhere", "empty"])
-def test_a_place_without_scenes_is_refused(tasks: TaskSource, chatty: str, tmp_path: Path, place: str) -> None:
+def test_a_place_without_scenes_is_refused(tasks: TaskSource, dataset: Path, chatty: str, tmp_path: Path, place: str) -> None:
     (tmp_path / "empty").mkdir()
     settings = settings_of("files", chatty, f"layout_files={json.dumps(str(tmp_path / place))}")
     with pytest.raises(ConfigError):
-        generate(tasks, str(tmp_path / "out"), settings, ALONE)
+        generate(tasks, str(tmp_path / "out"), settings, ALONE, [str(dataset)])
     assert not (tmp_path / "out").exists()
 
 
@@ -334,8 +333,18 @@ def test_a_name_that_cannot_run_is_refused_with_what_it_lacks(words: list[str], 
     assert not (tmp_path / "out").exists()
 
 
-def test_variants_are_not_laid_out_by_another_system(clean_run: Path, tmp_path: Path) -> None:
-    words = ["generate", "--scenes", str(clean_run), "--vary", "layout", "--out", str(tmp_path / "out"), "--system", "holodeck"]
+def test_variants_are_not_laid_out_by_another_system(placed: Callable[[str], Path], tmp_path: Path) -> None:
+    words = [
+        "generate",
+        "--scenes",
+        str(placed("holodeck")),
+        "--vary",
+        "layout",
+        "--out",
+        str(tmp_path / "out"),
+        "--system",
+        "holodeck",
+    ]
     result = CliRunner().invoke(app, [*words, "--workers", "0"])
     assert result.exit_code == 2
     assert "leave out --vary" in result.output
