@@ -22,6 +22,7 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.settings import resolve_settings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource, sample_tasks
+from pipelines.sources.tasks import read_tasks
 from stable_data.errors import ConfigError
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject
@@ -305,17 +306,27 @@ def test_a_place_without_scenes_is_refused(tasks: TaskSource, dataset: Path, cha
 # --- the command ---------------------------------------------------------------------------------------------------------------
 
 
-def planned(*words: str) -> dict[str, Any]:
-    result = CliRunner().invoke(app, ["generate", "--count", "2", "--out", "nowhere", "--dry-run", *words])
+def told(dataset: Path, *words: str) -> str:
+    """What the command says of one instruction."""
+    task = ["--instruction", "Lift it.", "--table", "office_table", "--size", "120", "60", "--assets", str(dataset)]
+    result = CliRunner().invoke(app, ["generate", *task, "--out", "nowhere", *words])
     assert result.exit_code == 0, result.output
-    found: dict[str, Any] = json.loads(result.stdout)["settings"]
-    return found
+    assert not Path("nowhere").exists()
+    return result.stdout
 
 
-def test_a_name_stands_for_its_settings_and_explicit_ones_win() -> None:
-    assert planned("--system", "steerable")["corrector"] == "steerable"
-    found = planned("--system", "steerable", "--set", "corrects=each")
+def test_a_name_stands_for_its_settings_and_explicit_ones_win(dataset: Path) -> None:
+    plan = ("--system", "steerable", "--dry-run")
+    assert json.loads(told(dataset, *plan))["settings"]["corrector"] == "steerable"
+    found = json.loads(told(dataset, *plan, "--set", "corrects=each"))["settings"]
     assert (found["corrector"], found["corrects"], found["accept"]) == ("steerable", "each", "")
+
+
+def test_tasks_are_written_for_another_system(dataset: Path, tmp_path: Path) -> None:
+    assert "1 tasks" in told(dataset, "--write-tasks", str(tmp_path / "tasks.jsonl"))
+    (task,) = read_tasks(tmp_path / "tasks.jsonl")
+    assert isinstance(task, LayoutTask)
+    assert (task.scene_id, task.instruction, task.table) == ("task", "Lift it.", DESK)
 
 
 @pytest.mark.parametrize(
