@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from benchmarks.baselines.outcome import Baseline, BaselineResult
+from models.baselines.outcome import Baseline, BaselineResult
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import CorrectionOptions
 from models.physics_corrector.corrector import Flow, PhysicsCorrector, Polish, Purpose

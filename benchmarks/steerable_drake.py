@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.baselines.hulls import solid_hull, table_box
-from benchmarks.baselines.outcome import BaselineResult
-from benchmarks.baselines.steerable import turned_parts
+from models.baselines.hulls import solid_hull, table_box
+from models.baselines.outcome import BaselineResult
+from models.baselines.steerable import turned_parts
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
@@ -44,7 +44,7 @@ class SteerableInDrake:
     max_seconds: float = 60.0
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Baseline`. Not converged: Steerable discards the scene."""
+        """Moves objects apart; see :class:`~models.baselines.outcome.Baseline`. Not converged: Steerable discards the scene."""
         try:
             bodies = [
                 [solid_hull(points) for points in parts]

@@ -360,11 +360,23 @@ def generate(
         str | None,
         typer.Option(help="embedded, transformers:FOLDER, vllm:FOLDER, openai:MODEL or scripted:FILE; overrides the file."),
     ] = None,
+    system: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Use the settings of a system of the paper's comparison: stable, steerable, mesatask, mesatask_refined, zero_shot, "
+            "holodeck, idesign or files (docs/systems.md); overrides the file, and --set overrides it.",
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of tasks and random choices; overrides the file.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file; its table generate is read.")] = None,
     set_: JobSettings = None,
     workers: NumWorkers = -1,
     address: Address = None,
+    write_tasks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the tasks to this file (.jsonl), for another system, and stop."),
+    ] = None,
     dry_run: DryRun = False,
 ) -> None:
     """Make simulation-ready scenes by Algorithm 1; every scene is audited and simulated. Run again to continue after a stop.
@@ -372,6 +384,7 @@ def generate(
     Accepted scenes are in the table scenes, others in rejected, every turn of the two systems in turns, the assets in assets
     and meshes. Status 0: done. 1: some tasks have no accepted scene; the table failures gives the reasons. 2: could not start.
     """
+    from models.baselines.systems import system_named
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.execution.shard_job import describe
     from pipelines.generate.job import GenerateJob
@@ -386,6 +399,7 @@ def generate(
         tasks_on_supports,
         variants_of_scenes,
     )
+    from pipelines.sources.tasks import write_tasks as tasks_to_file
 
     _check_generate_options(
         sources=sum(source is not None for source in (tasks, scenes, count, instruction)),
@@ -402,7 +416,8 @@ def generate(
     )
     workers = worker_count(workers, address)
     asked = [f"engine.engine={json.dumps(engine)}"] * (engine is not None) + [f"seed={seed}"] * (seed is not None)
-    settings = resolve_settings(GenerateSettings, "generate", config, [*(set_ or []), *asked])
+    of_system = [] if system is None else system_named(system).overrides
+    settings = resolve_settings(GenerateSettings, "generate", config, [*of_system, *(set_ or []), *asked])
     if tasks is not None:
         found = tasks_of_file(tasks)
     elif scenes is not None and vary is not None:
@@ -418,6 +433,10 @@ def generate(
         found = tasks_on_supports(found, supports)
     if dry_run:
         typer.echo(json.dumps(describe(GenerateJob(found, settings, assets or ())), indent=2))
+        return
+    if write_tasks is not None:
+        number = tasks_to_file(write_tasks, GenerateJob(found, settings, assets or ()).layout_tasks())
+        typer.echo(f"{write_tasks}: {number} tasks")
         return
     manifest = run(found, out, settings, WorkerPool(workers, address), assets or ())
     counts = manifest["counts"]

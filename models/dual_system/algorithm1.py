@@ -145,8 +145,26 @@ def dual_system(
             return state.failure(rejected.code, f"stage {wanted}: {rejected.rejected}")
         state.warn("stage_left_out", f"stage {wanted}: {rejected.rejected}")
     yield from system.fill(state)
+    return (yield from closed(state, settings))
+
+
+def closed(state: GenerationState, settings: LoopSettings) -> Loop:
+    """Corrects a scene after all stages, unless it is corrected already or never shall be.
+
+    Args:
+        state: The state with the scene.
+        settings: How the two systems alternate.
+
+    Yields:
+        The requests of the correction.
+
+    Returns:
+        The result.
+    """
     if settings.corrects != "never" and not state.is_at_rest:
-        closing = yield from system.closing_correction(state)
+        everything, nothing = state.instances, frozenset[str]()
+        earlier, new = (everything, nothing) if state.correction else (nothing, everything - state.held)
+        closing = (yield from _corrected(state, settings, state.scene, state.supports, earlier, new, True))[-1]
         if closing.certified is None:
             return state.failure(str(closing.status), closing.reason)
         state.accept_closing(closing)
@@ -197,12 +215,6 @@ class _StageLoop:
             if len(state.scene.movable) <= before:
                 return
 
-    def closing_correction(self, state: GenerationState) -> Generator[Request, Answer, Correction]:
-        """Corrects the scene after all stages."""
-        everything, nothing = state.instances, frozenset[str]()
-        earlier, new = (everything, nothing) if state.correction else (nothing, everything - state.held)
-        return (yield from self._corrected(state, state.scene, state.supports, earlier, new, True))[-1]
-
     def _attempt(
         self, state: GenerationState, wanted: Wanted, attempt: int, is_last: bool
     ) -> Generator[Request, Answer, tuple[Turn, StageCandidate | None]]:
@@ -245,7 +257,7 @@ class _StageLoop:
             return turn, candidate
         is_last = is_last or self.settings.is_full(scene)
         new = frozenset(o.instance for o in found)
-        corrections = yield from self._corrected(state, scene, supports, state.instances, new, is_last)
+        corrections = yield from _corrected(state, self.settings, scene, supports, state.instances, new, is_last)
         turn, done = replace(turn, corrections=corrections), corrections[-1]
         if done.certified is None:
             return replace(turn, rejected=done.reason, code=str(done.status)), None
@@ -260,36 +272,6 @@ class _StageLoop:
             turn = replace(turn, rejected="the goal of the task holds at the start", code=GOAL_HOLDS)
         return turn, candidate
 
-    def _corrected(
-        self,
-        state: GenerationState,
-        scene: Scene,
-        supports: Mapping[str, Relation],
-        earlier: frozenset[str],
-        new: frozenset[str],
-        is_last: bool,
-    ) -> Generator[Request, Answer, tuple[Correction, ...]]:
-        """Corrects a scene, and again with fixed earlier objects if the first correction moves them too far or drops one.
-
-        Returns:
-            The corrections; the last one is used.
-        """
-        scene = with_wanted_relations(scene, supports)
-        are_fixed = self.settings.earlier_move == 0
-        first = yield CorrectionRequest(scene, state.held | (earlier if are_fixed else frozenset()), new, is_last)
-        assert isinstance(first, Correction)
-        if are_fixed or first.certified is None or not earlier:
-            return (first,)
-        after = replace(first.certified, objects=tuple(o for o in first.certified.objects if o.instance in earlier))
-        is_near = movement(scene, after)[1] <= 1e3 * self.settings.earlier_move
-        if len(after.objects) == len(earlier) and is_near:
-            return (first,)
-        second = yield CorrectionRequest(scene, earlier, new, is_last)
-        assert isinstance(second, Correction)
-        if is_near and (second.certified is None or (second.rest is not None and second.rest.unsteady)):
-            return second, first  # the second one fails, so the scene needs the drop of an earlier object
-        return first, second
-
     def _num_missing(self, task: LayoutTask, done: Correction) -> int:
         """Counts the relations of the instruction that do not hold: on, in or beside an object, or in a cell of the table."""
         stated = () if done.start.task is None else done.start.task.relations
@@ -298,6 +280,37 @@ class _StageLoop:
             cells = {o.instance: cell_of(o.position, task.table.size_xy) for o in done.certified.objects}
             missing |= {r for r in stated if r.kind is RelationKind.IS_AT and cells.get(r.subject) != r.target}
         return len(missing)
+
+
+def _corrected(
+    state: GenerationState,
+    settings: LoopSettings,
+    scene: Scene,
+    supports: Mapping[str, Relation],
+    earlier: frozenset[str],
+    new: frozenset[str],
+    is_last: bool,
+) -> Generator[Request, Answer, tuple[Correction, ...]]:
+    """Corrects a scene, and again with fixed earlier objects if the first correction moves them too far or drops one.
+
+    Returns:
+        The corrections; the last one is used.
+    """
+    scene = with_wanted_relations(scene, supports)
+    are_fixed = settings.earlier_move == 0
+    first = yield CorrectionRequest(scene, state.held | (earlier if are_fixed else frozenset()), new, is_last)
+    assert isinstance(first, Correction)
+    if are_fixed or first.certified is None or not earlier:
+        return (first,)
+    after = replace(first.certified, objects=tuple(o for o in first.certified.objects if o.instance in earlier))
+    is_near = movement(scene, after)[1] <= 1e3 * settings.earlier_move
+    if len(after.objects) == len(earlier) and is_near:
+        return (first,)
+    second = yield CorrectionRequest(scene, earlier, new, is_last)
+    assert isinstance(second, Correction)
+    if is_near and (second.certified is None or (second.rest is not None and second.rest.unsteady)):
+        return second, first  # the second one fails, so the scene needs the drop of an earlier object
+    return first, second
 
 
 def with_wanted_relations(scene: Scene, supports: Mapping[str, Relation]) -> Scene:

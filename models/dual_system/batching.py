@@ -8,27 +8,33 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from models.baselines.placement.problem import Placement
 from models.dual_system.requests import (
     Answer,
+    ChatRequest,
     CorrectionRequest,
     ExchangedAssets,
     ExchangeRequest,
     GenerationResult,
+    LanguageAnswer,
+    LanguageRequest,
     Loop,
+    PlacementRequest,
     ProposalRequest,
     RetrievalRequest,
 )
 from models.physics_corrector.certify.correction import Correction
 from models.semantic_reasoner.engines.incremental_batches import Conversation, run_conversation
-from models.semantic_reasoner.reasoner import Proposal
 from stable_data.assets.assignment import AssignedLayout
+
+_LANGUAGE = (ProposalRequest, ChatRequest)
 
 
 class RequestHandler(Protocol):
     """Answers the requests of loops; a request that fails does not affect the others."""
 
-    def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
-        """Proposes the objects of stages; further requests follow when the answers are known."""
+    def propose(self, questions: Sequence[LanguageRequest], /) -> Conversation[LanguageAnswer, LanguageRequest]:
+        """Proposes the objects of stages, and answers chats; further requests follow when the answers are known."""
         ...
 
     def retrieve(self, questions: Sequence[RetrievalRequest], /) -> Sequence[AssignedLayout]:
@@ -37,6 +43,10 @@ class RequestHandler(Protocol):
 
     def exchange(self, questions: Sequence[ExchangeRequest], /) -> Sequence[ExchangedAssets]:
         """Finds other assets for objects: one answer for each request, in order."""
+        ...
+
+    def place(self, questions: Sequence[PlacementRequest], /) -> Iterable[Placement]:
+        """Finds places for objects: one answer for each request, in order, each as soon as it is known."""
         ...
 
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterable[Correction]:
@@ -49,8 +59,8 @@ class QueueCounts:
     """Number of scenes of a batch in each step.
 
     Attributes:
-        reasoner: Scenes that wait for a proposal.
-        corrector: Scenes that wait for assets or a correction.
+        reasoner: Scenes that wait for the language model.
+        corrector: Scenes that wait for assets, places or a correction.
         made: Scenes that are finished.
     """
 
@@ -75,18 +85,18 @@ def run_batched(
     run = _Run(loops, answerer, watch)
     asking: list[int] = []  # the loop of each request for a proposal, in the order of the requests
 
-    def open_proposals() -> list[ProposalRequest]:
-        """Answers all other requests, then returns the open requests for proposals."""
+    def open_proposals() -> list[LanguageRequest]:
+        """Answers all other requests, then returns the open requests to the language model."""
         run.answer_others()
-        new = {k: q for k, q in sorted(run.open.items()) if isinstance(q, ProposalRequest)}
+        new = {k: q for k, q in sorted(run.open.items()) if isinstance(q, _LANGUAGE)}
         for k in new:
             run.open.pop(k)
         asking.extend(new)
         return list(new.values())
 
-    def receive(found: list[tuple[int, Proposal]]) -> list[ProposalRequest]:
-        for number, proposal in found:
-            run.advance(asking[number], proposal)
+    def receive(found: list[tuple[int, LanguageAnswer]]) -> list[LanguageRequest]:
+        for number, answer in found:
+            run.advance(asking[number], answer)
         return open_proposals()
 
     run_conversation(answerer.propose(open_proposals()), receive)
@@ -115,20 +125,23 @@ class _Run:
         except StopIteration as end:
             self.made[k] = end.value
         if self._watch is not None:
-            corrector = sum(not isinstance(q, ProposalRequest) for q in self.open.values())
+            corrector = sum(not isinstance(q, _LANGUAGE) for q in self.open.values())
             made = len(self.made)
             self._watch(QueueCounts(len(self._loops) - corrector - made, corrector, made))
 
     def answer_others(self) -> None:
-        """Answers requests until only those for proposals are open."""
+        """Answers requests until only those to the language model are open."""
         while True:
             retrieve = {k: q for k, q in sorted(self.open.items()) if isinstance(q, RetrievalRequest)}
             exchange = {k: q for k, q in sorted(self.open.items()) if isinstance(q, ExchangeRequest)}
+            place = {k: q for k, q in sorted(self.open.items()) if isinstance(q, PlacementRequest)}
             correct = {k: q for k, q in sorted(self.open.items()) if isinstance(q, CorrectionRequest)}
             if retrieve:
                 self._give(list(retrieve), self._answerer.retrieve(list(retrieve.values())))
             elif exchange:
                 self._give(list(exchange), self._answerer.exchange(list(exchange.values())))
+            elif place:
+                self._give(list(place), self._answerer.place(list(place.values())))
             elif correct:
                 self._give(list(correct), self._answerer.correct(list(correct.values())))
             else:

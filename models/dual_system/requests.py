@@ -4,8 +4,10 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from models.baselines.placement.problem import Placement, PlacementProblem, Search
 from models.physics_corrector.certify import DroppedObject
 from models.physics_corrector.certify.correction import Correction
+from models.semantic_reasoner.chat import ChatQuestion, ChatReply
 from models.semantic_reasoner.reasoner import Proposal
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, Wanted
@@ -26,6 +28,19 @@ class ProposalRequest:
     """
 
     question: ReasonerQuestion
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class ChatRequest:
+    """Asks the language model something other than for a layout in this project's form; the answer is a :class:`ChatReply`.
+
+    Attributes:
+        question: The chat.
+        seed: Seed of its random choices.
+    """
+
+    question: ChatQuestion
     seed: int
 
 
@@ -81,8 +96,23 @@ class CorrectionRequest:
     may_tilt: bool = True
 
 
-Request: TypeAlias = ProposalRequest | RetrievalRequest | ExchangeRequest | CorrectionRequest
-Answer: TypeAlias = Proposal | AssignedLayout | ExchangedAssets | Correction
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacementRequest:
+    """Requests places for objects from a search; the answer is a :class:`Placement`.
+
+    Attributes:
+        problem: The objects, and where they shall stand.
+        search: The search.
+    """
+
+    problem: PlacementProblem
+    search: Search
+
+
+LanguageRequest: TypeAlias = ProposalRequest | ChatRequest
+LanguageAnswer: TypeAlias = Proposal | ChatReply
+Request: TypeAlias = LanguageRequest | RetrievalRequest | ExchangeRequest | PlacementRequest | CorrectionRequest
+Answer: TypeAlias = LanguageAnswer | AssignedLayout | ExchangedAssets | Placement | Correction
 
 
 @dataclass(frozen=True, slots=True)

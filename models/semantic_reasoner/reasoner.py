@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
+from models.semantic_reasoner.chat import ChatQuestion, ChatReply, PendingChat
 from models.semantic_reasoner.engines.incremental_batches import Conversation, collect_answers
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, conversation
 from models.semantic_reasoner.language.interpreter import (
@@ -15,6 +16,7 @@ from models.semantic_reasoner.prompt_styles import PromptStyle, StagedPromptStyl
 from models.semantic_reasoner.replies.checks import CROWDED, REQUIRED_MISSING, ReplyFault
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
 from models.semantic_reasoner.replies.object_check import ObjectCheck
+from models.semantic_reasoner.replies.refused_reply import RefusedReply
 from models.semantic_reasoner.replies.relation_repair import repair_relations
 from models.semantic_reasoner.replies.required_objects import PLACED, RemovedObject, RequiredObjects
 from models.semantic_reasoner.text.prompt import ReasonerQuestion, check_instruction
@@ -33,29 +35,6 @@ class FaultFinder(Protocol):
     def __call__(self, reply: LayoutReply, question: ReasonerQuestion, /) -> Sequence[ReplyFault]:
         """Returns the faults; none if the reply may enter the scene."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class RefusedReply:
-    """An answer that was refused.
-
-    Attributes:
-        answer: The text of the answer.
-        faults: The reasons.
-    """
-
-    answer: str
-    faults: tuple[ReplyFault, ...]
-
-    @property
-    def reason(self) -> str:
-        """The faults in one line."""
-        return "; ".join(f.message for f in self.faults)
-
-    @property
-    def is_hard(self) -> bool:
-        """Whether one of the faults is hard."""
-        return any(f.is_hard for f in self.faults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +69,11 @@ class Proposal:
     def objects(self) -> tuple[LayoutObject, ...]:
         """New and changed objects; none after a failure."""
         return () if self.reply is None else self.reply.objects
+
+
+Question: TypeAlias = ReasonerQuestion | ChatQuestion
+Reply: TypeAlias = Proposal | ChatReply
+"""The answer to a question: a proposal to one for a layout, a reply to a chat."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,25 +178,27 @@ class SemanticReasoner:
 
         Each question has a seed: if the engine is reproducible, the same question and seed give the same proposal.
         """
-        return collect_answers(self.converse(list(zip(questions, seeds, strict=True))), len(questions))
+        found = collect_answers(self.converse(list(zip(questions, seeds, strict=True))), len(questions))
+        return [one for one in found if isinstance(one, Proposal)]
 
-    def converse(
-        self, questions: Sequence[tuple[ReasonerQuestion, int]]
-    ) -> Conversation[Proposal, tuple[ReasonerQuestion, int]]:
-        """Yields proposals, and accepts the questions that follow from them, such as those of a scene's next stage.
+    def converse(self, questions: Sequence[tuple[Question, int]]) -> Conversation[Reply, tuple[Question, int]]:
+        """Yields proposals and replies to chats, and accepts the questions that follow from them, such as those of a scene's next stage.
 
         Proposals are collected until they are at least a third of the open questions. The questions that follow from them are
         then numerous enough for a batch, and the engine is busy with the open ones meanwhile. Each question has a seed.
         """
-        pending: list[_PendingQuestion] = []
+        pending: list[_PendingQuestion | PendingChat] = []
         question_of_request: list[int] = []  # index in pending
-        done: list[tuple[int, Proposal]] = []
+        done: list[tuple[int, Reply]] = []
         exchange: Conversation[Completion, Request] | None = None
         num_open = 0
 
         def next_request(k: int) -> list[Request]:
             """The next request for a question; none if the question is done."""
             one = pending[k]
+            if isinstance(one, PendingChat):
+                question_of_request.append(k)
+                return [one.request()]
             if (finished := self._without_engine(one)) is not None:
                 done.append((k, finished))
                 return []
@@ -224,7 +210,7 @@ class SemanticReasoner:
             question_of_request.append(k)
             return [request]
 
-        def begin(more: Sequence[tuple[ReasonerQuestion, int]]) -> list[Request]:
+        def begin(more: Sequence[tuple[Question, int]]) -> list[Request]:
             first = len(pending)
             pending.extend(self._pending(*question) for question in more)
             return [request for k in range(first, len(pending)) for request in next_request(k)]
@@ -246,13 +232,16 @@ class SemanticReasoner:
             num_open -= len(completions)
             for number, completion in completions:
                 k = question_of_request[number]
-                proposal = self._judge(pending[k], completion)
-                if proposal is None:
+                one = pending[k]
+                reply = one.judge(completion) if isinstance(one, PendingChat) else self._judge(one, completion)
+                if reply is None:
                     requests += next_request(k)
                 else:
-                    done.append((k, proposal))
+                    done.append((k, reply))
 
-    def _pending(self, question: ReasonerQuestion, seed: int) -> _PendingQuestion:
+    def _pending(self, question: Question, seed: int) -> _PendingQuestion | PendingChat:
+        if isinstance(question, ChatQuestion):
+            return PendingChat(question, seed, self._tries, self._tells_reasons)
         if self._interpret is None:
             return _PendingQuestion(question, seed)
         _, notices = self._interpret.table_type(question.table.table_type)

@@ -210,6 +210,9 @@ def notices_of(done: Correction, scene_id: str) -> list[Notice]:
     if done.rest is not None and done.rest.unsteady:
         message = f"{scene_id}: {', '.join(done.rest.unsteady)} do not stay at rest in the physics engine"
         notices.append(Notice(scene_id, "certify", "unsteady", message))
+    if done.unsolved:
+        message = f"{scene_id}: the post-processing has not reached its own goal: {done.unsolved}"
+        notices.append(Notice(scene_id, "certify", "not_converged", message))
     if done.status in (CorrectionStatus.UNKNOWN, CorrectionStatus.UNCLEAN):
         notices.append(Notice(scene_id, "certify", str(done.status), f"{scene_id}: {done.reason}"))
     return notices + ([] if done.audit is None else list(done.audit.notices))

@@ -4,31 +4,56 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from time import perf_counter
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
+from models.baselines.placement.problem import Placement, PlacementProblem, Search
 from models.dual_system.requests import (
     CorrectionRequest,
     ExchangedAssets,
     ExchangeRequest,
-    ProposalRequest,
+    LanguageAnswer,
+    LanguageRequest,
+    PlacementRequest,
     RetrievalRequest,
 )
 from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions
-from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation
-from models.semantic_reasoner.reasoner import Proposal, SemanticReasoner
+from models.semantic_reasoner.reasoner import SemanticReasoner
 from pipelines.execution.shard_step import NOT_OF_AN_ITEM, unexpected_failure
 from stable_data.assets.assignment import AssignedLayout, assign_assets, retrieve_usable
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.store import AssetStore
+from stable_data.scene import Scene
 
 Certify: TypeAlias = Callable[[CertificationRequest], Correction]
 """Certifies one scene, in a separate process if a mesh may crash this one."""
 
 
-STEPS = ("propose", "retrieve", "flow", "refine", "certify")
-"""Steps whose time is measured."""
+Place: TypeAlias = Callable[[Search, PlacementProblem], Placement]
+"""Finds places by a search, within the time limit of the job."""
+
+
+STEPS = ("propose", "retrieve", "place", "flow", "refine", "certify")
+"""Steps whose time is measured; ``certify`` also is the post-processing that takes the place of flow, refinement and certification."""
+
+
+class Corrector(Protocol):
+    """What corrects scenes: the Physics Corrector, or a post-processor."""
+
+    def move(
+        self, scenes: Sequence[Scene], assets: AssetStore, options: Sequence[CorrectionOptions], /
+    ) -> list[CertificationRequest]:
+        """Moves the objects of all scenes as one batch."""
+        ...
+
+    def prepare(self, requests: Sequence[CertificationRequest], assets: AssetStore, /) -> list[CertificationRequest]:
+        """Refines all scenes as one batch."""
+        ...
+
+    def certify(self, request: CertificationRequest, assets: AssetStore, /) -> Correction:
+        """Corrects one scene."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +65,7 @@ class LocalCertifier:
         store: The geometry of the assets.
     """
 
-    corrector: PhysicsCorrector
+    corrector: Corrector
     store: AssetStore
 
     def __call__(self, request: CertificationRequest) -> Correction:
@@ -72,6 +97,7 @@ class LocalRequestHandler:
         certify: Certifies one scene; None uses ``certifier``.
         fault_of: Returns why an asset cannot be used; None uses the certifier's store.
         prepares: Whether scenes are refined as a batch; otherwise each where it is certified.
+        search: Finds places by a search.
         seconds: Time spent so far, by step.
     """
 
@@ -83,10 +109,11 @@ class LocalRequestHandler:
     certify: Certify | None = None
     fault_of: Callable[[str], str | None] | None = None
     prepares: bool = True
+    search: Place = lambda search, problem: search(problem)
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STEPS, 0.0))
 
-    def propose(self, questions: Sequence[ProposalRequest], /) -> Conversation[Proposal, ProposalRequest]:
-        """Proposes the objects of stages; later requests join the engine's running batch."""
+    def propose(self, questions: Sequence[LanguageRequest], /) -> Conversation[LanguageAnswer, LanguageRequest]:
+        """Proposes the objects of stages, and answers chats; later requests join the engine's running batch."""
         began = perf_counter()
         conversation = self.reasoner.converse([(q.question, q.seed) for q in questions])
         found = next(conversation, None)
@@ -117,6 +144,14 @@ class LocalRequestHandler:
         found = [ExchangedAssets(tuple(islice(answers, len(q.queries)))) for q in questions]
         self.seconds["retrieve"] += perf_counter() - began
         return found
+
+    def place(self, questions: Sequence[PlacementRequest], /) -> Iterator[Placement]:
+        """Finds places for the objects of each request."""
+        for question in questions:
+            began = perf_counter()
+            found = self.search(question.search, question.problem)
+            self.seconds["place"] += perf_counter() - began
+            yield found
 
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterator[Correction]:
         """Corrects scenes: the flow moves and the refinement refines all of them as one batch, then each is certified alone."""

@@ -2,12 +2,15 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, replace
 from functools import cached_property
 from typing import Any
 
+from models.baselines.layout.prompts import FINGERPRINT as PROMPTS_FINGERPRINT
 from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
 from models.semantic_reasoner.factory import proposal_config
+from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.execution.engine_pool import refuse_without_workers
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
@@ -18,12 +21,14 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
 from pipelines.sources.asset_copies import CopyAssets, asset_shards
 from pipelines.sources.assets import AssetLibraries, absolute_places
-from pipelines.sources.generation_tasks import TaskSource, fingerprints_of_tasks, served_tasks
+from pipelines.sources.generation_tasks import SampledTask, TaskSource, fingerprints_of_tasks, served_tasks
+from pipelines.sources.layout_files import LayoutFiles
+from pipelines.sources.scene_variants import SceneVariant
 from pipelines.sources.scenes import TableSource
 from stable_data.content_id import content_id
 from stable_data.embedded_world.library import NAME as EMBEDDED
-from stable_data.errors import Notice
-from stable_data.storage.run_folder import RunFolder
+from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.storage.run_folder import RunFolder, absolute_uri
 
 
 def generate(
@@ -58,11 +63,20 @@ class GenerateJob(ShardJob):
     settings: GenerateSettings
 
     def __init__(self, tasks: TaskSource, settings: GenerateSettings, assets: Sequence[str] = ()) -> None:
-        self.dataset, self.settings = tasks.name, settings.of_tasks(len(tasks.tasks))
-        places = absolute_places(assets) or (EMBEDDED,) * (tasks.supports is not None)
+        settings = settings.of_tasks(len(tasks.tasks))
+        self._supports, places = tasks.supports, absolute_places(assets)
+        if settings.layout_files:
+            settings = replace(settings, layout_files=absolute_uri(settings.layout_files))
+            self._supports, places = settings.layout_files, (*places, *((tasks.supports,) if tasks.supports else ()))
+        if tasks.varies and settings.layout != "stages":
+            raise ConfigError(
+                f"layout is {settings.layout}, but a variant has the layout of its scene; leave out --vary, or set layout to stages",
+                "usage",
+            )
+        places = places or (EMBEDDED,) * (self._supports is not None)
         if tasks.varies and tasks.supports is not None:  # whose assets serve first, as in edits
             places = tuple(dict.fromkeys((tasks.supports, *places)))
-        self.places, self._asked = places, tasks
+        self.dataset, self.settings, self.places, self._asked = tasks.name, settings, places, tasks
 
     @cached_property
     def tasks(self) -> TaskSource:
@@ -72,15 +86,33 @@ class GenerateJob(ShardJob):
         advice = self.settings.serving_advice(self.places)
         return served_tasks(self._asked, self._libraries.serves(self.settings.retrieval), advice)
 
+    def layout_tasks(self) -> Iterator[LayoutTask]:
+        """Yields the tasks, sampled ones as they are drawn in the run; a task that cannot be sampled is left out.
+
+        Raises:
+            ConfigError: The tasks are variants of scenes (``usage``).
+        """
+        serves = self._libraries.serves(self.settings.retrieval)
+        for task in self.tasks.tasks:
+            if isinstance(task, SceneVariant):
+                raise ConfigError("variants are no tasks for other systems, expected no --vary; leave it out", "usage")
+            with suppress(SceneError):  # in a run a row of failures
+                yield task.sample(serves) if isinstance(task, SampledTask) else task
+
     @cached_property
     def _libraries(self) -> AssetLibraries:
-        return AssetLibraries(self.places, scenes=self._asked.supports, offers_scenes=False)
+        return AssetLibraries(self.places, scenes=self._supports, offers_scenes=False)
 
     @cached_property
     def _inputs(self) -> dict[str, Any]:
         settings, tasks = self.settings, self.tasks
         load_flow(settings.weights, settings.steps)
-        return {
+        found: dict[str, Any] = {}
+        if settings.layout in ("holodeck", "idesign"):
+            found["prompts"] = PROMPTS_FINGERPRINT
+        if settings.layout_files:
+            found["layouts"] = LayoutFiles(settings.layout_files, self._libraries).fingerprint
+        return found | {
             "tasks": content_id(fingerprints_of_tasks(tasks.tasks), [asdict(notice) for notice in tasks.lost]),
             "weights": weights_fingerprint(settings.weights),
             "reasoner": content_id(proposal_config(settings.engine, settings.reasoner)),
@@ -103,12 +135,12 @@ class GenerateJob(ShardJob):
             Shard(content_id("generate", *shaping, fingerprints_of_tasks(part)), tuple(part))
             for part in split_groups(self.tasks.tasks, self.settings.scenes_per_shard)
         ]
-        return [StepShards(GenerateWork(self.places, self.settings, content_id(self._inputs), self._asked.supports), shards)]
+        return [StepShards(GenerateWork(self.places, self.settings, content_id(self._inputs), self._supports), shards)]
 
     def later_plans(self, folder: RunFolder) -> Iterator[Sequence[StepShards[Any]]]:
         """The step that copies the assets of the scenes. It runs last, after engines and workers have released their memory."""
         libraries = content_id(self._libraries.fingerprints)
-        carry = CopyAssets(self.places, libraries, self.settings.seconds_per_item, self._asked.supports)
+        carry = CopyAssets(self.places, libraries, self.settings.seconds_per_item, self._supports)
         yield [StepShards(carry, asset_shards(folder, ("scenes", "rejected"), libraries))]
 
     def expected(self) -> Sequence[ExpectedItems]:
@@ -117,8 +149,16 @@ class GenerateJob(ShardJob):
         return [ExpectedItems("scenes", "scene_id", ids, "failed_scenes")]
 
     def odd(self) -> Sequence[Notice]:
-        """Licences of the libraries that are not allowed or unknown, and table types without tasks."""
-        return [*self._libraries.licence_notices(self.settings.retrieval), *self.tasks.odd]
+        """Licences of the libraries that are not allowed or unknown, table types without tasks, and a system without its model."""
+        notices = [*self._libraries.licence_notices(self.settings.retrieval), *self.tasks.odd]
+        layout = self.settings.layout
+        if layout in ("holodeck", "idesign") and not self.settings.chats:
+            message = (
+                f"layout={layout} with the embedded model: it knows no other prompts than those of its training, so that objects and "
+                "relations are those of its own layouts, and only the search is that of the system; name another model with --engine"
+            )
+            notices.append(Notice(layout, "reason", "own_prompts_only", message))
+        return notices
 
     def lost(self) -> Sequence[Notice]:
         """The invalid tasks."""

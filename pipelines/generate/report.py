@@ -83,8 +83,7 @@ def write_generate_report(
     grids = SceneGrids(folder, store)
     body = [
         head(manifest),
-        f'<p class="note">Reasoner: {escape(manifest["engine"])}. Corrector: {escape(settings.weights)}. '
-        f"Accepted: {escape(settings.accept or 'all')}.</p>",
+        f'<p class="note">{escape(_system(manifest, settings))}. Accepted: {escape(settings.accept or "all")}.</p>',
         _tiles(manifest, scenes, turns, spent, settings),
         *_variants(scenes, rejected),
         *_quality(scenes, rejected),
@@ -99,6 +98,13 @@ def write_generate_report(
     ]
     folder.write_bytes("report/index.html", page(f"{manifest['dataset']}: generate", body))
     _write_sheet(folder, scenes, store, settings.num_pictures)
+
+
+def _system(manifest: dict[str, Any], settings: GenerateSettings) -> str:
+    """Who lays out, and what corrects when."""
+    laid_out = f"Layout: {settings.layout}" + (f" ({settings.layout_files})" if settings.layout_files else "")
+    corrected = settings.corrector + (f" ({settings.weights})" if settings.corrector == "stable" else "")
+    return f"Reasoner: {manifest['engine']}. {laid_out}. Corrector: {corrected}, {settings.corrects}"
 
 
 def _frame(folder: RunFolder, name: str, columns: Sequence[str]) -> pl.DataFrame:

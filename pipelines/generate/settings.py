@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, cast
 
 from annotated_types import Interval
 
+from models.baselines.systems import CorrectorName, LayoutName
 from models.dual_system.algorithm1 import Corrects, LoopSettings
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
@@ -43,8 +44,23 @@ class GenerateSettings(CorrectorJobSettings):
     is not among the libraries.
     """
 
+    layout: LayoutName = "stages"
+    """Who lays scenes out: ``stages``, the reasoner by its schedule; ``holodeck`` or ``idesign``, systems that let the language model
+    propose objects and relations and find places by a search; ``files``, another system, whose scenes are those of ``layout_files``.
+    """
+
+    layout_files: str = ""
+    """For ``layout=files``: a run with a table ``scenes``, or a folder in the MesaTask-10K format. The scene of a task is the one with its
+    id.
+    """
+
     schedule: str = "task,important,secondary"
     """Stages that are asked for, in order, joined by commas: task, important, secondary; or whole, the one-shot ablation."""
+
+    corrector: CorrectorName = "stable"
+    """What corrects scenes: ``stable``, the Physics Corrector; or a post-hoc optimiser: ``steerable``, ``steerable_parts`` (with convex
+    parts instead of hulls), ``mesatask``, or ``mesatask_released`` (with the faults of the released program).
+    """
 
     corrects: Corrects = "each"
     """When the corrector is asked: after ``each`` stage (Algorithm 1), once at the ``end``, or ``never``."""
@@ -108,8 +124,37 @@ class GenerateSettings(CorrectorJobSettings):
                 "config_invalid",
             )
         _ = self.loop
+        self._check_system()
         self.check_judges(self.section, self.accepting)
         self.check_robot(self.section, self.accepting)
+
+    def _check_system(self) -> None:
+        """Refuses layouts and correctors that lack something, or that something asked for would not use."""
+        if (self.layout == "files") != bool(self.layout_files):
+            what = "is empty" if self.layout == "files" else f"is {self.layout_files!r}, but layout is {self.layout}"
+            raise ConfigError(
+                f"setting {self.section}.layout_files {what}; layout=files needs a run or a folder there, other layouts need none",
+                "config_invalid",
+            )
+        if self.corrector != "stable" and self.correctors:
+            raise ConfigError(
+                f"setting {self.section}.correctors is {self.correctors}, but corrector is {self.corrector}, which is not shared; set "
+                "correctors to 0, or corrector to stable",
+                "config_invalid",
+            )
+        dialect = self.reasoner.dialect_with(self.engine)
+        if self.engine.kind == "embedded" and dialect != "stages" and self.layout == "stages":
+            raise ConfigError(
+                f"setting {self.section}.reasoner.dialect is {dialect}, but the embedded model knows the prompts of its training alone; "
+                "name another model with --engine, or set reasoner.dialect to stages",
+                "config_invalid",
+            )
+        if dialect == "mesatask" and self.layout == "stages" and self.stages != ("whole",):
+            raise ConfigError(
+                f"setting {self.section}.schedule is {self.schedule!r}, but the dialect mesatask asks for whole layouts; set schedule to "
+                "whole",
+                "config_invalid",
+            )
 
     @property
     def stages(self) -> tuple[Wanted, ...]:
@@ -125,6 +170,11 @@ class GenerateSettings(CorrectorJobSettings):
                 f"setting {self.section}.schedule has {unknown[0]!r}, expected some of {', '.join(known)}", "config_invalid"
             )
         return tuple(Stage(name) if name in set(Stage) else cast(Wanted, name) for name in names)
+
+    @property
+    def chats(self) -> bool:
+        """Whether the language model answers prompts of other systems; the embedded one knows those of its training alone."""
+        return self.engine.kind != "embedded"
 
     @property
     def loop(self) -> LoopSettings:
@@ -165,6 +215,7 @@ class GenerateSettings(CorrectorJobSettings):
             "corrector_gpus",
             "seconds_per_item",
             "device",
+            "layout_files",  # whose content is an input
         )
         own = {k: v for k, v in asdict(self).items() if k not in aside}
         licences = self.retrieval.licences

@@ -15,9 +15,14 @@ from typing import ClassVar
 
 import ray
 
+from models.baselines.layout.drafting import layout_drafting
+from models.baselines.layout.holodeck import holodeck
+from models.baselines.layout.idesign import idesign
+from models.baselines.layout.imported_layout import imported_layout
+from models.baselines.placement.problem import Placement, PlacementProblem, Search
 from models.dual_system.algorithm1 import dual_system
 from models.dual_system.batching import QueueCounts, run_batched
-from models.dual_system.requests import GenerationResult, Turn
+from models.dual_system.requests import GenerationResult, Loop, Turn
 from models.dual_system.variant_comparison import Comparison, compare_variant
 from models.dual_system.variant_task import VariantTask
 from models.dual_system.variants import NO_VARIANT, VariantWorld, vary
@@ -54,6 +59,7 @@ from pipelines.generate.answers import LocalCertifier, LocalRequestHandler, fail
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import Task
+from pipelines.sources.layout_files import LayoutFiles
 from pipelines.sources.scene_variants import SceneVariant
 from pipelines.sources.scenes import TableSource, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
@@ -110,6 +116,7 @@ class GenerateWorkerState:
         serves: Whether the libraries have a wanted thing, by its category.
         world: What variants are made with.
         supports: As in :class:`GenerateWork`.
+        layout_files: Where the layouts of another system are; empty without them.
     """
 
     answers: LocalRequestHandler
@@ -118,11 +125,22 @@ class GenerateWorkerState:
     serves: Callable[[str], bool]
     world: VariantWorld
     supports: str | None
+    layout_files: str = ""
+
+    def holds(self, category: str) -> bool | None:
+        """Whether assets of a category can contain others; None if it is not known."""
+        found = {asset.is_container for asset in self.world.alternatives(category)}
+        return True if True in found else None if None in found or not found else False
 
     def is_done(self, scene: Scene) -> bool:
         """Whether the goal of a scene's task holds; False if it cannot be checked."""
         scene, shapes, _ = self.answers.certifier.store.resolved(scene)
         return holds_at_start(TaskGeometry(scene, shapes, self.shelf.containers(scene)))
+
+    @cached_property
+    def layouts(self) -> LayoutFiles:
+        """The layouts of another system."""
+        return LayoutFiles(self.layout_files, self.shelf)
 
     @cached_property
     def varied(self) -> TableSource:
@@ -204,6 +222,7 @@ class GenerateWork(ShardStep[Task]):
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, process=process)
         opened.answers.prepares = process is None
+        opened.answers.search = partial(self._searched, process=process)
         opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, process=process))
         rows: Rows = defaultdict(list)
         tasks = list(self._tasks(shard, rows, opened))
@@ -232,18 +251,11 @@ class GenerateWork(ShardStep[Task]):
         """Generates scenes concurrently; after an unexpected error one by one, so that it costs one scene only."""
 
         def made(some: Sequence[LayoutTask], watch: Callable[[QueueCounts], None] | None = None) -> list[GenerationResult]:
-            loops = [
-                vary(t, seed, settings, opened.world)
-                if isinstance(t, VariantTask)
-                else dual_system(t, named_seed(seed, t.scene_id), settings, opened.interpret, is_done=opened.is_done)
-                for t in some
-            ]
-            return run_batched(loops, opened.answers, watch)
+            return run_batched([self._loop(task, opened) for task in some], opened.answers, watch)
 
         def watch(queues: QueueCounts) -> None:
             tell(propose=queues.reasoner, correct=queues.corrector, judge=queues.made)
 
-        settings, seed = self.settings.loop, self.settings.seed
         try:
             for number, found in enumerate(made(tasks, watch)):
                 tell(judge=len(tasks) - number)
@@ -264,6 +276,37 @@ class GenerateWork(ShardStep[Task]):
                         task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message)
                     )
                 yield found
+
+    def _loop(self, task: LayoutTask, opened: GenerateWorkerState) -> Loop:
+        """The coroutine that makes the scene of a task."""
+        settings, interpret = self.settings.loop, opened.interpret
+        if isinstance(task, VariantTask):
+            return vary(task, self.settings.seed, settings, opened.world)
+        seed = named_seed(self.settings.seed, task.scene_id)
+        drafting = None if self.settings.chats else layout_drafting(interpret, opened.holds)
+        if self.settings.layout == "holodeck":
+            return holodeck(task, seed, settings, interpret, drafting)
+        if self.settings.layout == "idesign":
+            return idesign(task, seed, settings, interpret, drafting)
+        if self.settings.layout == "files":
+            began = perf_counter()
+            found = opened.layouts.of_task(task.scene_id)
+            seconds = opened.answers.seconds
+            seconds["read"] = seconds.get("read", 0.0) + perf_counter() - began
+            return imported_layout(task, found, settings, interpret)
+        return dual_system(task, seed, settings, interpret, is_done=opened.is_done)
+
+    def _searched(self, search: Search, problem: PlacementProblem, *, process: IsolatedProcess | None) -> Placement:
+        """Finds places, in a separate process if workers died while they processed its shard."""
+        seconds = self.settings.seconds_per_item
+        if process is None:
+            with time_limited(seconds):
+                return search(problem)
+        found = process.call(search, problem, seconds=seconds)
+        if not isinstance(found, ProcessFailure):
+            return found
+        reason = f"the search for places {str(found).replace('_', ' ')} ({seconds:g} s are allowed)"
+        return Placement((), dict.fromkeys((o.instance for o in problem.objects), reason))
 
     def _certified(self, asked: CertificationRequest, *, process: IsolatedProcess | None) -> Correction:
         """Certifies one scene, in a separate process if workers died while they processed its shard."""
@@ -391,11 +434,17 @@ def _open_certifier(work: GenerateWork) -> LocalCertifier:
 def _opened_corrector(work: GenerateWork) -> tuple[PhysicsCorrector, AssetStore]:
     """The corrector of an actor, and the meshes of its scenes."""
     certifier = _open_certifier(work)
+    assert isinstance(certifier.corrector, PhysicsCorrector)
     return certifier.corrector, certifier.store
 
 
 def _certifier(settings: GenerateSettings, shelf: AssetLibraries, shared: PooledCorrector | None = None) -> LocalCertifier:
     options, store = CertifyOptions(depth=_DEPTH, places=_PLACES, twice=False), AssetStore(shelf)
+    if settings.corrector != "stable":
+        # Imported here because MuJoCo's import is slow.
+        from models.baselines.post_processing import PostProcessor
+
+        return LocalCertifier(PostProcessor.named(settings.corrector), store)
     if shared is not None:
         return LocalCertifier(PhysicsCorrector(shared.flow, options, False, shared.refiner, settings.polish), store)
     needs_grids = settings.refine or settings.polish != "certify"
@@ -413,7 +462,8 @@ def _opened(work: GenerateWork) -> GenerateWorkerState:
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)
     known = shelf.by_category(settings.retrieval)
     world = VariantWorld(interpret, lambda category: known.get(category, ()), shelf.containers)
-    return GenerateWorkerState(answers, shelf, interpret, shelf.serves(settings.retrieval), world, work.supports)
+    serves, layouts = shelf.serves(settings.retrieval), settings.layout_files
+    return GenerateWorkerState(answers, shelf, interpret, serves, world, work.supports, layouts)
 
 
 # --- the card -----------------------------------------------------------------------------------------------------------------

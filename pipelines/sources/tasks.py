@@ -1,9 +1,10 @@
 """Reads a file of tasks row by row: each row becomes a task or a notice with the reason."""
 
 import csv
+import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from models.semantic_reasoner.staged_layout import LayoutTask
-from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.errors import ConfigError, Notice, SceneError, cannot_write
 from stable_data.json_text import is_unicode, json_value, quote_value
 from stable_data.scene import Tabletop
 
@@ -65,6 +66,38 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
         raise _invalid_file(path, f"cannot be read ({reason})") from error
     if not number:
         raise _invalid_file(path, "contains no tasks")
+
+
+def write_tasks(path: Path, tasks: Iterable[LayoutTask]) -> int:
+    """Writes tasks as a file that :func:`read_tasks` reads, for other systems that make scenes for them.
+
+    Args:
+        path: The file, .jsonl.
+        tasks: The tasks; labels and surroundings are not written.
+
+    Returns:
+        The number of tasks.
+
+    Raises:
+        ConfigError: The file has another suffix (``tasks_invalid``) or cannot be written.
+    """
+    if path.suffix != ".jsonl":
+        raise ConfigError(f"{path}: ends in {path.suffix or 'nothing'}, expected a file .jsonl for the tasks", "tasks_invalid")
+    lines = [json.dumps(_row_of(task), ensure_ascii=False) for task in tasks]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("".join(f"{line}\n" for line in lines), "utf-8")
+    except OSError as error:
+        raise cannot_write(str(path), error) from error
+    return len(lines)
+
+
+def _row_of(task: LayoutTask) -> dict[str, Any]:
+    """The row of a task; lengths to a micrometre."""
+    table = task.table
+    row: dict[str, Any] = {"scene_id": task.scene_id, "instruction": task.instruction, "table_type": table.table_type}
+    lengths = {"table_size_cm": table.size_xy, "restricted_zone_cm": table.restricted_zone}
+    return row | {key: [round(100 * v, 4) for v in values] for key, values in lengths.items() if values is not None}
 
 
 def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:

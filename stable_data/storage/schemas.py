@@ -208,7 +208,9 @@ _scene_head = [
 
 _dropped = _column("dropped", pa.list_(DROPPED), "objects that were removed because they could not be placed, with the reason")
 _solved_by = _column(
-    "solved_by", _text, "step that made the scene clean: start (it was), flow, refine or certify; null if it is not clean"
+    "solved_by",
+    _text,
+    "step that made the scene clean: start (it was), flow, refine, certify or post_processing; null if it is not clean",
 )
 _aspect = _column("aspect", _numbers, "scale divided by its largest component, rounded to steps of 5 %")
 

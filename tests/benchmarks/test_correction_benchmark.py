@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from benchmarks import steerable_drake
-from benchmarks.baselines.outcome import BaselineResult
-from benchmarks.baselines.steerable import Steerable
 from benchmarks.correction import Result, chosen_layouts, judged, ratios, run, table
 from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms
 from benchmarks.layouts import BUCKETS, StartLayout, bucket_of, read_layouts, shaken, shaken_layouts
+from models.baselines.outcome import BaselineResult
+from models.baselines.steerable import Steerable
 from stable_data.assets.store import AssetStore
 from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.errors import SceneError

@@ -37,6 +37,9 @@ class SolvedBy(StrEnum):
     CERTIFY = "certify"
     """The certification."""
 
+    POST_PROCESSING = "post_processing"
+    """A post-hoc optimiser of another system, in place of all of these."""
+
 
 @dataclass(frozen=True, slots=True)
 class CorrectionOptions:
@@ -137,6 +140,7 @@ class Correction:
         rest: MuJoCo's verdict on ``certified``; None if there was no simulation.
         engine_fault: Why the simulation failed; empty if it did not, or was not requested.
         solved_by: The step that made the scene clean; None if it is not.
+        unsolved: Why a post-hoc optimiser has not reached its own goal; empty if it has, or if none corrected the scene.
     """
 
     status: CorrectionStatus
@@ -154,6 +158,7 @@ class Correction:
     rest: "SettleResult | None" = None
     engine_fault: str = ""
     solved_by: SolvedBy | None = None
+    unsolved: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -193,7 +193,7 @@ def request_fields(request: Request, sampling: Sampling) -> dict[str, Any]:
         "seed": request.seed % 2**63,  # endpoints accept signed 64-bit integers
     }
     if request.form.binds:
-        schema = {"name": "layout", "strict": True, "schema": request.form.schema()}
+        schema = {"name": request.form.name, "strict": True, "schema": request.form.schema()}
         fields["response_format"] = {"type": "json_schema", "json_schema": schema}
     return fields
 

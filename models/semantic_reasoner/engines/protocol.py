@@ -6,10 +6,11 @@ constructor raises a ConfigError if the engine cannot work at all (a folder with
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 from models.semantic_reasoner.engines.incremental_batches import Conversation, batch_conversation
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
+from models.semantic_reasoner.replies.json_form import JsonForm
 from models.semantic_reasoner.text.prompt import Message
 from models.semantic_reasoner.text.reply_json import LayoutObject
 from models.settings import Count, NonNegative, PositiveCount, Settings, Share
@@ -45,20 +46,24 @@ class Sampling(Settings):
     """How often the place of an object is drawn again, at most, while it is refused as soon as it is written; 0 refuses none."""
 
 
+ReplyForm: TypeAlias = ReplyGrammar | JsonForm
+"""The form of a reply: a layout, or another JSON document."""
+
+
 @dataclass(frozen=True, slots=True)
 class Request:
     """A chat to complete.
 
     Attributes:
         messages: The chat, as :func:`models.semantic_reasoner.text.prompt.messages` makes it.
-        form: The grammar of the reply; engines that can constrain decoding use it.
+        form: The form of the reply; engines that can constrain decoding use it.
         seed: Seed of the draws: with a reproducible engine the same request and seed give the same completion.
         refuses: Judges the last of the objects that a reply has so far. An engine in this process draws the place of a refused
             object again; other engines do not use it. None refuses nothing.
     """
 
     messages: tuple[Message, ...]
-    form: ReplyGrammar
+    form: ReplyForm
     seed: int = 0
     refuses: Callable[[Sequence[LayoutObject]], bool] | None = None
 

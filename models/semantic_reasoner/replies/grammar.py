@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+from models.semantic_reasoner.replies.json_form import closed_object
 from models.semantic_reasoner.text.reply_json import parse_reply
 from stable_data.errors import SceneError
 from stable_data.json_text import is_unicode
@@ -79,6 +80,11 @@ class ReplyGrammar:
         return cls(width, depth, **more)
 
     @property
+    def name(self) -> str:
+        """Name of the form, which endpoints ask for."""
+        return "layout"
+
+    @property
     def longest_cm(self) -> float:
         """Largest side of an object, centimetres: the table's diagonal."""
         return math.ceil(10 * math.hypot(self.width_cm, self.depth_cm)) / 10
@@ -90,7 +96,7 @@ class ReplyGrammar:
         """
         size = _triple([(0.1, self.longest_cm), (0.1, self.longest_cm), (0.1, HIGHEST_CM)])
         position = _triple([(0.0, self.width_cm), (0.0, self.depth_cm), (0.0, HIGHEST_CM)])
-        entry = _closed(
+        entry = closed_object(
             {
                 "instance": {"type": "string", "pattern": f"^{CATEGORY.pattern}_[0-9]{{1,2}}$"},
                 "description": {"type": "string"},
@@ -101,7 +107,7 @@ class ReplyGrammar:
         )
         objects = {"type": "array", "items": entry, "minItems": self.at_least, "maxItems": self.at_most}
         removed = {"type": "array", "items": {"type": "string", "enum": list(self.names)}, "maxItems": len(self.names)}
-        return _closed({**({"remove": removed} if self.edits and self.names else {}), "objects": objects})
+        return closed_object({**({"remove": removed} if self.edits and self.names else {}), "objects": objects})
 
     def grammar(self) -> str:
         """Returns the Lark grammar for llguidance of what :func:`models.semantic_reasoner.text.reply_json.render_objects` writes."""
@@ -149,10 +155,6 @@ def _triple(bounds: Iterable[tuple[float, float]]) -> dict[str, Any]:
         "minItems": 3,
         "maxItems": 3,
     }
-
-
-def _closed(properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
 
 
 @lru_cache(maxsize=512)

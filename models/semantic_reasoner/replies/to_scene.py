@@ -1,6 +1,6 @@
 """Converts a reply that passed the checks to scene objects, ready for retrieval."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from models.instruction_reader.goals import conditions_of_reading
@@ -14,7 +14,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.condition import GoalCondition
 from stable_data.metrics.alignment import AlignmentReference, align, members
-from stable_data.scene import TABLE, Relation, Scene, SceneObject, Stage, TaskInfo
+from stable_data.scene import TABLE, Relation, Scene, SceneObject, Stage, Tabletop, TaskInfo
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.scene_graph.support_from_boxes import carriers_of
 from stable_data.tasks.goal import rename_conditions
@@ -44,8 +44,7 @@ def objects_of_reply(
     objects = tuple(replace(o, support=carriers[o.instance]) for o in new)
     if question.wanted != "whole":
         return objects
-    stages = _stages(objects, question, interpret)
-    return tuple(replace(o, stage=stages[o.instance]) for o in objects)
+    return staged_by_instruction(objects, question.table, question.instruction, interpret)
 
 
 def attach_task_info(
@@ -88,15 +87,23 @@ def attach_task_info(
     return replace(scene, task=task)
 
 
-def _stages(
-    objects: tuple[SceneObject, ...], question: ReasonerQuestion, interpret: InstructionInterpreter | None
-) -> Mapping[str, Stage | None]:
-    """The stages of a whole layout."""
+def staged_by_instruction(
+    objects: Sequence[SceneObject], table: Tabletop, instruction: str, interpret: InstructionInterpreter | None
+) -> tuple[SceneObject, ...]:
+    """Returns the objects of a whole layout with their stages.
+
+    Args:
+        objects: The objects, with supports.
+        table: The table.
+        instruction: The instruction; if it has no known meaning, all objects are O^t.
+        interpret: Interprets the instruction; None: one that knows the nouns of the objects alone.
+    """
     if interpret is None:
         interpret = InstructionInterpreter(CategoryStatistics.of_names(o.category for o in objects))
-    found, _ = compare_with_instruction(objects, question.table, interpret(question.instruction))
+    found, _ = compare_with_instruction(objects, table, interpret(instruction))
     task_objects = () if found is None else tuple(name for _, name in found.matches)
     if not task_objects:
-        return dict.fromkeys((o.instance for o in objects), Stage.TASK)
-    task = TaskInfo("", question.instruction, task_objects=task_objects)
-    return {o.instance: o.stage for o in stage_scene(Scene("layout", question.table, objects, task=task)).objects}
+        return tuple(replace(o, stage=Stage.TASK) for o in objects)
+    task = TaskInfo("", instruction, task_objects=task_objects)
+    stages = {o.instance: o.stage for o in stage_scene(Scene("layout", table, tuple(objects), task=task)).objects}
+    return tuple(replace(o, stage=stages[o.instance]) for o in objects)

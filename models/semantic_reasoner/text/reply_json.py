@@ -25,7 +25,6 @@ LONGEST_REPLY = 2**18
 """The largest reply, bytes; a layout of 60 objects has about 20,000."""
 
 _INSTANCE = re.compile(r"[^\W\d_]\w*?_[0-9]+")
-_OPENING = re.compile(r'\{\s*"(?:objects|remove)"\s*:')
 # A whole string or a comma before a closing bracket; possessive, so that a string without an end costs linear time.
 _STRING_OR_COMMA = re.compile(r'("(?:[^"\\]|\\.)*+(?:"|\Z))|,(?=\s*[\]}])', re.DOTALL)
 
@@ -96,7 +95,7 @@ def layout_names(objects: Iterable[SceneObject]) -> dict[str, str]:
     count: Counter[str] = Counter()
     names = {}
     for o in objects:
-        category = _category_word(o.category)
+        category = category_word(o.category)
         names[o.instance] = f"{category}_{count[category]}"
         count[category] += 1
     return names
@@ -123,7 +122,8 @@ def _names_of(category: str) -> Iterator[str]:
     return (f"{category}_{n}" for n in itertools.count())
 
 
-def _category_word(category: str) -> str:
+def category_word(category: str) -> str:
+    """Returns a category as it stands in names of instances: small letters, digits and underscores."""
     word = re.sub(r"\W+", "_", category.lower()).strip("_")
     return word if word and not word[0].isdigit() else f"object_{word}".rstrip("_")
 
@@ -207,11 +207,7 @@ def parse_reply(text: str) -> LayoutReply:
         SceneError: The reply is too long (``reply_too_long``), not JSON (``reply_not_json``), or not in the form of a reply
             (``reply_malformed``).
     """
-    # Lone surrogates are passed, so that their size is counted and not an encoding error.
-    num_bytes = len(text.encode("utf-8", "surrogatepass"))
-    if num_bytes > LONGEST_REPLY:
-        raise SceneError(f"reply has {num_bytes} bytes, expected at most {LONGEST_REPLY}; ask again", "reply_too_long")
-    data = _json_in(text)
+    data = json_of_reply(text)
     if not isinstance(data, dict) or not isinstance(data.get("objects"), list):
         raise SceneError(f'reply is {_shown(text)}, expected {{"objects":[...]}}', "reply_malformed")
     removed = data.get("remove", [])
@@ -223,10 +219,23 @@ def parse_reply(text: str) -> LayoutReply:
     return LayoutReply(tuple(_parse(entry, k) for k, entry in enumerate(data["objects"])), tuple(removed))
 
 
-def _json_in(text: str) -> Any:
-    """The JSON that starts at the first brace; if that is none, the JSON that starts where the last reply opens."""
+def json_of_reply(text: str, keys: Sequence[str] = ("objects", "remove")) -> Any:
+    """Returns the JSON in a reply: what starts at the first brace; if that is no JSON, what starts where the last document opens.
+
+    Args:
+        text: The reply; code fences, words around the JSON, and commas before closing brackets are skipped.
+        keys: Keys with which the document may open.
+
+    Raises:
+        SceneError: The reply is too long (``reply_too_long``), or has no JSON (``reply_not_json``).
+    """
+    # Lone surrogates are passed, so that their size is counted and not an encoding error.
+    num_bytes = len(text.encode("utf-8", "surrogatepass"))
+    if num_bytes > LONGEST_REPLY:
+        raise SceneError(f"reply has {num_bytes} bytes, expected at most {LONGEST_REPLY}; ask again", "reply_too_long")
     end = text.rfind("}") + 1 or len(text)
-    starts = [max(0, text.find("{")), *(m.start() for m in _OPENING.finditer(text))]
+    opening = re.compile(rf'\{{\s*"(?:{"|".join(map(re.escape, keys))})"\s*:')
+    starts = [max(0, text.find("{")), *(m.start() for m in opening.finditer(text))]
     for start in (starts[0], starts[-1]):
         body = text[start:end]
         for attempt in (body, _STRING_OR_COMMA.sub(r"\1", body)):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from models.baselines.placement.problem import Placement
 from models.dual_system.algorithm1 import Corrects, LoopSettings, dual_system
 from models.dual_system.batching import run_batched
 from models.dual_system.generation_state import StageCandidate
@@ -14,6 +15,9 @@ from models.dual_system.requests import (
     ExchangedAssets,
     ExchangeRequest,
     GenerationResult,
+    LanguageAnswer,
+    LanguageRequest,
+    PlacementRequest,
     ProposalRequest,
     Request,
     RetrievalRequest,
@@ -24,7 +28,8 @@ from models.physics_corrector.corrector import PhysicsCorrector
 from models.semantic_reasoner.engines.incremental_batches import Conversation, batch_conversation
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
-from models.semantic_reasoner.reasoner import Proposal, RefusedReply
+from models.semantic_reasoner.reasoner import Proposal
+from models.semantic_reasoner.replies.refused_reply import RefusedReply
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
@@ -55,14 +60,21 @@ class Answers:
     asked: list[Request] = field(default_factory=list)
     batches: list[int] = field(default_factory=list)  # of corrections
 
-    def propose(self, questions: Sequence[ProposalRequest]) -> Conversation[Proposal, ProposalRequest]:
+    def propose(self, questions: Sequence[LanguageRequest]) -> Conversation[LanguageAnswer, LanguageRequest]:
         return batch_conversation(self.proposed, questions)
 
-    def proposed(self, questions: Sequence[ProposalRequest]) -> list[Proposal]:
+    def proposed(self, questions: Sequence[LanguageRequest]) -> list[LanguageAnswer]:
         self.asked += questions
+        return [self._proposed(q) for q in questions]
+
+    def _proposed(self, q: LanguageRequest) -> Proposal:
+        assert isinstance(q, ProposalRequest), "Algorithm 1 does not chat"
         if callable(self.stages):
-            return [self.stages(q) for q in questions]
-        return [Proposal(LayoutReply(tuple(self.stages[q.question.wanted])), tries=1) for q in questions]
+            return self.stages(q)
+        return Proposal(LayoutReply(tuple(self.stages[q.question.wanted])), tries=1)
+
+    def place(self, questions: Sequence[PlacementRequest]) -> list[Placement]:
+        raise AssertionError("Algorithm 1 searches for no places")
 
     def retrieve(self, questions: Sequence[RetrievalRequest]) -> list[AssignedLayout]:
         self.asked += questions

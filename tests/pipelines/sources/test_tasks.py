@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from models.semantic_reasoner.staged_layout import LayoutTask
-from pipelines.sources.tasks import read_tasks
+from pipelines.sources.tasks import read_tasks, write_tasks
 from stable_data.errors import ConfigError, Notice
 from stable_data.scene import Tabletop
 
@@ -119,3 +119,25 @@ def test_a_file_that_holds_no_tasks_is_refused(content: bytes | None, ending: st
         list(read_tasks(path))
     assert caught.value.code == "tasks_invalid"
     assert "\n" not in str(caught.value)
+
+
+def test_tasks_that_are_written_are_read_again(tmp_path: Path) -> None:
+    tables = Tabletop("bathroom_vanity", (1.2345, 0.5), (0.3, 0.7, 0.05, 0.45)), Tabletop("table", (0.8, 0.6))
+    tasks = [LayoutTask(f"task_{k}", f"Lift the café cup {k}.", table) for k, table in enumerate(tables)]
+    path = tmp_path / "made" / "tasks.jsonl"
+    assert write_tasks(path, tasks) == 2
+    found = list(read_tasks(path))
+    assert all(isinstance(task, LayoutTask) for task in found)
+    for task, again in zip(tasks, found, strict=True):
+        assert isinstance(again, LayoutTask)
+        assert (again.scene_id, again.instruction, again.table.table_type) == (
+            task.scene_id,
+            task.instruction,
+            task.table.table_type,
+        )
+        assert again.table.size_xy == pytest.approx(task.table.size_xy, abs=1e-9)
+        assert again.table.restricted_zone == (
+            None if task.table.restricted_zone is None else pytest.approx(task.table.restricted_zone, abs=1e-9)
+        )
+    with pytest.raises(ConfigError, match="jsonl"):
+        write_tasks(tmp_path / "tasks.csv", tasks)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from benchmarks.baselines.outcome import BaselineResult
+from models.baselines.outcome import BaselineResult
 from models.physics_corrector.geometry.closest_point import ClosestPointQueries, posed_distance
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
 from models.physics_corrector.geometry.shape_tensors import ShapeCollector, ShapeTensors
@@ -45,7 +45,7 @@ class PenaltyDescent:
     tolerance: float = 5e-4
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Optimises the poses; see :class:`~benchmarks.baselines.outcome.Baseline`. Converged: no sample is deeper than the tolerance."""
+        """Optimises the poses; see :class:`~models.baselines.outcome.Baseline`. Converged: no sample is deeper than the tolerance."""
         table = ShapeCollector(store, num_surface=self.num_samples)
         batch = LayoutBatch.from_scenes([scene], table)
         geometry = table.geometry()

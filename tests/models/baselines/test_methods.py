@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.baselines.mesatask import MesaTask
-from benchmarks.baselines.methods import METHODS
-from benchmarks.baselines.outcome import Baseline, BaselineResult
-from benchmarks.baselines.penalty import PenaltyDescent
-from benchmarks.baselines.settling import Settle
-from benchmarks.baselines.steerable import Steerable
+from models.baselines.mesatask import MesaTask
+from models.baselines.methods import METHODS
+from models.baselines.outcome import Baseline, BaselineResult
+from models.baselines.penalty import PenaltyDescent
+from models.baselines.settling import Settle
+from models.baselines.steerable import Steerable
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject

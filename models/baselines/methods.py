@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from benchmarks.baselines.mesatask import MesaTask
-from benchmarks.baselines.outcome import Baseline
-from benchmarks.baselines.penalty import PenaltyDescent
-from benchmarks.baselines.settling import Settle
-from benchmarks.baselines.steerable import Steerable
+from models.baselines.mesatask import MesaTask
+from models.baselines.outcome import Baseline
+from models.baselines.penalty import PenaltyDescent
+from models.baselines.settling import Settle
+from models.baselines.steerable import Steerable
 
 METHODS: Mapping[str, Baseline] = MappingProxyType(
     {

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.baselines.hulls import ConvexBodies, table_box
-from benchmarks.baselines.outcome import BaselineResult
-from benchmarks.baselines.projection import Freedom, ProjectionSettings, project
+from models.baselines.hulls import ConvexBodies, table_box
+from models.baselines.outcome import BaselineResult
+from models.baselines.projection import Freedom, ProjectionSettings, project
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
@@ -42,7 +42,7 @@ class Steerable:
     max_seconds: float = 60.0
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Moves objects apart, also vertically; see :class:`~benchmarks.baselines.outcome.Baseline`.
+        """Moves objects apart, also vertically; see :class:`~models.baselines.outcome.Baseline`.
 
         Steerable would discard a scene that did not converge; here its last iterate is returned.
         """
@@ -55,6 +55,7 @@ class Steerable:
         start = np.concatenate([poses[:, :3], middle[None]])
         is_free = np.ones(start.shape, np.bool_)
         is_free[-1] = False
+        is_free[:-1][[o.instance in scene.fixed for o in scene.objects]] = False
         anywhere = np.full(start.shape, np.inf)
         settings = ProjectionSettings(
             0.0, self.influence, self.tolerance * self.influence, self.max_iterations, self.max_seconds

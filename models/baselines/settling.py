@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from benchmarks.baselines.outcome import BaselineResult
+from models.baselines.outcome import BaselineResult
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
@@ -30,7 +30,7 @@ class Settle:
     density: float = DENSITY
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Simulates; see :class:`~benchmarks.baselines.outcome.Baseline`. Objects may tip over, or fall off the table.
+        """Simulates; see :class:`~models.baselines.outcome.Baseline`. Objects may tip over, or fall off the table.
 
         Converged: the simulation did not diverge, and all objects rest.
         """

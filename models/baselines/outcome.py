@@ -33,7 +33,7 @@ class Baseline(Protocol):
         """Corrects one scene.
 
         Args:
-            scene: The start layout.
+            scene: The start layout; its fixed objects are obstacles.
             shapes: Geometry of its objects, in order (``AssetStore.resolved``).
             store: Meshes of its assets.
 

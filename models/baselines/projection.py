@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import nnls
 
-from benchmarks.baselines.hulls import ConvexBodies, Distances
+from models.baselines.hulls import ConvexBodies, Distances
 from stable_data.scene import FloatArray, IntArray
 
 _MARGIN = 1e-5  # added to the gap, metres: bodies that just touch have no normal

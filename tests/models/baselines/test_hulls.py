@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.baselines.hulls import ConvexBodies, solid_hull, table_box
+from models.baselines.hulls import ConvexBodies, solid_hull, table_box
 from stable_data.errors import MeshError
 from stable_data.scene import FloatArray, Tabletop
 from tests.scenes import ball, box

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.baselines.hulls import ConvexBodies
-from benchmarks.baselines.outcome import BaselineResult
-from benchmarks.baselines.projection import Freedom, ProjectionSettings, project
-from benchmarks.baselines.steerable import turned_parts
+from models.baselines.hulls import ConvexBodies
+from models.baselines.outcome import BaselineResult
+from models.baselines.projection import Freedom, ProjectionSettings, project
+from models.baselines.steerable import turned_parts
 from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.shape import Shape
@@ -56,7 +56,7 @@ class MesaTask:
     lift: float = 0.25
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
-        """Moves objects apart; see :class:`~benchmarks.baselines.outcome.Baseline`.
+        """Moves objects apart; see :class:`~models.baselines.outcome.Baseline`.
 
         Converged: all pairs have the required distance and, in the released form, the result was used.
         """
@@ -104,7 +104,7 @@ class MesaTask:
     def _freedom(self, scene: Scene, positions: FloatArray) -> Freedom:
         """Returns what may move: by default x and y; objects of ``above`` and ``below`` only up; objects in others also up.
 
-        ``on`` counts as ``above``: MesaTask's graphs have no other word for it.
+        ``on`` counts as ``above``: MesaTask's graphs have no other word for it. Fixed objects do not move.
         """
         place = {o.instance: n for n, o in enumerate(scene.objects)}
         is_free = np.tile([True, True, False], (len(place), 1))
@@ -117,6 +117,7 @@ class MesaTask:
         for relation in scene.relations:
             if relation.kind is RelationKind.IN and relation.target in place:
                 is_free[place[relation.subject]] = True
+        is_free[[o.instance in scene.fixed for o in scene.objects]] = False
         limit = (_RELEASED_LIMIT, _RELEASED_LIMIT) if self.is_released else scene.table.size_xy
         low, high = np.zeros(positions.shape), np.full(positions.shape, np.inf)
         high[:, :2] = limit

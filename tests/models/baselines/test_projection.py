@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.baselines.hulls import ConvexBodies
-from benchmarks.baselines.projection import Freedom, ProjectionSettings, least_shift, project
+from models.baselines.hulls import ConvexBodies
+from models.baselines.projection import Freedom, ProjectionSettings, least_shift, project
 from stable_data.scene import FloatArray
 from tests.scenes import box
 

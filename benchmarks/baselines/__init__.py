@@ -1,1 +1,0 @@
-"""Post-hoc optimisers that the paper compares its corrector with, behind one interface (`outcome.Method`, `methods.METHODS`)."""
