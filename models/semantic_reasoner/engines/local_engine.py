@@ -16,9 +16,10 @@ from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, P
 
 from models.semantic_reasoner.engines.batched_decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engines.incremental_batches import Conversation
-from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long
+from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long, reads_no_pictures
 from models.semantic_reasoner.engines.shared_batch import SharedBatch
 from models.semantic_reasoner.engines.token_sampling import TokenSampler
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.reply_json import POSITION, parse_beginning, parse_reply
 from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.errors import ConfigError
@@ -176,6 +177,8 @@ class LocalEngine:
             requests = (yield done) if done else ()
 
     def _start(self, index: int, request: Request) -> _Sequence | Completion:
+        if request.pictures:
+            return reads_no_pictures(self.name)
         chat = chat_text(self._tokenizer, request.messages, thinks=not request.form.binds)
         prompt: list[int] = self._tokenizer(chat, add_special_tokens=False)["input_ids"]
         longest = self._model.config.get_text_config().max_position_embeddings
@@ -196,10 +199,11 @@ class LocalEngine:
 
         Returns False if none is missing, or if there is no room for it in the ``room`` tokens of a reply.
         """
-        if sequence.matcher is None or not sequence.request.form.asks:
+        form = sequence.request.form
+        if sequence.matcher is None or not isinstance(form, ReplyGrammar) or not form.asks:
             return False
         whole = self._text(sequence.reply)
-        lacking = sequence.request.form.lacking(whole)
+        lacking = form.lacking(whole)
         if lacking is None:
             return False
         objects = whole.removesuffix(_CLOSING)
@@ -210,8 +214,8 @@ class LocalEngine:
         self._shorten(sequence.reply, len(objects))
         start = objects[len(self._text(sequence.reply)) :] + ("," if count else "")
         is_long = 2 * len(sequence.reply) > room  # then only missing objects may follow
-        at_most = 1 if is_long else sequence.request.form.at_most - count
-        sequence.matcher = self._matcher(sequence.request.form.grammar_after(start, lacking, at_most))
+        at_most = 1 if is_long else form.at_most - count
+        sequence.matcher = self._matcher(form.grammar_after(start, lacking, at_most))
         return True
 
     def _redraw(self, sequence: _Sequence) -> bool:

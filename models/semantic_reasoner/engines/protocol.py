@@ -6,10 +6,9 @@ constructor raises a ConfigError if the engine cannot work at all (a folder with
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from models.semantic_reasoner.engines.incremental_batches import Conversation, batch_conversation
-from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.prompt import Message
 from models.semantic_reasoner.text.reply_json import LayoutObject
 from models.settings import Count, NonNegative, PositiveCount, Settings, Share
@@ -45,22 +44,49 @@ class Sampling(Settings):
     """How often the place of an object is drawn again, at most, while it is refused as soon as it is written; 0 refuses none."""
 
 
+class ReplyForm(Protocol):
+    """The form of a reply, a frozen dataclass: :class:`models.semantic_reasoner.replies.grammar.ReplyGrammar` for layouts."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def name(self) -> str:
+        """Name of the form, which endpoints ask for: letters, digits and underscores."""
+        ...
+
+    @property
+    def binds(self) -> bool:
+        """Whether an answer is this JSON alone; else any text may surround it."""
+        ...
+
+    def schema(self) -> dict[str, Any]:
+        """Returns the JSON Schema, with the keywords of OpenAI's strict mode."""
+        ...
+
+    def grammar(self) -> str:
+        """Returns the Lark grammar for llguidance."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Request:
     """A chat to complete.
 
     Attributes:
         messages: The chat, as :func:`models.semantic_reasoner.text.prompt.messages` makes it.
-        form: The grammar of the reply; engines that can constrain decoding use it.
+        form: The form of the reply; engines that can constrain decoding use it.
         seed: Seed of the draws: with a reproducible engine the same request and seed give the same completion.
         refuses: Judges the last of the objects that a reply has so far. An engine in this process draws the place of a refused
             object again; other engines do not use it. None refuses nothing.
+        pictures: PNG files, which the model sees after the text of the first message of the user. Only the ``openai`` engine sends
+            pictures; a request with pictures is a failure in the engines in this process (``pictures_unsupported``).
     """
 
     messages: tuple[Message, ...]
-    form: ReplyGrammar
+    form: ReplyForm
     seed: int = 0
     refuses: Callable[[Sequence[LayoutObject]], bool] | None = None
+    pictures: tuple[bytes, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +116,12 @@ def is_too_long(num_prompt: int, longest: int) -> Completion:
     """Returns the completion of a request of ``num_prompt`` tokens for a model that reads ``longest``."""
     failure = f"the question has {num_prompt:,} tokens, the model reads {longest:,}; shorten it"
     return Completion("", num_prompt, failure=failure, code="prompt_too_long")
+
+
+def reads_no_pictures(engine: str) -> Completion:
+    """Returns the completion of a request with pictures for an engine, by its name, that reads text alone."""
+    failure = f"{engine} reads text alone, but the question has pictures; use the openai engine with a model that sees"
+    return Completion("", failure=failure, code="pictures_unsupported")
 
 
 class Engine(Protocol):

@@ -79,6 +79,11 @@ class ReplyGrammar:
         return cls(width, depth, **more)
 
     @property
+    def name(self) -> str:
+        """The name of the form."""
+        return "layout"
+
+    @property
     def longest_cm(self) -> float:
         """Largest side of an object, centimetres: the table's diagonal."""
         return math.ceil(10 * math.hypot(self.width_cm, self.depth_cm)) / 10

@@ -15,6 +15,7 @@ from models.semantic_reasoner.engines.protocol import Completion, Request
 from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings
 from models.semantic_reasoner.factory import ReasonerSettings
 from models.semantic_reasoner.reasoner import SemanticReasoner
+from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from models.semantic_reasoner.text.reply_json import render_objects
 from pipelines.__main__ import app
 from pipelines.edit.job import edit
@@ -78,7 +79,7 @@ def test_the_reasoner_is_asked_again_until_its_reply_can_be_used(
         k: r["objects"] for k, r in rows_of(edited, "scenes").items()
     }
     assert [len(request.messages) for request in engine.asked] == ([2] * 4 + [4] * 4) * 2 + [2, 4, 6]
-    assert all(request.form.edits for request in engine.asked)
+    assert all(isinstance(request.form, ReplyGrammar) and request.form.edits for request in engine.asked)
     assert "reply is not JSON" in engine.asked[4].messages[-1]["content"]
     assert "nothing is changed" in engine.asked[-1].messages[-1]["content"]
     assert [w["code"] for w in RunFolder(str(out)).table("warnings").to_pylist() if w["id"] == "same"] == ["nothing_changed"]

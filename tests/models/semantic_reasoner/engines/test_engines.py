@@ -67,7 +67,9 @@ def drawn(request: Request) -> str:
     if len(request.messages[-1]["content"]) > 10_000:
         raise SceneError("the prompt is too long", "prompt_too_long")
     draws = np.random.default_rng(request.seed)
-    x, y = (round(float(draws.uniform(5, side)), 1) for side in (request.form.width_cm - 5, request.form.depth_cm - 5))
+    form = request.form
+    assert isinstance(form, ReplyGrammar)
+    x, y = (round(float(draws.uniform(5, side)), 1) for side in (form.width_cm - 5, form.depth_cm - 5))
     return render_objects([LayoutObject("mug_0", "a mug", (9.0, 8.0, 10.0), (x, y, 5.0), int(draws.integers(-179, 181)))])
 
 
