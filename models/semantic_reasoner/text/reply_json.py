@@ -211,7 +211,7 @@ def parse_reply(text: str) -> LayoutReply:
     num_bytes = len(text.encode("utf-8", "surrogatepass"))
     if num_bytes > LONGEST_REPLY:
         raise SceneError(f"reply has {num_bytes} bytes, expected at most {LONGEST_REPLY}; ask again", "reply_too_long")
-    data = _json_in(text)
+    data = json_in(text, _OPENING)
     if not isinstance(data, dict) or not isinstance(data.get("objects"), list):
         raise SceneError(f'reply is {_shown(text)}, expected {{"objects":[...]}}', "reply_malformed")
     removed = data.get("remove", [])
@@ -223,10 +223,18 @@ def parse_reply(text: str) -> LayoutReply:
     return LayoutReply(tuple(_parse(entry, k) for k, entry in enumerate(data["objects"])), tuple(removed))
 
 
-def _json_in(text: str) -> Any:
-    """The JSON that starts at the first brace; if that is none, the JSON that starts where the last reply opens."""
+def json_in(text: str, opening: re.Pattern[str]) -> Any:
+    """Returns the JSON in an answer: what starts at the first brace; if that is no JSON, what starts where the last reply opens.
+
+    Args:
+        text: The answer.
+        opening: How a reply opens.
+
+    Raises:
+        SceneError: There is none (``reply_not_json``).
+    """
     end = text.rfind("}") + 1 or len(text)
-    starts = [max(0, text.find("{")), *(m.start() for m in _OPENING.finditer(text))]
+    starts = [max(0, text.find("{")), *(m.start() for m in opening.finditer(text))]
     for start in (starts[0], starts[-1]):
         body = text[start:end]
         for attempt in (body, _STRING_OR_COMMA.sub(r"\1", body)):

@@ -1,0 +1,61 @@
+"""Reads the scores in a reply; a reply with any fault has no scores at all."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from models.scene_rating.prompt import NUMBERS
+from models.semantic_reasoner.text.reply_json import LONGEST_REPLY, json_in
+from stable_data.errors import SceneError
+from stable_data.json_text import quote_value
+from stable_data.rating.criteria import CRITERIA, HIGHEST, LOWEST, STEP
+from stable_data.rating.rating import CriterionScore
+
+_OPENING = re.compile(rf'\{{\s*"{NUMBERS["front"]}"\s*:')
+_LONGEST_RATIONALE = 1000  # characters that are kept
+
+NOT_SEEN = "pictures_not_seen"
+"""Code of a reply that does not repeat the numbers below the pictures."""
+
+
+def parse_rating(text: str, numbers: Mapping[str, int]) -> dict[str, CriterionScore]:
+    """Returns the scores of a reply by criterion.
+
+    Code fences and words around the JSON are skipped, since models whose replies are not bound add them.
+
+    Args:
+        text: The reply.
+        numbers: The number below each picture, by the picture's name.
+
+    Raises:
+        SceneError: The reply is too long (``reply_too_long``), not JSON (``reply_not_json``), lacks a criterion, a score or a
+            rationale, has a score that is none (``reply_malformed``), or was given without sight of the pictures
+            (``pictures_not_seen``).
+    """
+    if len(text) > LONGEST_REPLY:
+        raise SceneError(f"reply has {len(text)} characters, expected at most {LONGEST_REPLY}", "reply_too_long")
+    data = json_in(text, _OPENING)
+    if not isinstance(data, dict):
+        raise SceneError(f"reply is {quote_value(data)}, expected a JSON object", "reply_malformed")
+    found = {criterion.key: _score(data, criterion.key) for criterion in CRITERIA}
+    for name, number in numbers.items():
+        said = data.get(NUMBERS[name])
+        if type(said) is not int or said != number:  # the right number is not told, since the message is sent to the model
+            raise SceneError(f"{quote_value(said)} is not the number below the {name} picture; look at both again", NOT_SEEN)
+    return found
+
+
+def _score(data: Mapping[str, Any], key: str) -> CriterionScore:
+    entry = data.get(key)
+    if not isinstance(entry, dict):
+        raise SceneError(f'"{key}" is {quote_value(entry)}, expected an object with rationale and score', "reply_malformed")
+    score, rationale = entry.get("score"), entry.get("rationale")
+    is_number = isinstance(score, int | float) and not isinstance(score, bool)
+    if not is_number or not LOWEST <= score <= HIGHEST or (score - LOWEST) % STEP:
+        raise SceneError(
+            f'"{key}" has score {quote_value(score)}, expected a whole or half number from {LOWEST:g} to {HIGHEST:g}',
+            "reply_malformed",
+        )
+    if not isinstance(rationale, str) or not rationale.strip():
+        raise SceneError(f'"{key}" has rationale {quote_value(rationale)}, expected one or two sentences', "reply_malformed")
+    return CriterionScore(float(score), " ".join(rationale.split())[:_LONGEST_RATIONALE])
