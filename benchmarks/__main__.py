@@ -64,6 +64,7 @@ def main() -> None:
             "generalisation": ([data], ["--scenes", "3", "--cases", "3", "--workers", "0"]),
             # Without a generated run: what scenes of training reach, whose pairs of categories are all known.
             "taste": ([run, run, "--generated-split", "train"], []),
+            "rating": ([run], ["--scenes", "3", "--bad", "1"]),
             "chaos": ([], ["--scenes", "16", "--kills", "3", "--per-shard", "2"]),
             "asset_import": ([data], ["--limit", "6"]),
             "supports": ([], ["--faces", "2000"]),

@@ -8,11 +8,11 @@ import numpy as np
 
 from models.scene_rating.fault import Fault, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
-from models.scene_rating.usual_layouts import UPRIGHT, UsualLayouts, askew, spread_of, standing_objects, turned_away
+from models.scene_rating.usual_layouts import UPRIGHT, UsualLayouts, askew, offset_of, spread_of, standing_objects, turned_away
 from stable_data.geometry.shape import Shape
 from stable_data.rating.rating import CriterionScore
 from stable_data.rotations import rotate_xy
-from stable_data.scene import FloatArray, SceneObject
+from stable_data.scene import FloatArray, Scene, SceneObject
 from stable_data.scene_graph.relations import yawed_rectangle
 
 REACH = 0.8
@@ -63,13 +63,8 @@ class LayoutRules:
         checked += [f"the company of {known} of {len(scene.movable)} objects"] if known else []
         if known and not self._usual.knows_table(scene.table.table_type):
             left_out.append(f"what is special to a {scene.table.table_type}, a kind of table without statistics")
-        limit = self._usual.spread_limit(len(standing))
-        if limit is not None:
-            checked.append("the spread")
-            share = spread_of(scene)
-            if share < limit:
-                words = f"everything stands within {share:.0%} of the table, usual are {limit:.0%} or more"
-                faults.append(Fault(_SEVERITY["spread"] * (1 - share / limit), words))
+        faults += self._place_faults(scene)
+        checked += ["the spread"] if self._usual.limits(len(scene.movable)) is not None else []
         wanted = [o for o in scene.movable if scene.task is not None and o.instance in scene.task.task_objects]
         checked += [f"the reach of {len(wanted)} task objects"] if wanted else []
         faults += _reach_faults(wanted)
@@ -88,6 +83,21 @@ class LayoutRules:
             yield Fault(_SEVERITY["away"], f"{o.instance} faces away, by {math.degrees(away):.0f} degrees")
         elif usual.askew <= _KEPT_STRAIGHT and deviation > _ASKEW and turn_shows(shape, deviation):
             yield Fault(_SEVERITY["askew"], f"{o.instance} stands askew, by {math.degrees(deviation):.0f} degrees")
+
+    def _place_faults(self, scene: Scene) -> Iterator[Fault]:
+        """A layout that takes too little of the table, or stands too far from its middle."""
+        limits = self._usual.limits(len(scene.movable))
+        if limits is None:
+            return
+        (least, most), share, offset = limits, spread_of(scene), offset_of(scene)
+        if share < least:
+            words = f"everything stands within {share:.0%} of the table, usual are {least:.0%} or more"
+            yield Fault(_SEVERITY["spread"] * (1 - share / least), words)
+        if offset > most:
+            words = (
+                f"the objects are {offset:.0%} of the way from the middle of the table to an edge, usual are {most:.0%} or less"
+            )
+            yield Fault(_SEVERITY["spread"] * min(1.0, (offset - most) / max(1 - most, 1e-6)), words)
 
     def _company_faults(self, case: AuditedScene) -> Iterator[Fault]:
         scene = case.scene

@@ -62,11 +62,15 @@ class SymbolicJudge:
         """Returns one rating for each scene, in their order."""
         return [self._rated(case) for case in cases]
 
+    def score(self, key: str, audited: AuditedScene) -> CriterionScore:
+        """Returns the score of a scene by one criterion."""
+        return self._rules[key](audited)
+
     def _rated(self, case: RatingCase) -> Rating:
         if case.audited is None:
             reason = f"{case.scene_id}: has no geometry, which rules need"
             return Rating(case.scene_id, self.name, self.version, {}, case.clean, "geometry_missing", reason)
-        scores = {criterion.key: self._rules[criterion.key](case.audited) for criterion in CRITERIA}
+        scores = {criterion.key: self.score(criterion.key, case.audited) for criterion in CRITERIA}
         open_ = [f"{c.name}: {scores[c.key].rationale}" for c in CRITERIA if scores[c.key].score is None]
         code, reason = ("criterion_unknown", f"{case.scene_id}: unknown is {'; '.join(open_)}") if open_ else ("", "")
         return Rating(case.scene_id, self.name, self.version, scores, case.clean, code, reason)

@@ -41,8 +41,8 @@ UPRIGHT = math.radians(5)
 """An object that is tilted more is not counted: its yaw says nothing about its front."""
 
 _FRONT = math.radians(45)  # largest yaw of an object that faces the front edge
-_SIZES = (2, 6, 11, 15)  # fewest standing objects of the groups of layouts whose spread is measured apart
-_LEAST = 0.01  # quantile of the spread below which a layout is heaped up
+_SIZES = (3, 6, 11, 16)  # fewest objects of the groups of layouts whose spread is measured apart
+_RARE = 0.01  # share of the layouts that are heaped up more, or farther off the middle
 
 Pair: TypeAlias = tuple[str, str]
 """Two categories in alphabetical order."""
@@ -71,13 +71,15 @@ class UsualLayouts:
         num_scenes: Number of scenes of each kind of table.
         turns: How things are turned, by category.
         together: Pairs of categories that stand on the same table, by kind of table.
-        least_spread: Spread that 99 % of the layouts exceed, see :func:`spread_of`, by the fewest standing objects of its group.
+        least_spread: Spread that 99 % of the layouts exceed, see :func:`spread_of`, by the fewest objects of its group.
+        most_offset: Offset that 99 % of the layouts do not exceed, see :func:`offset_of`, likewise.
     """
 
     num_scenes: Mapping[str, int]
     turns: Mapping[str, UsualTurn]
     together: Mapping[str, frozenset[Pair]]
     least_spread: Mapping[int, float]
+    most_offset: Mapping[int, float]
 
     @cached_property
     def _anywhere(self) -> frozenset[Pair]:
@@ -114,17 +116,19 @@ class UsualLayouts:
         found = self.turns.get(category)
         return found if found is not None and found.count >= FEWEST_OBJECTS else None
 
-    def spread_limit(self, num_standing: int) -> float | None:
-        """Returns the least usual spread of a layout by the number of its standing objects; None for fewer than two."""
-        groups = [fewest for fewest in self.least_spread if fewest <= num_standing]
-        return self.least_spread[max(groups)] if groups else None
+    def limits(self, num_objects: int) -> tuple[float, float] | None:
+        """Returns the least usual spread and the largest usual offset by the number of objects; None for fewer than three."""
+        groups = [fewest for fewest in self.least_spread if fewest <= num_objects]
+        return (self.least_spread[max(groups)], self.most_offset[max(groups)]) if groups else None
 
     def save(self, path: Path) -> None:
         """Writes the statistics to a file."""
         together = {table: sorted(f"{a} {b}" for a, b in pairs) for table, pairs in sorted(self.together.items())}
         turns = {name: asdict(turn) for name, turn in sorted(self.turns.items())}
         content = {"version": VERSION, "num_scenes": dict(sorted(self.num_scenes.items()))}
-        content |= {"least_spread": {str(k): v for k, v in self.least_spread.items()}, "turns": turns, "together": together}
+        limits = {"least_spread": self.least_spread, "most_offset": self.most_offset}
+        content |= {name: {str(k): v for k, v in values.items()} for name, values in limits.items()}
+        content |= {"turns": turns, "together": together}
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file_atomically(path, (json.dumps(content, indent=0, separators=(",", ":")) + "\n").encode())
 
@@ -152,7 +156,7 @@ class UsualLayouts:
                 {table: int(n) for table, n in data["num_scenes"].items()},
                 {name: UsualTurn(int(t["count"]), float(t["front"]), float(t["askew"])) for name, t in data["turns"].items()},
                 {table: frozenset(_pair(*pair.split(" ")) for pair in pairs) for table, pairs in data["together"].items()},
-                {int(fewest): float(least) for fewest, least in data["least_spread"].items()},
+                *({int(n): float(v) for n, v in data[name].items()} for name in ("least_spread", "most_offset")),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"{path}: {error!r}; {advice}", "statistics_invalid") from error
@@ -163,20 +167,23 @@ class UsualLayouts:
         num_scenes: Counter[str] = Counter()
         together: defaultdict[str, set[Pair]] = defaultdict(set)
         yaws: defaultdict[str, list[float]] = defaultdict(list)
-        spreads: defaultdict[int, list[float]] = defaultdict(list)
+        places: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
         for scene in scenes:
-            table_type, standing = scene.table.table_type, standing_objects(scene)
+            table_type = scene.table.table_type
             num_scenes[table_type] += 1
             together[table_type].update(combinations(sorted({o.category for o in scene.movable}), 2))
-            for o in standing:
+            for o in standing_objects(scene):
                 if o.tilt_angle <= UPRIGHT:
                     yaws[o.category].append(o.yaw)
-            groups = [fewest for fewest in _SIZES if fewest <= len(standing)]
+            groups = [fewest for fewest in _SIZES if fewest <= len(scene.movable)]
             if groups:
-                spreads[max(groups)].append(spread_of(scene))
-        least = {n: round(float(np.quantile(values, _LEAST)), 4) for n, values in sorted(spreads.items())}
+                places[max(groups)].append((spread_of(scene), offset_of(scene)))
+        least, most = (
+            {n: round(float(np.quantile([place[k] for place in found], share)), 4) for n, found in sorted(places.items())}
+            for k, share in ((0, _RARE), (1, 1 - _RARE))
+        )
         turns = {category: _usual_turn(values) for category, values in yaws.items()}
-        return cls(num_scenes, turns, {table: frozenset(pairs) for table, pairs in together.items()}, least)
+        return cls(num_scenes, turns, {table: frozenset(pairs) for table, pairs in together.items()}, least, most)
 
 
 def _pair(one: str, other: str) -> Pair:
@@ -209,12 +216,21 @@ def standing_objects(scene: Scene) -> list[SceneObject]:
 
 
 def spread_of(scene: Scene) -> float:
-    """Returns the area of the convex hull around the outlines of all standing objects, as a share of the table's area."""
-    outlines = [yawed_rectangle(o) for o in standing_objects(scene)]
+    """Returns the area of the convex hull around the outlines of all objects, as a share of the table's area."""
+    outlines = [yawed_rectangle(o) for o in scene.movable]
     if not outlines:
         return 0.0
     x, y = scene.table.size_xy
     return float(shapely.convex_hull(shapely.multipoints(np.concatenate(outlines))).area) / (x * y)
+
+
+def offset_of(scene: Scene) -> float:
+    """Returns how far the mean of the objects' centres is from the middle of the table: 0 there, 1 at an edge."""
+    if not scene.movable:
+        return 0.0
+    half = np.array(scene.table.size_xy) / 2
+    middle = np.array([o.position[:2] for o in scene.movable]).mean(axis=0)
+    return float((np.abs(middle - half) / half).max())
 
 
 def read_scenes(folder: Path) -> Iterable[Scene]:

@@ -1,4 +1,4 @@
-"""The command ``rate``."""
+"""The command line of the rate job."""
 
 import json
 from pathlib import Path
