@@ -181,13 +181,16 @@ def main(
     rows = [("", "s/scene", "processor"), *((name, f"{a:.4f}", f"{b:.4f}") for name, (a, b) in parts.items())]
     print(align_columns([*rows, ("all", f"{total[0]:.4f}", f"{total[1]:.4f}")], 1))
     print(f"{1 / total[0]:.1f} scenes a second ({1 / total[1]:.1f} a second of processor time)\n" if total[1] else "")
+    average = "unknown" if summary.average is None else f"{summary.average:.2f}"
     means = [f"{key.upper()} {value:.2f}" for key, value in summary.averages.items()]
-    print(
-        f"{summary.num_rated} of {summary.num_scenes} scenes with a known average: {', '.join(means)}, Avg. {summary.average}"
-    )
+    print(f"{summary.num_rated} of {summary.num_scenes} scenes with a known average: {', '.join(means)}, Avg. {average}")
     print(f"unknown: {dict(summary.num_unknown)}; {summary.num_passed} of {summary.num_judged} pass\n")
-    losses = mean_losses(
-        rated[:bad], lambda changed: judge.rate([RatingCase.of(geometry_of(changed, chosen, chosen.store))])[0]
+    losses = (
+        {}
+        if not bad
+        else mean_losses(
+            rated[:bad], lambda changed: judge.rate([RatingCase.of(geometry_of(changed, chosen, chosen.store))])[0]
+        )
     )
     head = ("change", "scenes", "lowered", *(key.upper() for key in KEYS))
     lines = [
@@ -199,7 +202,8 @@ def main(
         )
         for name, of in losses.items()
     ]
-    print(align_columns([head, *lines], 1))
+    if lines:
+        print(align_columns([head, *lines], 1))
     if json_file is not None:
         figures = {"seconds": parts, "summary": asdict(summary), "losses": losses}
         json_file.write_text(json.dumps(figures, indent=1) + "\n", "utf-8")

@@ -46,12 +46,13 @@ def parse_rating(text: str, numbers: Mapping[str, int]) -> dict[str, CriterionSc
 
 
 def _score(data: Mapping[str, Any], key: str) -> CriterionScore:
-    entry = data.get(key)
+    entry: Any = data.get(key)
     if not isinstance(entry, dict):
         raise SceneError(f'"{key}" is {quote_value(entry)}, expected an object with rationale and score', "reply_malformed")
-    score, rationale = entry.get("score"), entry.get("rationale")
-    is_number = isinstance(score, int | float) and not isinstance(score, bool)
-    if not is_number or not LOWEST <= score <= HIGHEST or (score - LOWEST) % STEP:
+    score: Any = entry.get("score")
+    rationale: Any = entry.get("rationale")
+    # JSON's true is an int in Python.
+    if type(score) not in (int, float) or not LOWEST <= score <= HIGHEST or (score - LOWEST) % STEP:
         raise SceneError(
             f'"{key}" has score {quote_value(score)}, expected a whole or half number from {LOWEST:g} to {HIGHEST:g}',
             "reply_malformed",

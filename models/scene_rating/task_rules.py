@@ -1,7 +1,6 @@
 """The rules of the criterion "Consistency with Task": required objects, stated relations, stated looks."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 
 from models.scene_rating.fault import Fault, listed, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
@@ -11,12 +10,12 @@ from models.semantic_reasoner.language.category_statistics import CategoryStatis
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter, InterpretedInstruction
 from stable_data.assets.annotation import category_of
 from stable_data.instructions.naming import LOOK_WORDS, shows_look
-from stable_data.metrics.alignment import Alignment, align, broken_relations
+from stable_data.metrics.alignment import Alignment
 from stable_data.metrics.matching import candidates
 from stable_data.rating.rating import CriterionScore
+from stable_data.scene import Relation
 
 _RELATIONS, _LOOKS = 0.6, 0.4  # severity if no stated relation holds, and if every stated look is another one
-_EMBEDDED = Path(EMBEDDED)
 
 
 def interpreter_for(categories: Iterable[str]) -> InstructionInterpreter:
@@ -27,7 +26,7 @@ def interpreter_for(categories: Iterable[str]) -> InstructionInterpreter:
     """
     from models.text_encoder import load_default
 
-    known = CategoryStatistics.load(_EMBEDDED)
+    known = CategoryStatistics.load(EMBEDDED)
     more = CategoryStatistics.of_names(sorted({*categories} - known.categories.keys()))
     statistics = CategoryStatistics({**known.categories, **more.categories}, known.words, known.tables)
     return InstructionInterpreter(statistics, load_default())
@@ -55,14 +54,13 @@ class TaskRules:
         meant, named = self._interpret(scene.task.task), scene.task.task_objects
         if meant.reference is None and not named:
             return unknown("no object that the instruction names is known")
-        geometry = {"contacts": case.related.contacts, "footprints": case.related.footprints, "containers": case.containers}
-        found = None if meant.reference is None else align(scene, meant.reference, **geometry)
+        found = None if meant.reference is None else case.align(meant.reference)
         there = {o.instance for o in scene.objects}
         absent = [name for name in named if name not in there]
         faults, checked = list(_missing_objects(found, absent, len(named))), [_count_objects(found, named, absent)]
         relations = scene.task.relations
         if relations:
-            broken: Sequence[object] | None = broken_relations(scene, relations, **geometry)
+            broken: Sequence[Relation] | None = case.broken(relations)
             total = len(relations)
         else:
             broken = () if found is None else found.broken
@@ -113,7 +111,7 @@ def _count_objects(found: Alignment | None, named: Sequence[str], absent: Sequen
     return f"{len(found.matches)} of {len(found.reference.required)} required objects are there"
 
 
-def _relations_in_words(broken: Sequence[object], found: Alignment | None) -> str:
+def _relations_in_words(broken: Sequence[Relation], found: Alignment | None) -> str:
     names = {} if found is None else {r.instance: str(r) for r in found.reference.required}
     shown = [" ".join(names.get(word, word) for word in str(relation).split(" ")) for relation in broken]
     return listed(shown)

@@ -2,7 +2,7 @@
 
 from stable_data.geometry.mesh import Mesh
 from stable_data.simulation.offscreen import Picture
-from stable_data.simulation.render import object_colour, render_scene
+from stable_data.simulation.render import View, object_colour, render_scene
 from stable_data.simulation.scene_geometry import SceneGeometry
 
 
@@ -23,7 +23,7 @@ def scene_views(geometry: SceneGeometry, size: int) -> tuple[Picture, Picture]:
     colors = [geometry.store.paint_of(o) or object_colour(o) for o in geometry.scene.objects]
     looks = [None if mesh is None else geometry.look(k) for k, mesh in enumerate(geometry.meshes)]
 
-    def seen(view: str) -> Picture:
+    def seen(view: View) -> Picture:
         return render_scene(
             geometry.scene, meshes, size=(size, size), view=view, colors=colors, looks=looks, support=geometry.support
         )

@@ -13,7 +13,7 @@ from stable_data.rating.criteria import KEYS
 from stable_data.scene import Scene, Tabletop, TaskInfo
 from stable_data.simulation.offscreen import Picture
 
-SCORES = dict(zip(KEYS, (9, 9.5, 9.5, 9, 9), strict=True))
+SCORES: dict[str, float] = dict(zip(KEYS, (9, 9.5, 9.5, 9, 9), strict=True))
 
 
 def picture(shade: int) -> Picture:

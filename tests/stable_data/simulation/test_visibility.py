@@ -1,5 +1,7 @@
 """The visible share of silhouettes: what is known by calculation, and MuJoCo's segmentation."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -69,17 +71,17 @@ def test_the_shares_are_those_of_mujocos_segmentation(view: View) -> None:
 
 def segmented_shares(geometry: SceneGeometry, view: View, size: tuple[int, int]) -> FloatArray:
     """The shares by MuJoCo: pixels of each object among all, divided by its pixels alone."""
-    every = np.arange(len(geometry.shapes))
+    every = range(len(geometry.shapes))
     together = segmented(geometry, every, view, size)
-    return np.array([(together == k).sum() / (segmented(geometry, np.array([k]), view, size) == 0).sum() for k in every])
+    return np.array([(together == k).sum() / (segmented(geometry, [k], view, size) == 0).sum() for k in every])
 
 
-def segmented(geometry: SceneGeometry, chosen: FloatArray, view: View, size: tuple[int, int]) -> FloatArray:
+def segmented(geometry: SceneGeometry, chosen: Sequence[int], view: View, size: tuple[int, int]) -> FloatArray:
     """The index of the object in each pixel."""
     spec, poses = mujoco.MjSpec(), geometry.scene.poses()
     position, quat = camera_pose(*geometry.seen_bounds, view, size, geometry.scene.table)
     spec.worldbody.add_camera(name="view", pos=list(position), quat=wxyz(quat), fovy=FIELD_OF_VIEW)
-    for k in chosen.astype(int).tolist():
+    for k in chosen:
         shape = geometry.shapes[k]
         spec.add_mesh(name=f"m{k}", uservert=shape.posed(poses[k]).ravel(), userface=shape.faces.ravel().astype(np.int32))
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"m{k}")
