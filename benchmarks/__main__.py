@@ -67,6 +67,7 @@ def main() -> None:
             # Without a generated run: what scenes of training reach, whose pairs of categories are all known.
             "taste": ([run, run, "--generated-split", "train"], []),
             "set_distance": ([data], ["--scenes", "6", "--samples", "300", "--width", "128"]),
+            "rating": ([run], ["--scenes", "3", "--bad", "1"]),
             "chaos": ([], ["--scenes", "16", "--kills", "3", "--per-shard", "2"]),
             "asset_import": ([data], ["--limit", "6"]),
             "supports": ([], ["--faces", "2000"]),

@@ -10,6 +10,7 @@ import typer
 
 from pipelines.evaluation_commands import views
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, NumWorkers, RunOut, worker_count
+from pipelines.rating_commands import rate
 from pipelines.retired import CommandGroup
 from pipelines.robot_commands import demonstrate, evaluate_policy, reach
 from pipelines.scene_files import commands as scene_files
@@ -502,6 +503,7 @@ app.command("import-scenes")(scene_files.import_scenes)
 app.command("supports")(supports)
 app.command("reach", epilog=SETTINGS_HINT.format("reach"))(reach)
 app.command("views", epilog=SETTINGS_HINT.format("views"))(views)
+app.command("rate", epilog=SETTINGS_HINT.format("rate"))(rate)
 app.command("demonstrate", epilog=SETTINGS_HINT.format("demonstrate"))(demonstrate)
 app.command("evaluate-policy", epilog=SETTINGS_HINT.format("evaluate-policy"))(evaluate_policy)
 

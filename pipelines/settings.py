@@ -62,6 +62,7 @@ JOBS: Mapping[str, SettingsLocation] = {
     "generate": SettingsLocation("pipelines.generate.settings:GenerateSettings"),
     "demonstrate": SettingsLocation("pipelines.demonstrate.settings:DemonstrateSettings"),
     "reach": SettingsLocation("pipelines.reach.settings:ReachSettings"),
+    "rate": SettingsLocation("pipelines.rate.settings:RateSettings"),
     "evaluate-policy": SettingsLocation("pipelines.evaluate_policy.settings:EvaluatePolicySettings"),
     "train-corrector": SettingsLocation(
         "models.physics_corrector.training.settings:CorrectorTrainingSettings",

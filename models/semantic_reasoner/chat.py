@@ -25,11 +25,13 @@ class ChatQuestion:
         messages: The chat.
         form: The form of the answer.
         read: Reads the document; raises a SceneError that states what is wrong with it, for a model or a person.
+        pictures: PNG files that the model sees with the first message of the user.
     """
 
     messages: tuple[Message, ...]
     form: JsonForm
     read: Callable[[Any], object]
+    pictures: tuple[bytes, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,8 @@ class PendingChat:
         """Returns the next request."""
         refused = [(r.answer, r.reason) for r in self.refused] if self.tells_reasons else []
         chat = (*self.question.messages, *refusal_messages(refused))
-        return Request(chat, self.question.form, named_seed(self.seed, self.question.form.name, self.tries))
+        seed = named_seed(self.seed, self.question.form.name, self.tries)
+        return Request(chat, self.question.form, seed, pictures=self.question.pictures)
 
     def judge(self, completion: Completion) -> ChatReply | None:
         """Returns the reply that an answer gives; None if the chat has to be asked again."""

@@ -265,8 +265,11 @@ def rows_isolated(
 ) -> Rows:
     """The rows of one item from a separate process; a failure if that process dies or takes too long."""
     found = run_isolated(make, item, seconds=seconds, prepare=prepare)
-    if not isinstance(found, ProcessFailure):
-        return found
+    return failed_process(found, item_id, seconds) if isinstance(found, ProcessFailure) else found
+
+
+def failed_process(found: ProcessFailure, item_id: str, seconds: float) -> Rows:
+    """The row of ``failures`` of an item whose separate process ended without a result; ``seconds`` is its time limit."""
     hint = {
         ProcessFailure.CRASHED: "the process that read it died; is the file hostile?",
         ProcessFailure.TIMED_OUT: f"took over {seconds:g} s; is it hostile, or is seconds_per_item too short for it?",

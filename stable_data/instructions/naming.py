@@ -72,6 +72,25 @@ _LOOKS = (
 LOOK_WORDS = frozenset(word for kind in _LOOKS for word in kind)
 """Words for the colour, material, pattern or shape by which an object may be named."""
 
+
+def shows_look(description: str, look: str) -> bool | None:
+    """Returns whether a description has a look.
+
+    Args:
+        description: Words of an object, such as ``a white mug with a blue rim``.
+        look: A word of :data:`LOOK_WORDS`; similar colours are equal.
+
+    Returns:
+        True if the description has the look, False if it only has others of the same kind, None if it has none of that kind.
+    """
+    words, answers = re.findall(r"[a-z]+", description.lower()), []
+    for values in _LOOKS:
+        if look in values:
+            found = {values[word] for word in words if word in values}
+            answers.append(values[look] in found if found else None)
+    return True if True in answers else False if False in answers else None
+
+
 _SHADES = frozenset({"light", "dark", "pale", "bright", "deep"})
 _SIZE_WORDS = frozenset(
     ("small", "large", "big", "tall", "short", "tiny", "mini", "medium", "long", "wide", "narrow", "extra", "little")

@@ -13,6 +13,8 @@ from stable_data.errors import ConfigError
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.judge_columns import FURTHER, FURTHER_COLUMNS, JUDGES, SHARE, verdict_columns
 from stable_data.metrics.reach_columns import GRASPABLE, REACH_COLUMNS, REACHABLE, REASON
+from stable_data.rating.criteria import CRITERIA, HIGHEST, LOWEST
+from stable_data.rating.rating import PASS_MARK
 
 TABLE_VERSION = 3
 """Increases if a column changes its name, type or meaning, but not for a new column that may be null: older tables are read
@@ -193,6 +195,26 @@ def _reach_columns() -> list[pa.Field]:
     ]
 
 
+def _rating_columns() -> list[pa.Field]:
+    """The columns of a rating by the five criteria."""
+    scores = [_column(c.key, _number, f"score by {c.name}, {LOWEST:g} to {HIGHEST:g}; null where unknown") for c in CRITERIA]
+    rationales = [
+        _column(f"{c.key}_rationale", _text, f"why {c.key} is what it is, or is unknown; null where nobody was asked")
+        for c in CRITERIA
+    ]
+    return [
+        *scores,
+        _column("average", _number, "mean of the five scores; null if one of them is unknown"),
+        _column("clean", _truth, "whether the scene is clean, by the exact audit; null where unknown"),
+        _column(
+            "quality_pass",
+            _truth,
+            f"whether the average is above {PASS_MARK:g} and the scene is clean; null if one of the two is unknown",
+        ),
+        *rationales,
+    ]
+
+
 CARD = pa.struct([(column.name, column.type) for column in _card_columns()])
 
 _scene_head = [
@@ -359,6 +381,22 @@ SCHEMAS: dict[str, pa.Schema] = {
                 "outcome of the simulated trial: held (lifted, still in the hand), missed, slipped, disturbed (another object "
                 "moved) or diverged",
             ),
+        ]
+    ),
+    "ratings": pa.schema(
+        [
+            _column("scene_id", _text, "identifier of the scene"),
+            _column("judge", _text, "who rated it: symbolic (rules), or the name of an engine such as openai:gpt-4o"),
+            _column(
+                "judge_version", _text, "hash of the prompt, or of the rules; ratings of different versions are not compared"
+            ),
+            *_rating_columns(),
+            _column("code", _text, "short reason why the average is unknown; empty if it is known"),
+            _column("reason", _text, "the same in one line; empty if it is known"),
+            _column("tries", _count, "how often a model was asked"),
+            _column("prompt_tokens", _count, "number of tokens that it read"),
+            _column("reply_tokens", _count, "number of tokens that it wrote"),
+            _column("cost", _number, "cost of all requests, in the currency of the engine's prices"),
         ]
     ),
     "samples": pa.schema(
@@ -710,6 +748,7 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "edits": ("edit_id", "scene_id", *_TABLETOP, "kind", "instruction", "objects_in", "objects_out", "removed"),
     "turns": ("scene_id", "turn"),
     "settled": ("scene_id", "poses"),
+    "ratings": ("scene_id", "judge", "judge_version"),
     "grasps": ("scene_id", "instance", "position", "quat_xyzw", "outcome"),
     "sdf": tuple(SCHEMAS["sdf"].names[:7]),
     "features": ("asset_id", "aspect", "tilt_quat_xyzw", "feature", "encoder_fingerprint"),

@@ -16,7 +16,7 @@ from transformers import AutoModelForCausalLM, AutoTokenizer, PreTrainedModel, P
 
 from models.semantic_reasoner.engines.batched_decoding import ATTENTION, Decoder
 from models.semantic_reasoner.engines.incremental_batches import Conversation
-from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long
+from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long, reads_no_pictures
 from models.semantic_reasoner.engines.shared_batch import SharedBatch
 from models.semantic_reasoner.engines.token_sampling import TokenSampler
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
@@ -177,6 +177,8 @@ class LocalEngine:
             requests = (yield done) if done else ()
 
     def _start(self, index: int, request: Request) -> _Sequence | Completion:
+        if request.pictures:
+            return reads_no_pictures(self.name)
         chat = chat_text(self._tokenizer, request.messages, thinks=not request.form.binds)
         prompt: list[int] = self._tokenizer(chat, add_special_tokens=False)["input_ids"]
         longest = self._model.config.get_text_config().max_position_embeddings

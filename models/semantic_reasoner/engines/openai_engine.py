@@ -5,6 +5,7 @@ engine refuses redirects, so that a request and its key reach no other host, and
 """
 
 import asyncio
+import base64
 import math
 import re
 import secrets
@@ -44,6 +45,8 @@ _ADVICE = {
     "unexpected": "please report it",
 }
 """What to do, by code."""
+
+_NO_SIGHT = ", or the model reads no pictures"  # a further cause of a refusal, if the request has some
 
 _STATUSES = {401: "key_refused", 403: "key_refused", 404: "model_unknown", 408: "endpoint_timeout", 409: "endpoint_error"}
 _LONE_SURROGATE = re.compile("[\ud800-\udfff]")
@@ -134,7 +137,7 @@ class OpenAIEngine:
             return self._is_down
 
     async def _ask(self, request: Request) -> Completion:
-        s, messages = self.settings, list[Any](request.messages)
+        s, messages = self.settings, sent_messages(request)
         fields = request_fields(request, self.sampling) | s.extra_fields()
         sent_fields = {key: value for key, value in fields.items() if value is not None}
         try:
@@ -144,15 +147,16 @@ class OpenAIEngine:
         except TimeoutError:
             return self._failure("endpoint_timeout", f"no answer within {s.total_s:g} s")
         except openai.APIError as error:
-            return self._failure(*failure_reason(error))
+            code, what = failure_reason(error)
+            return self._failure(code, what, _NO_SIGHT if request.pictures and code == "request_refused" else "")
         try:
             found = completion_of(answer.json(), s.prompt_price, s.reply_price)
         except (ValueError, RecursionError) as error:
             return self._failure("response_invalid", f"answer is not a chat completion ({error})")
         return replace(found, text=self._without_key(found.text), failure=self._without_key(found.failure))
 
-    def _failure(self, code: str, what: str) -> Completion:
-        advice = _ADVICE[code].format(key_variable=self.settings.key_variable or "key_variable names none")
+    def _failure(self, code: str, what: str, more: str = "") -> Completion:
+        advice = _ADVICE[code].format(key_variable=self.settings.key_variable or "key_variable names none") + more
         line = f"{self.name}: {self.settings.base_url}: {first_line(self._without_key(what))}; {advice}"
         return Completion("", failure=line, code=code)
 
@@ -182,6 +186,20 @@ def _run(loop: asyncio.AbstractEventLoop) -> None:
 
 def _close(loop: asyncio.AbstractEventLoop, client: openai.AsyncOpenAI) -> None:
     asyncio.run_coroutine_threadsafe(client.close(), loop).add_done_callback(lambda _: loop.call_soon_threadsafe(loop.stop))
+
+
+def sent_messages(request: Request) -> list[Any]:
+    """Returns the messages of a request as an endpoint expects them: pictures are data URLs in the first message of the user."""
+    found: list[Any] = list(request.messages)
+    if request.pictures:
+        place = next(k for k, message in enumerate(request.messages) if message["role"] == "user")
+        urls = (f"data:image/png;base64,{base64.b64encode(picture).decode()}" for picture in request.pictures)
+        parts = [
+            {"type": "text", "text": found[place]["content"]},
+            *({"type": "image_url", "image_url": {"url": u}} for u in urls),
+        ]
+        found[place] = {**found[place], "content": parts}
+    return found
 
 
 def request_fields(request: Request, sampling: Sampling) -> dict[str, Any]:

@@ -60,12 +60,15 @@ class Request:
         seed: Seed of the draws: with a reproducible engine the same request and seed give the same completion.
         refuses: Judges the last of the objects that a reply has so far. An engine in this process draws the place of a refused
             object again; other engines do not use it. None refuses nothing.
+        pictures: PNG files, which the model sees after the text of the first message of the user. Only the ``openai`` engine sends
+            pictures; a request with pictures is a failure in the engines in this process (``pictures_unsupported``).
     """
 
     messages: tuple[Message, ...]
     form: ReplyForm
     seed: int = 0
     refuses: Callable[[Sequence[LayoutObject]], bool] | None = None
+    pictures: tuple[bytes, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,12 @@ def is_too_long(num_prompt: int, longest: int) -> Completion:
     """Returns the completion of a request of ``num_prompt`` tokens for a model that reads ``longest``."""
     failure = f"the question has {num_prompt:,} tokens, the model reads {longest:,}; shorten it"
     return Completion("", num_prompt, failure=failure, code="prompt_too_long")
+
+
+def reads_no_pictures(engine: str) -> Completion:
+    """Returns the completion of a request with pictures for an engine, by its name, that reads text alone."""
+    failure = f"{engine} reads text alone, but the question has pictures; use the openai engine with a model that sees"
+    return Completion("", failure=failure, code="pictures_unsupported")
 
 
 class Engine(Protocol):

@@ -58,8 +58,12 @@ class ResponseCache:
 
     @staticmethod
     def key(engine: str, sampling: Sampling, request: Request) -> str:
-        """Returns the key of a completion: 64 hex digits, a hash of the engine's name, the sampling and the whole request."""
+        """Returns the key of a completion: 64 hex digits, a hash of the engine's name, the sampling and the whole request.
+
+        Pictures count by their hashes; a request without pictures has the key that it had before there were any.
+        """
         parts = [CACHE_VERSION, engine, asdict(sampling), list(request.messages), asdict(request.form), request.seed]
+        parts += [[hashlib.sha256(picture).hexdigest() for picture in request.pictures]] if request.pictures else []
         return hashlib.sha256(json.dumps(parts, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
     def path(self, key: str) -> Path:

@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, TypeVar
 
-from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long
+from models.semantic_reasoner.engines.protocol import Completion, Request, Sampling, is_too_long, reads_no_pictures
 from models.semantic_reasoner.text.tokenizer import chat_text
 from stable_data.errors import ConfigError
 
@@ -87,6 +87,8 @@ class VllmEngine:
         self._end_loop()
 
     async def _answer(self, request: Request) -> Completion:
+        if request.pictures:
+            return reads_no_pictures(self.name)
         tokenizer, longest = self._model.get_tokenizer(), self._model.model_config.max_model_len
         if asyncio.iscoroutine(tokenizer):  # in some versions
             tokenizer = await tokenizer

@@ -38,6 +38,11 @@ class Act:
     drips_s: float = 0.0
 
 
+def words_of(content: Any) -> str:
+    """The text of a message, without its pictures."""
+    return content if isinstance(content, str) else "".join(part.get("text", "") for part in content)
+
+
 def said(content: str | None, **more: Any) -> dict[str, Any]:
     """A chat completion."""
     choice = {"index": 0, "message": {"role": "assistant", "content": content}, "finish_reason": "stop"}
@@ -83,7 +88,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-        words = body["messages"][-1]["content"]
+        words = words_of(body["messages"][-1]["content"])
         s = self.server
         with s.lock:
             number = s.tries[words]

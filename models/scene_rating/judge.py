@@ -1,0 +1,23 @@
+"""The interface of those who rate scenes; the judges in :mod:`stable_data.judges` are physics engines."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from models.scene_rating.rating_case import RatingCase
+from stable_data.rating.rating import Rating
+
+
+class RatingJudge(Protocol):
+    """Rates scenes by the five criteria.
+
+    Attributes:
+        name: Its name in ratings.
+        version: Hash of what its ratings depend on beside the scenes: a prompt, or rules with their statistics.
+    """
+
+    name: str
+    version: str
+
+    def rate(self, cases: Sequence[RatingCase]) -> list[Rating]:
+        """Returns one rating for each scene, in their order; never raises for a single scene, whose rating is then unknown."""
+        ...

@@ -1,0 +1,232 @@
+"""The judge by rules: real scenes score high, and each kind of bad scene lowers the right criterion."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.rating import BAD, Change, turned_away, with_giant, with_task_object_under_table, without_task_object
+from models.scene_rating.fault import Fault, score_by
+from models.scene_rating.layout_rules import LayoutRules, turn_shows
+from models.scene_rating.placement_rules import PlacementRules
+from models.scene_rating.rating_case import AuditedScene, RatingCase
+from models.scene_rating.size_rules import SizeRules
+from models.scene_rating.symbolic_judge import SymbolicJudge
+from models.scene_rating.usual_layouts import UsualLayouts
+from models.scene_rating.visibility_rules import VisibilityRules
+from stable_data.assets.store import AssetStore
+from stable_data.instructions.naming import shows_look
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.rating.criteria import KEYS
+from stable_data.rating.rating import Rating
+from stable_data.scene import Scene, SceneObject, TaskInfo
+from stable_data.simulation.scene_geometry import SceneGeometry
+
+
+class Rater:
+    """Rates the scenes of a dataset, as they are or changed."""
+
+    def __init__(self, root: Path) -> None:
+        self.dataset = MesaTaskDataset(root)
+        self.store, self.judge = AssetStore(self.dataset), SymbolicJudge()
+        self._known: dict[str, Rating] = {}
+
+    def scene(self, table_type: str) -> Scene:
+        (name,) = (scene_id for scene_id in self.dataset.scene_ids if scene_id.startswith(table_type))
+        return self.dataset.read(name)[0]
+
+    def geometry(self, scene: Scene) -> SceneGeometry:
+        known = {o.asset_id: self.dataset.annotation(o.asset_id) for o in scene.objects if o.asset_id}
+        return replace(SceneGeometry.of(scene, self.store), annotations=known)
+
+    def rate(self, scene: Scene) -> Rating:
+        (rating,) = self.judge.rate([RatingCase.of(self.geometry(scene))])
+        return rating
+
+    def unchanged(self, scene: Scene) -> Rating:
+        if scene.scene_id not in self._known:
+            self._known[scene.scene_id] = self.rate(scene)
+        return self._known[scene.scene_id]
+
+
+@pytest.fixture(scope="module")
+def rater(dataset: Path) -> Rater:
+    return Rater(dataset)
+
+
+TABLES = ("bathroom_vanity", "coffee_table", "dining_table", "dressing_table")
+
+
+def changed_by(change: Change, scene: Scene) -> Scene:
+    changed = change(scene)
+    assert changed is not None
+    return changed
+
+
+def each(scene: Scene, change: Callable[[SceneObject], SceneObject]) -> Scene:
+    return replace(scene, objects=tuple(map(change, scene.objects)))
+
+
+HAS_FRONTS = ("bathroom_vanity", "dressing_table")
+"""Elsewhere nothing shows that it is turned away."""
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_scenes_of_the_embedded_world_score_high_and_pass(rater: Rater, table: str) -> None:
+    rating = rater.unchanged(rater.scene(table))
+    assert rating.average is not None
+    assert rating.average > 9.3
+    assert min(rating.score(key) or 0 for key in KEYS) > 8.5
+    assert (rating.clean, rating.quality_pass, rating.code) == (True, True, "")
+    assert all(score.rationale for score in rating.scores.values())
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_bad_scene_loses_in_the_right_criterion(rater: Rater, what: str) -> None:
+    change, key = BAD[what]
+    for table in HAS_FRONTS:
+        scene = rater.scene(table)
+        before, after = rater.unchanged(scene), rater.rate(changed_by(change, scene))
+        lost = (before.score(key) or 0) - (after.score(key) or 0)
+        assert lost > 1.5, f"{table}: {after.scores[key].rationale}"
+        assert after.average is not None
+        assert before.average is not None
+        assert after.average < before.average
+    if what == "a task object is removed":  # what has nothing to do with it stays as it is
+        assert after.score("osr") == before.score("osr")
+    if what in ("two things are in one place", "a task object is under the table"):
+        assert after.quality_pass is False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", BAD)
+def test_a_bad_scene_loses_in_the_right_criterion_on_all_tables(rater: Rater, what: str) -> None:
+    change, key = BAD[what]
+    for table in HAS_FRONTS if what == "all is turned away" else TABLES:
+        scene = rater.scene(table)
+        before, after = rater.unchanged(scene), rater.rate(changed_by(change, scene))
+        assert (before.score(key) or 0) - (after.score(key) or 0) > 1.0, f"{table}: {after.scores[key].rationale}"
+
+
+def test_the_reasons_name_what_is_wrong(rater: Rater) -> None:
+    scene = rater.scene("dressing_table")
+    said = {
+        without_task_object: ("cwt", "missing: mirror"),
+        with_giant: ("osr", "times too large"),
+        turned_away: ("lcr", "1_mirror_0 faces away"),
+        with_task_object_under_table: ("ov", "1_mirror_0 is hidden"),
+    }
+    for change, (key, words) in said.items():
+        assert words in rater.rate(changed_by(change, scene)).scores[key].rationale
+
+
+def test_equal_scenes_have_equal_ratings_and_pictures_do_not_count(rater: Rater) -> None:
+    scene = rater.scene("coffee_table")
+    case = RatingCase.of(rater.geometry(scene), np.zeros((8, 8, 3), np.uint8))
+    assert rater.judge.rate([case, RatingCase.of(rater.geometry(scene))]) == [rater.unchanged(scene)] * 2
+
+
+def test_stated_relations_and_looks_count(rater: Rater) -> None:
+    scene = rater.scene("coffee_table")  # a tumbler stands on a coaster
+    assert scene.task is not None
+    apart = each(scene, lambda o: o.moved((0.1, 0.1, o.size[2] / 2), o.yaw) if o.category == "tumbler" else o)
+    rating = rater.rate(apart)
+    assert "does not hold: 6_tumbler_0 on 5_coaster_0" in rating.scores["cwt"].rationale
+    assert rating.score("cwt") == pytest.approx(4.6)
+    own = next(o.description for o in scene.objects if o.category == "tumbler")
+    other = next(colour for colour in ("red", "pink", "yellow") if shows_look(own, colour) is False)
+    rating = rater.rate(replace(scene, task=TaskInfo("", f"Pick up the {other} tumbler.")))
+    assert f"no {other} tumbler" in rating.scores["cwt"].rationale
+    assert rating.score("cwt") == pytest.approx(6.4)
+
+
+UNKNOWN: dict[str, tuple[Callable[[Scene], Scene], str, str]] = {
+    "no task": (lambda s: replace(s, task=None), "cwt", "no instruction"),
+    "unknown words": (
+        lambda s: replace(s, task=TaskInfo("", "Grok the frobnicator.")),
+        "cwt",
+        "no object that the instruction names",
+    ),
+    "no known sizes": (lambda s: each(s, lambda o: replace(o, category="frobnicator")), "osr", "usual size of no object"),
+    "a missing mesh": (
+        lambda s: each(s, lambda o: replace(o, asset_id=None) if o is s.objects[0] else o),
+        "ppi",
+        "leaves verdicts open",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", UNKNOWN)
+def test_what_no_rule_can_judge_is_unknown_and_so_is_the_average(rater: Rater, what: str) -> None:
+    change, key, why = UNKNOWN[what]
+    rating = rater.rate(change(rater.scene("dressing_table")))
+    assert rating.score(key) is None
+    assert why in rating.scores[key].rationale
+    assert (rating.average, rating.quality_pass, rating.code) == (None, None, "criterion_unknown")
+    assert why in rating.reason
+    assert any(rating.score(other) is not None for other in KEYS)
+
+
+def test_a_scene_without_objects_or_geometry_is_unknown(rater: Rater) -> None:
+    empty = replace(rater.scene("dressing_table"), objects=(), task=None)
+    case = RatingCase.of(rater.geometry(empty))
+    whole, bare = rater.judge.rate([case, case.without_geometry()])
+    assert [whole.score(key) for key in KEYS] == [None] * 5
+    assert (bare.code, dict(bare.scores)) == ("geometry_missing", {})
+
+
+def test_unknown_categories_are_left_out_and_said(rater: Rater) -> None:
+    scene = rater.scene("dressing_table")
+    odd = each(scene, lambda o: replace(o, category="frobnicator") if o.category == "cream_jar" else o)
+    audited = AuditedScene.of(rater.geometry(odd))
+    for rules, words in ((SizeRules(), "frobnicator"), (LayoutRules(UsualLayouts.load()), "of other categories")):
+        score = rules(audited)
+        assert score.score is not None
+        assert "left out" in score.rationale
+        assert words in score.rationale
+
+
+def test_a_thing_that_leans_is_as_large_as_it_is(rater: Rater) -> None:
+    scene = rater.scene("dressing_table")  # brushes lean in a holder
+    assert any(o.tilt_angle > 0.1 for o in scene.objects)
+    assert SizeRules()(AuditedScene.of(rater.geometry(scene))).score == 10.0
+
+
+def test_a_turn_shows_only_where_a_shape_changes(rater: Rater) -> None:
+    geometry = rater.geometry(rater.scene("dressing_table"))
+    shapes = {o.category: shape for o, shape in zip(geometry.scene.objects, geometry.shapes, strict=True)}
+    assert turn_shows(shapes["mirror"], math.pi)
+    assert not turn_shows(shapes["mirror"], 0.0)
+    assert not turn_shows(shapes["cream_jar"], math.pi)
+
+
+def test_faults_multiply_and_the_worst_come_first() -> None:
+    assert score_by([], ["all"]).score == 10.0
+    found = score_by([Fault(0.1, "small"), Fault(0.5, "large")], ["all"], ["rest"])
+    assert found.score == pytest.approx(1 + 9 * 0.45)
+    assert found.rationale == "large; small; checked: all; left out: rest"
+    many = score_by([Fault(1.0, f"fault {k}") for k in range(6)], [])
+    assert many.score == 1.0
+    assert many.rationale.endswith("fault 3; 2 more faults")
+
+
+def test_placement_follows_the_audit(rater: Rater) -> None:
+    scene = rater.scene("dressing_table")
+    lifted = each(scene, lambda o: o.moved((*o.position[:2], o.position[2] + 0.05), o.yaw) if o is scene.objects[0] else o)
+    outside = each(scene, lambda o: o.moved((-0.02, *o.position[1:]), o.yaw) if o is scene.objects[0] else o)
+    rules = PlacementRules()
+    assert "floats" in rules(AuditedScene.of(rater.geometry(lifted))).rationale
+    assert "reaches over the edge" in rules(AuditedScene.of(rater.geometry(outside))).rationale
+
+
+def test_task_objects_weigh_more_when_they_are_hidden(rater: Rater) -> None:
+    scene = rater.scene("dining_table")
+    hidden = changed_by(with_task_object_under_table, scene)
+    audited, nobodys = (AuditedScene.of(rater.geometry(s)) for s in (hidden, replace(hidden, task=None)))
+    of_task, of_none = (VisibilityRules()(one).score for one in (audited, nobodys))
+    assert of_task is not None
+    assert of_none is not None
+    assert of_task < of_none - 1
