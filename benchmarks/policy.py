@@ -33,12 +33,12 @@ from dataclasses import asdict, dataclass, fields
 from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
-from statistics import mean, stdev
+from statistics import mean
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.stats import t as student
 
+from benchmarks.repetitions import mean_interval
 from benchmarks.text_table import align_columns
 from pipelines.evaluate_policy.job import UNSEEN
 from stable_data.atomic_files import write_file_atomically
@@ -310,15 +310,6 @@ def _rows(run: Path, table: str, columns: Sequence[str]) -> list[dict[str, Any]]
 def _read(kind: type[_Kind], row: Mapping[str, str]) -> _Kind:
     types: dict[str, Any] = {f.name: f.type for f in fields(kind)}
     return kind(**{name: of(row[name]) for name, of in types.items()})
-
-
-def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
-    """Returns the mean of repetitions and its 95 % interval (Student's t); infinitely wide for fewer than two."""
-    centre = mean(values)
-    if len(values) < 2:
-        return centre, -math.inf, math.inf
-    half = float(student.ppf(0.975, len(values) - 1)) * stdev(values) / math.sqrt(len(values))
-    return centre, centre - half, centre + half
 
 
 def effects(results: Mapping[Cell, Result]) -> dict[str, list[float]]:

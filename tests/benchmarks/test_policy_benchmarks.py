@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.policy import LAYOUTS, MESHES, Cell, Experiment, Result, effects, mean_interval, show
+from benchmarks.policy import LAYOUTS, MESHES, Cell, Experiment, Result, effects, show
+from benchmarks.repetitions import mean_interval
 from benchmarks.replay import area_under_curve, figures, outcomes
 from pipelines.demonstrate.job import demonstrate
 from pipelines.demonstrate.settings import DemonstrateSettings
