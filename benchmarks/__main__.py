@@ -51,6 +51,7 @@ def main() -> None:
             "robot_environment": ([run, "--robot", "simple"], ["--scenes", "2", "--steps", "5"]),
             "corrector_losses": ([run, data], ["--batch", "8"]),
             "correction": ([data, *layouts], ["--per-bucket", "1"]),
+            "rearrangement": ([run, "--count", "60", "--seeds", "1"], ["--count", "2"]),
             "correction_cost": ([data], ["--scenes", "4", "--rounds", "1"]),
             "refinement": ([data, "--layouts", "64"], ["--layouts", "4"]),
             "corrector_ablation": ([run], ["--steps", "20"]),

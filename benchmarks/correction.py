@@ -70,7 +70,9 @@ from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, settle
 from stable_data.storage.run_folder import RunFolder
 
-_START = "start"
+START = "start"
+"""The name of the layouts themselves among the methods."""
+
 _KINDS = ("shaken", "given", "perturbed", "proposed", "proposed_whole", "dropped", "dropped_whole")
 _TIMED = ("certify", "flow + certify", "refine + certify", "flow + refine + certify")
 _OBLIQUE = math.radians(5)  # a tilt that is this far from every right angle
@@ -108,12 +110,15 @@ class Result:
         tidiness: Spacing, alignment and facing of its objects.
         move_mean_mm: Mean movement, with identical objects matched.
         move_max_mm: Largest movement, unmatched.
+        move_category_mm: Mean movement, with objects of one category matched.
         emd_mm: Earth mover's distance to the target; None without a target, or if objects were dropped.
+        emd_category_mm: The same with objects of one category matched.
         kept: Relations that held at the start, and those that still hold.
         meant: Directional relations of the target, and those of them that hold; (0, 0) without a target.
         num_resting: Objects that stay at rest in MuJoCo; None if there was no simulation.
         can_rest: Whether yaw and shift could bring all objects to rest: no oblique object is out of its carrier.
         converged: Verdict of the method itself.
+        failed: Whether the method gave no layout, so that the figures are those of the start.
         seconds: Time of the method, without the preparation of assets.
         reason: Why it did not converge.
     """
@@ -136,20 +141,27 @@ class Result:
     tidiness: Tidiness
     move_mean_mm: float
     move_max_mm: float
+    move_category_mm: float
     emd_mm: float | None
+    emd_category_mm: float | None
     kept: RelationsKept
     meant: tuple[int, int]
     num_resting: int | None
     can_rest: bool
     converged: bool
+    failed: bool
     seconds: float
     reason: str
 
 
 def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, *, settles: bool = False) -> Result:
-    """Corrects a layout with a method, and judges the result."""
+    """Corrects a layout with a method, and judges the result; a method that fails leaves the layout as it is."""
     scene, shapes, _ = store.resolved(layout.start)
-    outcome = method.correct(scene, shapes, store)
+    begin = time.process_time()
+    try:
+        outcome = method.correct(scene, shapes, store)
+    except StableDataError as error:
+        outcome = BaselineResult(scene, False, time.process_time() - begin, str(error))
     left, left_shapes, _ = store.resolved(outcome.scene)
     audit = audit_posed_scene(PosedScene(left, left_shapes))
     start = replace(scene, objects=tuple(scene[o.instance] for o in left.objects))
@@ -157,6 +169,7 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
     sunk, count = audit.tolerance + ROUNDING, len(left.objects)
     num_collisions = sum(p.penetration is None or p.penetration > audit.tolerance for p in audit.pairs)
     is_whole = count == len(scene.objects)
+    target = layout.target if is_whole else None
     kept = relations_kept(scene, left, shapes, left_shapes)
     card = add_sampled_collisions(audit.card(), left, left_shapes, audit)
     return Result(
@@ -174,12 +187,15 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
         tidiness=Tidiness.of(left, left_shapes),
         move_mean_mm=1e3 * distance_moved(start, left) if count else 0.0,
         move_max_mm=float(moves.max(initial=0.0)),
-        emd_mm=None if layout.target is None or not is_whole else 1e3 * emd_to_truth(left, layout.target).cost,
+        move_category_mm=1e3 * distance_moved(start, left, "category") if count else 0.0,
+        emd_mm=None if target is None else 1e3 * emd_to_truth(left, target).cost,
+        emd_category_mm=None if target is None else 1e3 * emd_to_truth(left, target, "category").cost,
         kept=kept,
-        meant=_meant(layout.target, left, left_shapes) if is_whole else (0, 0),
+        meant=_meant(target, left, left_shapes),
         num_resting=_num_resting(left, left_shapes, store) if settles else None,
         can_rest=kept.asked_broken == 0 or not _has_displaced_oblique(scene),
         converged=outcome.converged,
+        failed=not outcome.converged and outcome.scene is scene,
         seconds=outcome.seconds,
         reason=outcome.reason,
     )
@@ -237,7 +253,7 @@ def run(
         limit: Seconds after which no further layout is started; a started one is finished.
         settles: Whether MuJoCo tests what stays at rest.
     """
-    end, results, everyone = time.monotonic() + limit, list[Result](), {_START: IdentityBaseline(), **methods}
+    end, results, everyone = time.monotonic() + limit, list[Result](), {START: IdentityBaseline(), **methods}
     with tqdm(total=len(layouts) * len(everyone), desc="correction", unit="scene") as bar:
         for layout in layouts:
             if time.monotonic() > end:

@@ -35,7 +35,8 @@ from models.physics_corrector.training.losses import LossSettings
 from models.physics_corrector.training.perturbation import PerturbationSettings
 from models.physics_corrector.training.settings import CorrectorTrainingSettings, PhysicsSchedule, training_preset
 from models.physics_corrector.training.validation import Card
-from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
+from pipelines.train.corrector import CorrectorTrainingJob
+from pipelines.train.layouts import LayoutMonitoring
 from stable_data.errors import StableDataError
 
 FULL = "full"
@@ -142,7 +143,7 @@ class Arm:
         return mean(known) if known and len(known) == len(values) else None
 
 
-def arm(run: str, out: Path, name: str, full: CorrectorTrainingSettings, watch: CorrectorMonitoring) -> Arm:
+def arm(run: str, out: Path, name: str, full: CorrectorTrainingSettings, watch: LayoutMonitoring) -> Arm:
     """Trains an arm, or the missing steps of it.
 
     Args:
@@ -199,7 +200,7 @@ def main(
     if unknown := [wrong for wrong in chosen if wrong not in ARMS]:
         raise typer.BadParameter(f"{', '.join(unknown)}, expected of {', '.join(ARMS)}")
     torch.set_num_threads(1)
-    watch = CorrectorMonitoring(card_every=steps + 1, final_scenes=scenes, exact_scenes=exact)
+    watch = LayoutMonitoring(card_every=steps + 1, final_scenes=scenes, exact_scenes=exact)
     with tempfile.TemporaryDirectory() as aside:
         try:
             full = full_settings(steps, seed)

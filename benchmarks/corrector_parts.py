@@ -4,11 +4,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Protocol
 
 from models.baselines.outcome import Baseline, BaselineResult
-from models.physics_corrector.certify import CorrectionStatus
-from models.physics_corrector.certify.correction import CorrectionOptions
-from models.physics_corrector.corrector import Flow, PhysicsCorrector, Polish, Purpose
+from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
+from models.physics_corrector.certify.correction import CorrectionOptions, Fixed
+from models.physics_corrector.corrector import PhysicsCorrector, Polish, Purpose
 from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
 from models.physics_corrector.learned_flow import AUTO, NONE, load_flow
 from models.physics_corrector.refinement.refiner import Refiner
@@ -33,6 +34,7 @@ class CorrectorTerms:
         settles: Whether MuJoCo tests what stays at rest.
         purpose: Whether layouts are meant as they are.
         error: Expected errors of the layouts.
+        keeps_all: Whether a layout in which not all objects fit is infeasible; else some are dropped.
     """
 
     weights: str = AUTO
@@ -41,6 +43,19 @@ class CorrectorTerms:
     settles: bool = False
     purpose: Purpose = "repair"
     error: ExpectedError = UNKNOWN_ERROR
+    keeps_all: bool = False
+
+
+class LearnedMover(Protocol):
+    """A trained network that moves objects: the corrector's flow, or a rearranger."""
+
+    def prepare(self, scene: Scene, shapes: Sequence[Shape]) -> None:
+        """Computes what is made once for each asset."""
+        ...
+
+    def __call__(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
+        """Moves the objects of scenes, see :data:`~models.physics_corrector.corrector.Flow`."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,22 +67,25 @@ class CorrectorParts:
         flows: Whether the flow moves objects.
         refines: Whether layouts are refined.
         certifies: Whether what is not solved is certified.
+        mover: What moves objects in place of the flow; None is the flow.
     """
 
     terms: CorrectorTerms
     flows: bool = True
     refines: bool = True
     certifies: bool = True
+    mover: LearnedMover | None = None
 
     def correct(self, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> BaselineResult:
         """Corrects the layout; returns it unchanged if it is infeasible."""
         terms = self.terms
-        flow = _flow(terms.weights if self.flows else NONE, terms.steps, terms.error)
+        flow = self.mover or _flow(terms.weights if self.flows else NONE, terms.steps, terms.error)
         polish: Polish = "certify" if self.certifies else "verify" if self.refines else "off"
         refiner = _refiner(store) if self.refines or not self.certifies else None
-        corrector = PhysicsCorrector(flow, judges_raw=False, refiner=refiner, polish=polish, purpose=terms.purpose)
+        limits = CertifyOptions(when_full="infeasible" if terms.keeps_all else "drop")
+        corrector = PhysicsCorrector(flow, limits, judges_raw=False, refiner=refiner, polish=polish, purpose=terms.purpose)
         options = CorrectionOptions(asks_engine=terms.settles and self.certifies)
-        self._prepare(corrector, scene, shapes, store)
+        self._prepare(flow, corrector, scene, shapes, store)
         audit = audit_scene(scene, shapes)  # a correction needs it only for its figures
         told = scene if terms.is_told else replace(scene, relations=())
         begin = time.process_time()
@@ -88,10 +106,17 @@ class CorrectorParts:
             is_clean = is_clean and prepared.is_solved  # also steady, on its carriers, and in the same order
         return BaselineResult(done.certified or scene, is_clean, seconds, done.reason)
 
-    def _prepare(self, corrector: PhysicsCorrector, scene: Scene, shapes: Sequence[Shape], store: AssetStore) -> None:
+    def _prepare(
+        self,
+        flow: LearnedMover | None,
+        corrector: PhysicsCorrector,
+        scene: Scene,
+        shapes: Sequence[Shape],
+        store: AssetStore,
+    ) -> None:
         """Makes what is made once for each asset: features, grids, convex parts."""
-        if corrector.flow is not None:
-            corrector.flow([scene], [shapes], [frozenset()])
+        if flow is not None:
+            flow.prepare(scene, shapes)
         if corrector.refiner is not None:
             _refiner(store).has_shapes(scene, shapes)
         if self.terms.settles:
@@ -99,7 +124,7 @@ class CorrectorParts:
 
 
 @lru_cache(maxsize=2)
-def _flow(weights: str, steps: int, error: ExpectedError) -> Flow | None:
+def _flow(weights: str, steps: int, error: ExpectedError) -> LearnedMover | None:
     return load_flow(weights, steps, error)
 
 

@@ -24,6 +24,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
+from stable_data.random_seeds import named_seed
 from stable_data.scene import TABLE, FloatArray, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
@@ -152,10 +153,17 @@ def shaken(scene: Scene, noise: float, rng: np.random.Generator) -> Scene:
     return scene.with_poses(poses)
 
 
-def held_out_scenes(uri: str, num_scenes: int) -> list[Scene]:
-    """Returns clean scenes of a preprocess run that are not of the split ``train``, those of ``validation`` first."""
-    scenes, splits, _ = clean_targets(uri)
-    return [scene for split in (1, 2) for scene, own in zip(scenes, splits, strict=True) if own == split][:num_scenes]
+def held_out_scenes(uri: str, num_scenes: int, splits: Sequence[str] = ("validation", "test", "unseen")) -> list[Scene]:
+    """Returns clean scenes of a preprocess run that no training has seen.
+
+    Args:
+        uri: The run.
+        num_scenes: The largest number of scenes.
+        splits: Their splits; scenes of the first come first.
+    """
+    split_of = {row["scene_id"]: row["split"] for row in RunFolder(uri).table("scenes", ["scene_id", "split"]).to_pylist()}
+    scenes, _, _ = clean_targets(uri)
+    return [scene for split in splits for scene in scenes if split_of[scene.scene_id] == split][:num_scenes]
 
 
 def perturbed_layouts(
@@ -179,9 +187,41 @@ def perturbed_layouts(
     for number, kind in enumerate(KINDS):
         poses = perturb(batch, settings, torch.Generator().manual_seed(seed + number), kind).poses
         for (scene, own), at in zip(resolved, poses.double().numpy(), strict=True):
-            carried = tuple(r for r in scene.relations if r.kind in _CARRYING and r.target != TABLE)
-            clean = replace(scene, relations=carried, task=None)
+            clean = _untold(scene)
             yield StartLayout(clean.with_poses(at[: len(own)]), clean, kind, 0)
+
+
+def noisy_layouts(
+    scenes: Iterable[Scene], store: AssetStore, noise: float, seed: int, *, along_z: bool = True
+) -> Iterator[StartLayout]:
+    """Makes the paper's rearrangement inputs: every object of clean scenes gets Gaussian noise on its translation and its yaw.
+
+    Objects are displaced independently, also from what carries them, and may leave the table.
+
+    Args:
+        scenes: The scenes.
+        store: Their meshes.
+        noise: Standard deviation along each axis in metres, and of yaw in radians.
+        seed: Seed of the noise; a scene's noise depends on it and on the scene's id alone.
+        along_z: Whether the noise also acts along z.
+
+    Yields:
+        The layouts, named after scene and seed, in the bucket of the seed, with the supports and relations of the clean scene,
+        which is the target.
+    """
+    deviation = (noise, noise, noise if along_z else 0.0, noise)
+    for scene in scenes:
+        clean = _untold(store.resolved(scene)[0])
+        rng = np.random.default_rng(named_seed(seed, scene.scene_id))
+        poses: FloatArray = clean.poses() + rng.normal(0.0, 1.0, (len(clean.objects), 4)) * deviation
+        start = replace(clean.with_poses(poses), scene_id=f"{scene.scene_id}+{seed}")
+        yield StartLayout(start, clean, str(seed), 0)
+
+
+def _untold(scene: Scene) -> Scene:
+    """A scene with the relations of what carries what alone: its task would tell directions."""
+    carried = tuple(r for r in scene.relations if r.kind in _CARRYING and r.target != TABLE)
+    return replace(scene, relations=carried, task=None)
 
 
 def proposed_layouts(run: RunFolder, *, is_whole: bool = False, store: AssetStore | None = None) -> Iterator[StartLayout]:

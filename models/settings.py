@@ -7,13 +7,14 @@ contains the checks that a type cannot express, such as those of two fields that
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields, is_dataclass
 from functools import cache
 from typing import Annotated, Any, TypeAlias, TypeVar, get_type_hints
 
 from annotated_types import Ge, Gt, Interval
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
+from stable_data.config_diff import flatten_config
 from stable_data.errors import ConfigError
 
 S = TypeVar("S")
@@ -86,13 +87,42 @@ def fill_settings(kind: type[S], values: Mapping[str, Any], name: str) -> S:
     return found.value  # type: ignore[attr-defined, no-any-return]
 
 
+def settings_to_json(settings: Any) -> str:
+    """Returns settings, a dataclass, as JSON with sorted keys."""
+    return json.dumps(asdict(settings), sort_keys=True)
+
+
+def settings_from_json(kind: type[S], text: str, name: str) -> S:
+    """Reads settings from JSON, such as the header of a file of weights.
+
+    Args:
+        kind: A dataclass of settings.
+        text: The JSON text; it must have all values.
+        name: What the settings are of, in errors.
+
+    Raises:
+        ConfigError: The text is not a JSON object, or a key is missing, unknown or of the wrong type.
+    """
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"settings of a {name}: not JSON ({error})", "config_invalid") from error
+    if not isinstance(values, dict):
+        raise ConfigError(f"settings of a {name}: found {values!r:.80}, expected an object", "config_invalid")
+    settings: Any = fill_settings(kind, values, name)
+    # Defaults may change between versions: a file must give every value that its weights were trained with.
+    if missing := flatten_config(asdict(settings)).keys() - flatten_config(values).keys():
+        raise ConfigError(f"settings of a {name}: found no {', '.join(sorted(missing))}, expected all", "config_invalid")
+    found: S = settings
+    return found
+
+
 @cache
 def setting_meanings(kind: _Kind) -> dict[str, str]:
     """Returns field name -> its meaning, which is the docstring below the field in one line, or empty without a docstring."""
     found = dict.fromkeys(_hints(kind), "")
-    for part in reversed(kind.__mro__):  # pydantic does not read the docstrings of inherited fields
-        if part in (object, Settings):
-            continue
+    parts: list[_Kind] = [part for part in reversed(kind.__mro__) if is_dataclass(part)]
+    for part in parts:  # pydantic does not read the docstrings of inherited fields
         schema = _model_around(part).model_json_schema()["$defs"][part.__name__]["properties"]
         found |= {key: " ".join(of["description"].split()) for key, of in schema.items() if "description" in of}
     return found

@@ -69,6 +69,11 @@ JOBS: Mapping[str, SettingsLocation] = {
         "models.physics_corrector.training.settings:training_preset",
         "embedded_set",
     ),
+    "train-rearranger": SettingsLocation(
+        "models.rearrangement.training:RearrangerTrainingSettings",
+        "models.rearrangement.training:training_preset",
+        "lego_net",
+    ),
     "train-reasoner": SettingsLocation(
         "models.semantic_reasoner.training.settings:ReasonerTrainingSettings",
         "models.semantic_reasoner.training.settings:training_preset",

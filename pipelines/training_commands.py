@@ -18,6 +18,25 @@ Minutes = Annotated[
 Trainers = Annotated[
     int, typer.Option(help="Training processes of Ray Train, one GPU each if the cluster has GPUs. 0 trains in this process.")
 ]
+SceneRuns = Annotated[
+    list[str],
+    typer.Option(
+        help="Folder of a preprocess run; every node of a cluster must see it under this path. May be repeated: one training on "
+        "several runs."
+    ),
+]
+TrainingOut = Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; every node must see it too.")]
+Proposals = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Folder of a generate run on assets of --data: its proposals and their corrections are samples too. May be repeated."
+    ),
+]
+EncoderName = Annotated[
+    str,
+    typer.Option(help="Encoder of the run's features, saved beside the weights; auto: the one of the run, or the default."),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the settings and a summary of the data, and stop.")]
 
 
 @app.command("fit-encoder")
@@ -45,20 +64,9 @@ def fit_encoder(
 @app.command("train-corrector", epilog=SETTINGS_HINT.format("train-corrector"))
 @with_clear_errors
 def train_corrector(
-    data: Annotated[
-        list[str],
-        typer.Option(
-            help="Folder of a preprocess run; every node of a cluster must see it under this path. May be repeated: one training on "
-            "several runs."
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for weights, checkpoint, logs and card; every node must see it too.")],
-    proposals: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Folder of a generate run on assets of --data: its proposals and their corrections are samples too. May be repeated."
-        ),
-    ] = None,
+    data: SceneRuns,
+    out: TrainingOut,
+    proposals: Proposals = None,
     preset: Annotated[
         str,
         typer.Option(
@@ -68,13 +76,10 @@ def train_corrector(
     config: Annotated[Path | None, typer.Option(help="TOML file; its table train_corrector is read.")] = None,
     set_: JobSettings = None,
     minutes: Minutes = 0.0,
-    encoder: Annotated[
-        str,
-        typer.Option(help="Encoder of the run's features, saved beside the weights; auto: the one of the run, or the default."),
-    ] = "auto",
+    encoder: EncoderName = "auto",
     workers: Trainers = 0,
     address: Address = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the settings and a summary of the data, and stop.")] = False,
+    dry_run: DryRun = False,
 ) -> None:
     """Train the Physics Corrector on the clean scenes of runs, and on proposals of the reasoner. Run again to continue after a stop.
 
@@ -87,6 +92,50 @@ def train_corrector(
 
     settings = resolve_settings(CorrectorTrainingSettings, "train_corrector", config, set_ or [], training_preset(preset))
     job = CorrectorTrainingJob(
+        data[0],
+        out,
+        settings,
+        minutes=minutes,
+        encoder=encoder,
+        also=tuple(data[1:]),
+        proposals=tuple(proposals or ()),
+        repairers=WorkerPool(worker_count(-1, address), address),
+    )
+    if dry_run:
+        typer.echo(json.dumps(job.describe(), indent=2))
+        return
+    typer.echo(job.run(worker_count(workers, address) if address or workers else 0, address))
+
+
+@app.command("train-rearranger", epilog=SETTINGS_HINT.format("train-rearranger"))
+@with_clear_errors
+def train_rearranger(
+    data: SceneRuns,
+    out: TrainingOut,
+    method: Annotated[str, typer.Option(help="lego_net or struct_diffusion; the file and --set override its other settings.")],
+    proposals: Proposals = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file; its table train_rearranger is read.")] = None,
+    set_: JobSettings = None,
+    minutes: Minutes = 0.0,
+    encoder: EncoderName = "auto",
+    workers: Trainers = 0,
+    address: Address = None,
+    dry_run: DryRun = False,
+) -> None:
+    """Train a rearranger of another paper on the samples of the corrector's training, to compare both. Run again to continue.
+
+    Status 0: done, or stopped with a checkpoint. 2: could not start or continue.
+    """
+    from models.rearrangement.training import RearrangerTrainingSettings, training_preset
+    from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.settings import resolve_settings
+    from pipelines.train.rearranger import RearrangerTrainingJob
+
+    base = training_preset(method)
+    settings = resolve_settings(RearrangerTrainingSettings, "train_rearranger", config, set_ or [], base)
+    if (chosen := settings.rearranger.method) != method:
+        raise ConfigError(f"--method is {method}, but rearranger.method is {chosen}; name it with --method alone", "usage")
+    job = RearrangerTrainingJob(
         data[0],
         out,
         settings,

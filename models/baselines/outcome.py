@@ -14,7 +14,7 @@ class BaselineResult:
     """The result of a baseline. The exact audit decides whether it is clean, never the baseline.
 
     Attributes:
-        scene: The same instances, in order, with the poses of the baseline.
+        scene: The same instances, in order, with the poses of the baseline; the start layout itself if it gives none.
         converged: Whether the baseline succeeded by its own geometry and tolerance.
         seconds: Processor time of the optimisation, without the preparation of hulls, convex parts and grids of assets.
         reason: Why it did not converge; empty if it did.

@@ -6,11 +6,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 
 from models.policy.network import PolicyNetwork, PolicyShape
 from models.settings import fill_settings
-from stable_data.atomic_files import write_file_atomically
+from models.training.weights_file import save_weights
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
 from stable_data.robot.episodes import EpisodeFeatures
@@ -52,20 +51,7 @@ def save_policy(path: Path, policy: PolicyWeights) -> None:
         "execute": json.dumps(policy.execute),
         "assets": json.dumps(None if policy.assets is None else sorted(policy.assets)),
     }
-    tensors = {name: value.detach().cpu().contiguous() for name, value in policy.network.state_dict().items()}
-    content = save(tensors, {**policy.notes, **header})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file_atomically(path, _with_sorted_header(content))
-
-
-def _with_sorted_header(content: bytes) -> bytes:
-    """Sorts the metadata of a safetensors file, which the library writes in a random order."""
-    length = int.from_bytes(content[:8], "little")
-    header = json.loads(content[8 : 8 + length])
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-    ordered = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-    assert len(ordered) <= length  # the same entries; padding keeps the offsets of the tensors
-    return content[:8] + ordered.ljust(length) + content[8 + length :]
+    save_weights(path, policy.network.state_dict(), {**policy.notes, **header})
 
 
 def load_policy(path: Path) -> PolicyWeights:

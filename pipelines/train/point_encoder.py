@@ -4,7 +4,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from models.physics_corrector.learned_flow import ENCODER_FILE
+from models.physics_corrector.scene_reading import ENCODER_FILE
 from models.point_encoder import PUBLISHED, PointCloud, PointEncoder, load_published, one_thread, save
 from pipelines.execution.resume import read_manifest
 from pipelines.preprocess.features import AUTO, NONE, encoder_named

@@ -1,12 +1,13 @@
 """Distances of a rearrangement: the distance moved, and the earth mover's distance to the ground truth.
 
-After the paper's appendix, "Details of Rearrangement". Both match identical objects first, because it does not matter which of
-two identical cups is at which place. Identical objects have the same asset at the same scale and tilt. The paper matches
-objects of the same category instead, which would let a mug replace a tall glass.
+After the paper's appendix, "Details of Rearrangement". Both match objects first, because it does not matter which of two identical
+cups is at which place. Identical objects have the same asset at the same scale and tilt. The paper matches objects of the same
+category instead, which lets a mug replace a tall glass.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -14,6 +15,9 @@ from scipy.optimize import linear_sum_assignment
 from stable_data.errors import SceneError
 from stable_data.rotations import YAW_ARM
 from stable_data.scene import FloatArray, Scene, SceneObject
+
+Matching: TypeAlias = Literal["identical", "category"]
+"""Which objects may take each other's places: identical ones, or those of the same category."""
 
 _SAME_SIZE = 1e-3  # metres
 _SAME_TILT = np.cos(np.radians(1.0) / 2)  # dot product of two quaternions that are 1 degree apart
@@ -37,33 +41,37 @@ class TransportCost:
     matches: dict[str, str]
 
 
-def emd_to_truth(scene: Scene, truth: Scene) -> TransportCost:
-    """Computes the earth mover's distance of a scene to its ground truth; identical objects are matched at the least total cost.
+def emd_to_truth(scene: Scene, truth: Scene, matching: Matching = "identical") -> TransportCost:
+    """Computes the earth mover's distance of a scene to its ground truth; objects are matched at the least total cost.
 
     Args:
         scene: The rearranged scene.
         truth: The ground truth, with the same objects in any order.
+        matching: Which objects may be matched.
 
     Raises:
         SceneError: Objects are missing, additional or different (code ``objects_differ``), or there are none (``empty_scene``).
     """
-    return _transport(scene, truth, lambda shift, turn: np.hypot(shift, YAW_ARM * turn))
+    return _transport(scene, truth, matching, lambda shift, turn: np.hypot(shift, YAW_ARM * turn))
 
 
-def distance_moved(start: Scene, result: Scene) -> float:
-    """Computes the mean distance that a method moved the objects, metres; identical ones are matched at the least total distance.
+def distance_moved(start: Scene, result: Scene, matching: Matching = "identical") -> float:
+    """Computes the mean distance that a method moved the objects, metres; they are matched at the least total distance.
 
     Args:
         start: The input scene.
         result: The scene after the method.
+        matching: Which objects may be matched.
 
     Raises:
         SceneError: As for :func:`emd_to_truth`.
     """
-    return _transport(result, start, lambda shift, _: shift).distance
+    return _transport(result, start, matching, lambda shift, _: shift).distance
 
 
-def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatArray], FloatArray]) -> TransportCost:
+def _transport(
+    scene: Scene, other: Scene, matching: Matching, cost_of: Callable[[FloatArray, FloatArray], FloatArray]
+) -> TransportCost:
     names = [o.instance for o in scene.objects]
     _check_same_objects(scene, other)
     targets = [other[name] for name in names]
@@ -71,7 +79,8 @@ def _transport(scene: Scene, other: Scene, cost_of: Callable[[FloatArray, FloatA
     shift = np.linalg.norm(poses[:, None, :3] - places[None, :, :3], axis=2)
     angle = poses[:, None, 3] - places[None, :, 3]
     turn = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
-    may_match = np.array([[_is_identical(o, target) for target in targets] for o in scene.objects])
+    is_like = _is_identical if matching == "identical" else _has_same_category
+    may_match = np.array([[o.instance == t.instance or is_like(o, t) for t in targets] for o in scene.objects])
     cost = cost_of(shift, turn)
     chosen = linear_sum_assignment(np.where(may_match, cost, _FORBIDDEN))  # feasible: each object may take its own place
     matches = {names[i]: names[j] for i, j in zip(*(index.tolist() for index in chosen), strict=True)}
@@ -91,9 +100,11 @@ def _check_same_objects(scene: Scene, other: Scene) -> None:
             raise SceneError(f"{message} as in the scene it is compared with", "objects_differ")
 
 
+def _has_same_category(o: SceneObject, other: SceneObject) -> bool:
+    return o.category == other.category
+
+
 def _is_identical(o: SceneObject, other: SceneObject) -> bool:
-    if o.instance == other.instance:
-        return True
     if o.asset_id is None or o.asset_id != other.asset_id:
         return False
     has_same_tilt = abs(np.dot(o.tilt_quat_xyzw, other.tilt_quat_xyzw)) >= _SAME_TILT

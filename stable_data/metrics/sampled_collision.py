@@ -7,6 +7,7 @@ error, and a thin object can pass between the samples.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -44,8 +45,30 @@ def add_sampled_collisions(card: MetricCard, scene: Scene, shapes: Sequence[Shap
         i, j = number[pair.first], number[pair.second]
         if pair.penetration is None or not (shapes[i].is_exact and shapes[j].is_exact):
             return replace(card, oc_sdf=None)
-        count += _enters(shapes[i], poses[i], shapes[j], poses[j]) or _enters(shapes[j], poses[j], shapes[i], poses[i])
+        count += _collide(shapes[i], poses[i], shapes[j], poses[j])
     return replace(card, oc_sdf=count / max(1, len(shapes) * (len(shapes) - 1) // 2))
+
+
+def num_sampled_collisions(scene: Scene, shapes: Sequence[Shape]) -> int:
+    """Counts pairs of objects of which one has a surface sample inside the other, without an audit.
+
+    Args:
+        scene: The scene.
+        shapes: The geometry of its objects, in order.
+    """
+    posed = list(zip(shapes, scene.poses(), strict=True))
+    return sum(_collide(*one, *other) for one, other in combinations(posed, 2))
+
+
+def prepare_samples(shapes: Sequence[Shape]) -> None:
+    """Computes what is kept of shapes: their samples and signed distances."""
+    for shape in shapes:
+        _sampled(shape)
+
+
+def _collide(one: Shape, one_pose: npt.NDArray[np.float64], other: Shape, other_pose: npt.NDArray[np.float64]) -> bool:
+    """Whether a surface sample of one of two objects is inside the other."""
+    return _enters(one, one_pose, other, other_pose) or _enters(other, other_pose, one, one_pose)
 
 
 def _enters(guest: Shape, guest_pose: npt.NDArray[np.float64], host: Shape, host_pose: npt.NDArray[np.float64]) -> bool:

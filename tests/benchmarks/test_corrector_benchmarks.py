@@ -17,13 +17,14 @@ from models.physics_corrector.training.settings import CorrectorTrainingSettings
 from models.physics_corrector.training.sources import clean_targets
 from models.physics_corrector.training.validation import Card
 from pipelines.sources.scenes import scene_source
-from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
+from pipelines.train.corrector import CorrectorTrainingJob
+from pipelines.train.layouts import LayoutMonitoring
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.training.training_scenes import TINY
 
 SETTINGS = replace(TINY, steps=2, batch_size=4, chunk=4, num_surface=64, num_bottom=16)
-WATCH = CorrectorMonitoring(log_every=2, card_every=9, final_scenes=2, exact_scenes=1)
+WATCH = LayoutMonitoring(log_every=2, card_every=9, final_scenes=2, exact_scenes=1)
 
 
 @pytest.fixture(scope="module")

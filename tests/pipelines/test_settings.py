@@ -27,6 +27,7 @@ from stable_data.errors import ConfigError
 ROOT = Path(__file__).resolve().parents[2]
 PRESETS = [(verb, "") for verb in JOBS]
 PRESETS += [("train-corrector", name) for name in ("paper", "paper_tuned", "paper_set", "embedded", "embedded_set")]
+PRESETS += [("train-rearranger", name) for name in ("lego_net", "struct_diffusion")]
 PRESETS += [("train-reasoner", name) for name in ("paper", "embedded")]
 
 

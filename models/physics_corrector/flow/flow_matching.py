@@ -18,15 +18,18 @@ from annotated_types import Interval
 from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
+from models.physics_corrector.flow.heights import Heights, at_first_heights, without_heights
 from models.physics_corrector.flow.object_encoding import expected_shifts
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.settings import NonNegative, Settings, Share
 
 Source: TypeAlias = Literal["coarse", "expected", "gaussian"]
 Solver: TypeAlias = Literal["euler", "midpoint", "heun"]
-Heights: TypeAlias = Literal["learned", "geometry"]
 Velocity: TypeAlias = Callable[[Tensor, Tensor, Condition, Tensor, Tensor | None], Tensor]
 """v_θ: coordinates (B, N, 4), time (B,), condition, ranks (B, N), earlier clean estimate or None -> velocity (B, N, 4)."""
+
+Mover: TypeAlias = Callable[[Condition, torch.Generator], Tensor]
+"""Moves the objects of scenes with coarse poses: the scenes, a generator for what is drawn -> poses (B, N, 4)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,13 +153,11 @@ class FlowMatching:
 
     def prepared(self, condition: Condition) -> Condition:
         """Returns the scenes at the heights with which the flow begins."""
-        return condition if self.settings.heights == "learned" else condition.standing()
+        return at_first_heights(condition, self.settings.heights)
 
     def _free(self, change: Tensor) -> Tensor:
         """Returns a change of coordinates (B, N, 4) without that of the height, if heights follow from geometry."""
-        if self.settings.heights == "learned":
-            return change
-        return change * change.new_tensor([1.0, 1.0, 0.0, 1.0])
+        return without_heights(change, self.settings.heights)
 
     @staticmethod
     def clean(y: Tensor, t: Tensor, velocity: Tensor) -> Tensor:
@@ -212,6 +213,11 @@ class FlowMatching:
                 y = _advance(velocity, y, step / steps, 1 / steps, solver)
         with torch.set_grad_enabled(gradient_steps > 0):
             return self.poses(y, condition)
+
+    def mover(self, network: Velocity) -> Mover:
+        """Returns the flow of a network as at inference: from x^c, or from a draw of the source that does not depend on x^c."""
+        is_drawn = self.settings.source == "gaussian"
+        return lambda condition, generator: self.sample(network, condition, generator=generator if is_drawn else None)
 
 
 def _advance(velocity: Callable[[Tensor, float], Tensor], y: Tensor, t: float, dt: float, solver: Solver) -> Tensor:

@@ -1,6 +1,5 @@
 """The settings of a corrector, its presets, and their JSON form."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 from models.physics_corrector.flow.flow_matching import FlowMatching, FlowSettings
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.physics_corrector.flow.velocity_network import VelocityNetwork, VelocityNetworkSettings
-from models.settings import Settings, fill_settings
+from models.settings import Settings, settings_from_json, settings_to_json
 from stable_data.config_diff import config_differences, flatten_config
 from stable_data.errors import ConfigError
 
@@ -29,7 +28,7 @@ class CorrectorSettings(Settings):
 
     def to_json(self) -> str:
         """Returns the settings as JSON with sorted keys."""
-        return json.dumps(asdict(self), sort_keys=True)
+        return settings_to_json(self)
 
     @classmethod
     def from_json(cls, text: str) -> "CorrectorSettings":
@@ -38,17 +37,7 @@ class CorrectorSettings(Settings):
         Raises:
             ConfigError: The text is not a JSON object, or a key is missing, unknown or of the wrong type.
         """
-        try:
-            values = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise ConfigError(f"settings of a corrector: not JSON ({error})", "config_invalid") from error
-        if not isinstance(values, dict):
-            raise ConfigError(f"settings of a corrector: found {values!r:.80}, expected an object", "config_invalid")
-        settings = fill_settings(cls, values, "corrector")
-        # Defaults may change between versions: a file must give every value that its weights were trained with.
-        if missing := flatten_config(asdict(settings)).keys() - flatten_config(values).keys():
-            raise ConfigError(f"settings of a corrector: found no {', '.join(sorted(missing))}, expected all", "config_invalid")
-        return settings
+        return settings_from_json(cls, text, "corrector")
 
     def differences(self, other: "CorrectorSettings") -> list[str]:
         """Returns ``key: was -> now`` for every setting in which ``other`` differs."""

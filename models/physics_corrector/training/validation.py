@@ -1,4 +1,4 @@
-"""The validation card: figures of raw samples of the flow on held-out scenes, and of their coarse layouts.
+"""The validation card: figures of raw samples of a network on held-out scenes, and of their coarse layouts.
 
 Each row is a kind of perturbation at a fixed seed; ``jitter_fixed`` is ``jitter`` with the objects of earlier stages fixed, and
 ``proposed`` are proposals of a reasoner, with the errors told as in generation. The
@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from models.physics_corrector.flow.condition import Condition
-from models.physics_corrector.flow.flow_matching import FlowMatching, Velocity
+from models.physics_corrector.flow.flow_matching import Mover
 from models.physics_corrector.flow.pose_coordinates import wrap_angle
 from models.physics_corrector.geometry.closest_point import ClosestPointQueries, closest_sample
 from models.physics_corrector.geometry.scene_batch import LayoutBatch
@@ -74,32 +74,29 @@ class ValidationScenes:
 
 
 def validation_card(
-    velocity: Velocity,
-    flow: FlowMatching,
+    move: Mover,
     held_out: ValidationScenes,
     settings: PerturbationSettings,
     seed: int,
     rows: Sequence[str] = ROWS,
 ) -> Card:
-    """Evaluates a corrector.
+    """Evaluates a network that moves objects.
 
     Args:
-        velocity: The network.
-        flow: The flow, with its solver steps.
+        move: Moves the objects of coarse layouts.
         held_out: The scenes.
         settings: Settings of the perturbations.
         seed: Seed of the perturbations: the same scenes and seed give the same coarse layouts.
         rows: Some of ROWS and PROPOSED.
     """
     shapes = [] if held_out.store is None else [held_out.store.shapes(scene)[0] for scene in held_out.scenes]
-    return {row: _row(row, velocity, flow, held_out, shapes, settings, seed) for row in rows}
+    return {row: _row(row, move, held_out, shapes, settings, seed) for row in rows}
 
 
 @torch.no_grad()
 def _row(
     row: str,
-    velocity: Velocity,
-    flow: FlowMatching,
+    move: Mover,
     held_out: ValidationScenes,
     shapes: Sequence[Sequence[Shape]],
     settings: PerturbationSettings,
@@ -117,8 +114,7 @@ def _row(
     drawn = perturb(batch, settings, generator, kind)
     coarse = drawn.poses
     condition = Condition.of(replace(batch, poses=coarse, error=drawn.error if row == PROPOSED else None))
-    start = generator if flow.settings.source == "gaussian" else None  # as at inference: from x^c, or from a draw
-    raw = flow.sample(velocity, condition, generator=start)
+    raw = move(condition, generator)
     figures = {name: grid_figures(poses, coarse, batch, data.geometry) for name, poses in (("coarse", coarse), ("raw", raw))}
     for name, poses in (("coarse", coarse), ("raw", raw)):
         figures[name] |= _exact(held_out.scenes, shapes, poses.cpu().numpy(), coarse.cpu().numpy())

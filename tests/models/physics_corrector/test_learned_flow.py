@@ -13,7 +13,8 @@ from models.physics_corrector.certify.flow_start import certify_moved, choose_st
 from models.physics_corrector.corrector import PhysicsCorrector, Purpose
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
 from models.physics_corrector.flow.expected_error import ExpectedError
-from models.physics_corrector.learned_flow import LearnedFlow, known_directions, load_flow, weights_fingerprint
+from models.physics_corrector.learned_flow import LearnedFlow, load_flow, weights_fingerprint
+from models.physics_corrector.scene_reading import known_directions
 from models.point_encoder import PointEncoder
 from models.point_encoder import save as save_encoder
 from models.text_encoder import load_default as load_text_encoder

@@ -15,7 +15,8 @@ from models.physics_corrector.training.sources import TrainingScenes
 from models.point_encoder import load as load_encoder
 from models.point_encoder import save as save_encoder
 from pipelines.__main__ import app
-from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
+from pipelines.train.corrector import CorrectorTrainingJob
+from pipelines.train.layouts import LayoutMonitoring
 from pipelines.train.run import STATE
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
@@ -24,7 +25,7 @@ from tests.models.physics_corrector.training.training_scenes import TINY
 from tests.models.point_encoder.clouds import tiny_encoder
 
 SETTINGS = replace(TINY, steps=4, batch_size=4, chunk=2, num_surface=64, num_bottom=16)
-WATCH = CorrectorMonitoring(log_every=2, card_every=2, card_scenes=1, final_scenes=2, exact_scenes=1)
+WATCH = LayoutMonitoring(log_every=2, card_every=2, card_scenes=1, final_scenes=2, exact_scenes=1)
 
 
 @pytest.fixture(scope="module")

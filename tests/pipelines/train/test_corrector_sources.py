@@ -24,7 +24,8 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.preprocess.job import preprocess
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
-from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
+from pipelines.train.corrector import CorrectorTrainingJob
+from pipelines.train.layouts import LayoutMonitoring
 from stable_data.assets.point_features import PointFeatures, feature_key, join_features
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
@@ -34,7 +35,7 @@ from tests.pipelines.runs import SMALL
 from tests.pipelines.scripts import one_thing_a_stage
 
 SETTINGS = replace(TINY, steps=2, batch_size=4, chunk=4, num_surface=64, num_bottom=16, proposed=0.5)
-WATCH = CorrectorMonitoring(log_every=1, card_every=2, card_scenes=1, final_scenes=2, exact_scenes=1)
+WATCH = LayoutMonitoring(log_every=1, card_every=2, card_scenes=1, final_scenes=2, exact_scenes=1)
 
 
 @pytest.fixture(scope="module")

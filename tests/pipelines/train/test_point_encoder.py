@@ -15,7 +15,8 @@ from models.point_encoder.transformer import PointTransformer, TransformerConfig
 from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess.job import preprocess
-from pipelines.train.corrector import CorrectorMonitoring, CorrectorTrainingJob
+from pipelines.train.corrector import CorrectorTrainingJob
+from pipelines.train.layouts import LayoutMonitoring
 from pipelines.train.point_encoder import fit_encoder
 from stable_data.assets.store import AssetStore
 from stable_data.embedded_world import EmbeddedWorld, write_world
@@ -25,7 +26,7 @@ from tests.models.physics_corrector.training.training_scenes import TINY
 from tests.models.point_encoder.test_checkpoint import FIRST, SECOND
 from tests.pipelines.runs import SMALL
 
-WATCH = CorrectorMonitoring(log_every=2, card_every=9, final_scenes=2, exact_scenes=0)
+WATCH = LayoutMonitoring(log_every=2, card_every=9, final_scenes=2, exact_scenes=0)
 
 
 def published(folder: Path, config: TransformerConfig) -> Path:

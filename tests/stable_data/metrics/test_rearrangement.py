@@ -64,6 +64,30 @@ def test_other_assets_may_not() -> None:
     assert emd_to_truth(permuted(lying, [1, 0, 2, 3, 4, 5]), lying).matches["0_cup"] == "0_cup"
 
 
+def test_by_category_other_assets_of_it_may() -> None:
+    scene = random_scene(3)
+    first = replace(scene.objects[0], asset_id="glass", size=(0.06, 0.06, 0.16))
+    mixed = replace(scene, objects=(first, *scene.objects[1:]))
+    exchanged = permuted(mixed, [1, 0, 2, 3, 4, 5])
+    assert emd_to_truth(exchanged, mixed).matches["0_cup"] == "0_cup"
+    found = emd_to_truth(exchanged, mixed, "category")
+    assert found.cost == pytest.approx(0, abs=1e-12)
+    assert found.matches["0_cup"] == "1_cup"
+    assert distance_moved(mixed, exchanged, "category") == pytest.approx(0, abs=1e-12)
+    assert distance_moved(mixed, exchanged) > 0.01
+    plates = permuted(mixed, [CUPS, 1, 2, 3, 0, CUPS + 1])
+    assert emd_to_truth(plates, mixed, "category").cost > 0.01  # a cup is no plate
+
+
+@given(st.integers(0, 10**6), st.integers(0, 10**6))
+def test_by_category_a_scene_is_never_farther(one: int, other: int) -> None:
+    scene, truth = random_scene(one), random_scene(other)
+    renamed = replace(scene, objects=(replace(scene.objects[0], asset_id="glass"), *scene.objects[1:]))
+    target = replace(truth, objects=(replace(truth.objects[0], asset_id="glass"), *truth.objects[1:]))
+    assert emd_to_truth(renamed, target, "category").cost <= emd_to_truth(renamed, target).cost + 1e-12
+    assert distance_moved(renamed, target, "category") <= distance_moved(renamed, target) + 1e-12
+
+
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
 def test_it_is_symmetric_and_below_every_other_matching(one: int, other: int) -> None:
     scene, truth = random_scene(one), random_scene(other)

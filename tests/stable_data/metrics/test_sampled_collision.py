@@ -6,7 +6,7 @@ import pytest
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.sampled_collision import add_sampled_collisions
+from stable_data.metrics.sampled_collision import add_sampled_collisions, num_sampled_collisions
 from stable_data.scene import Scene
 from tests.models.physics_corrector.certify.things import box, laid
 
@@ -24,6 +24,7 @@ def test_the_papers_rule_agrees_with_the_exact_one_where_objects_overlap_clearly
     scene = scene.with_poses(scene.poses() + np.array([[0, 0, 0, yaw], [0, 0, 0, 0], [0, 0, 0, yaw]]))
     card = card_of(scene, list(shapes))
     assert card.oc == card.oc_sdf == pytest.approx(1 / 3)
+    assert num_sampled_collisions(scene, list(shapes)) == 1
 
 
 def test_objects_that_are_apart_do_not_collide_and_unknown_is_no_pass() -> None:

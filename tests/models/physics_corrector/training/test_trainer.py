@@ -6,10 +6,10 @@ import torch
 from torch.multiprocessing.spawn import spawn
 
 from models.physics_corrector.flow.checkpoint import save_corrector
-from models.physics_corrector.flow.flow_matching import FlowMatching
+from models.physics_corrector.training.layout_trainer import train
 from models.physics_corrector.training.losses import LossSettings
 from models.physics_corrector.training.settings import CorrectorTrainingSettings, PhysicsSchedule, training_preset
-from models.physics_corrector.training.trainer import CorrectorTrainer, train
+from models.physics_corrector.training.trainer import CorrectorTrainer
 from models.training.distributed import ProcessContext
 from stable_data.errors import ConfigError
 from tests.models.physics_corrector.training.training_scenes import TINY, training_set
@@ -204,8 +204,8 @@ def test_training_makes_a_corrector_that_moves_things_where_they_belong() -> Non
     training = CorrectorTrainer(data, settings)
     train(training, wants_stop=lambda: False, after=lambda *_: None)
     held_out = ValidationScenes(data, torch.tensor([0, 1, 0, 1, 0, 1]))
-    assert isinstance(training.flow, FlowMatching)
-    card = validation_card(training.averaged(), training.flow, held_out, settings.perturbation, 0, ("jitter",))["jitter"]
+    move = training.flow.mover(training.averaged())
+    card = validation_card(move, held_out, settings.perturbation, 0, ("jitter",))["jitter"]
     before, after = card["coarse"]["target_distance_mm"], card["raw"]["target_distance_mm"]
     assert before is not None
     assert after is not None

@@ -12,6 +12,7 @@ from tests.models.physics_corrector.training.training_scenes import row, trainin
 
 DATA = training_set(2, 2)
 SCENES = [row(n) for n in range(4)]
+FLOW = FlowMatching(FlowSettings())
 
 
 def still(y: Tensor, *_: object) -> Tensor:
@@ -21,20 +22,20 @@ def still(y: Tensor, *_: object) -> Tensor:
 
 def test_a_corrector_that_does_nothing_gives_back_the_coarse_figures() -> None:
     held_out = ValidationScenes(DATA, torch.arange(4), SCENES[:2], store())
-    card = validation_card(still, FlowMatching(FlowSettings()), held_out, PerturbationSettings(), 0)
+    card = validation_card(FLOW.mover(still), held_out, PerturbationSettings(), 0)
     assert set(card) == set(ROWS)
     for sides in card.values():
         assert sides["raw"]["move_mean_mm"] == pytest.approx(0, abs=1e-3)
         assert sides["raw"]["target_distance_mm"] == pytest.approx(sides["coarse"]["target_distance_mm"], rel=1e-3)
         assert sides["coarse"]["relations_kept_on_in"] in (None, 1.0)
-    again = validation_card(still, FlowMatching(FlowSettings()), held_out, PerturbationSettings(), 0, ("pile",))
+    again = validation_card(FLOW.mover(still), held_out, PerturbationSettings(), 0, ("pile",))
     assert again["pile"] == card["pile"]
 
 
 def test_a_pile_collides_and_its_clean_scene_does_not() -> None:
     held_out = ValidationScenes(DATA, torch.arange(4), SCENES, store())
     settings = PerturbationSettings(picked=1.0)
-    pile = validation_card(still, FlowMatching(FlowSettings()), held_out, settings, 0, ("pile",))["pile"]["coarse"]
+    pile = validation_card(FLOW.mover(still), held_out, settings, 0, ("pile",))["pile"]["coarse"]
     assert pile["grid_oc"] is not None
     assert pile["grid_oc"] > 0.1
     assert pile["oc"] == pytest.approx(pile["grid_oc"], abs=0.15)
@@ -63,9 +64,7 @@ def test_fixed_objects_of_earlier_stages_stay() -> None:
     def away(y: Tensor, t: Tensor, condition: object, *_: object) -> Tensor:
         return torch.where(condition.is_movable[..., None], 1.0, 0.0).expand_as(y)  # type: ignore[attr-defined]
 
-    card = validation_card(
-        away, FlowMatching(FlowSettings()), ValidationScenes(DATA, torch.arange(4)), PerturbationSettings(), 0
-    )
+    card = validation_card(FLOW.mover(away), ValidationScenes(DATA, torch.arange(4)), PerturbationSettings(), 0)
     for name in ("jitter", "jitter_fixed"):
         assert card[name]["raw"]["move_mean_mm"] == pytest.approx(1e3 * 0.05 * 3**0.5, rel=1e-3)
 

@@ -1,0 +1,276 @@
+"""The paper's rearrangement table: perturbed held-out scenes, put in order by the corrector's parts and by two learned rearrangers.
+
+``python -m benchmarks.rearrangement RUN [--count 500] [--noise 0.1] [--seeds 3] [--method NAME ...] [--lego-net FILE]
+[--struct-diffusion FILE] [--flow FILE] [--json FILE]``. RUN is a preprocess run. Its clean scenes of the splits ``test`` and then
+``validation`` are perturbed: Gaussian noise of one standard deviation on x, y and z in metres and on yaw in radians, for every object by
+itself. FILE are weights of ``train-rearranger`` and ``train-corrector``; a method without weights is not measured. ``--lego-steps`` and
+``--diffusion-steps`` change the largest number of their steps.
+
+The paper leaves open: the unit of the noise, taken as metres and radians; whether heights are perturbed too, which "translation" says
+(``--plane`` leaves them); whether what carries what is known, which all methods are told here (``--infer``: they infer it from the
+perturbed poses); whether the methods know the size of the noise (``--untold``: they do not); and the weight of a turn in the earth mover's
+distance, here 0.1 m per radian. Objects may be off the table at the start.
+
+All methods move the same objects, none may be dropped, and every result is judged by the exact audit. ``start`` is the perturbed layout.
+``lego_net``, ``struct_diffusion`` and ``flow`` end with the same step that gives objects their exact heights by contact.
+
+- failed: scenes for which the method gave no layout; they count as they were at the start;
+- moved, EMD: mean distance that objects moved, and earth mover's distance to the clean scene, metres, with identical objects matched, and
+  with objects of the same category matched as in the paper;
+- OC: colliding pairs as a share of all, deeper than 0.5 mm by exact meshes (unknown counts as colliding), and by the paper's rule, a
+  sample of one surface inside the other; clean: share of scenes that are clean by the exact audit;
+- s: seconds of a core for a scene, without what is prepared once for each asset.
+
+A figure is the mean over the seeds of the means over the scenes, with half of the width of its 95 % interval over the seeds (Student's t).
+The figures under *paper* are published, not measured here: on other scenes, with the authors' trainings.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import mean
+from types import MappingProxyType
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+import typer
+
+from benchmarks.correction import START, Result, run
+from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms, corrector_parts
+from benchmarks.layouts import StartLayout, held_out_scenes, noisy_layouts
+from benchmarks.text_table import align_columns
+from models.baselines.outcome import Baseline
+from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
+from models.physics_corrector.learned_flow import AUTO
+from models.rearrangement.rearranger import open_rearranger
+from models.rearrangement.settings import METHODS as REARRANGERS
+from pipelines.sources.scenes import scene_source
+from stable_data.errors import ConfigError, StableDataError
+from stable_data.scores.intervals import mean_interval
+
+PARTS = ("flow", "flow + refine", "flow + refine + certify", "certify")
+"""The corrector's parts that are measured."""
+
+METHODS = (*REARRANGERS, *PARTS)
+
+PUBLISHED: Mapping[str, tuple[float, float, float]] = {
+    "lego_net": (0.28, 0.43, 0.32),
+    "struct_diffusion": (0.21, 0.23, 0.25),
+    "flow + refine + certify": (0.14, 0.08, 0.0),
+}
+"""Distance moved, EMD and OC of the STABLE paper's table "Quantitative comparisons on the task of Rearrangement"."""
+
+NO_STEPS: Mapping[str, int] = MappingProxyType({})
+"""The rearrangers take the steps of their weights."""
+
+_SPLITS = ("test", "validation")  # the choice of the shipped weights has seen the latter
+_FIGURES = ("moved", "moved_category", "emd", "emd_category", "oc", "oc_sampled", "clean", "seconds")
+_HEAD = ("moved m", "by category", "EMD m", "by category", "OC", "OC sampled", "clean", "s", "paper: moved", "EMD", "OC")
+
+
+@dataclass(frozen=True, slots=True)
+class SeedFigures:
+    """Means of one method over the scenes of one seed.
+
+    Attributes:
+        method: Name of the method.
+        seed: Seed of the noise.
+        scenes: Number of scenes.
+        failed: Scenes for which it gave no layout.
+        unknown: Scenes whose collisions by the paper's rule are not known, which ``oc_sampled`` leaves out.
+        moved: Mean distance moved, identical objects matched, metres.
+        moved_category: The same, objects of one category matched.
+        emd: Earth mover's distance to the clean scene, identical objects matched, metres.
+        emd_category: The same, objects of one category matched.
+        oc: Share of pairs that collide deeper than 0.5 mm.
+        oc_sampled: Share of pairs that collide by the paper's rule; None if it is not known of any scene.
+        clean: Share of clean scenes.
+        seconds: Mean seconds a scene.
+    """
+
+    method: str
+    seed: int
+    scenes: int
+    failed: int
+    unknown: int
+    moved: float
+    moved_category: float
+    emd: float
+    emd_category: float
+    oc: float
+    oc_sampled: float | None
+    clean: float
+    seconds: float
+
+
+def figures_of(results: Sequence[Result]) -> list[SeedFigures]:
+    """Returns the means of every method and seed, in the order of the results."""
+    keys = dict.fromkeys((r.method, r.bucket) for r in results)
+    return [_of_seed([r for r in results if (r.method, r.bucket) == key]) for key in keys]
+
+
+def _of_seed(results: Sequence[Result]) -> SeedFigures:
+    sampled = [r.oc_sdf for r in results if r.oc_sdf is not None]
+    return SeedFigures(
+        method=results[0].method,
+        seed=int(results[0].bucket),
+        scenes=len(results),
+        failed=sum(r.failed for r in results),
+        unknown=len(results) - len(sampled),
+        moved=mean(r.move_mean_mm for r in results) / 1e3,
+        moved_category=mean(r.move_category_mm for r in results) / 1e3,
+        emd=mean(_known(r.emd_mm) for r in results) / 1e3,
+        emd_category=mean(_known(r.emd_category_mm) for r in results) / 1e3,
+        oc=mean(r.oc for r in results),
+        oc_sampled=mean(sampled) if sampled else None,
+        clean=mean(r.clean is True for r in results),
+        seconds=mean(r.seconds for r in results),
+    )
+
+
+def _known(value: float | None) -> float:
+    """A distance that every result has: all layouts have a target, and no object is dropped."""
+    assert value is not None
+    return value
+
+
+def table(figures: Sequence[SeedFigures], methods: Sequence[str] = METHODS) -> str:
+    """Returns a table of the means over the seeds, with the published figures beside them; ``-`` is not measured.
+
+    Args:
+        figures: The figures of methods and seeds.
+        methods: The methods of the rows, after the start.
+    """
+    rows: list[tuple[str, ...]] = [("method", "scenes", "failed", *_HEAD)]
+    for method in (START, *methods):
+        own = [f for f in figures if f.method == method]
+        published = [f"{value:g}" for value in PUBLISHED[method]] if method in PUBLISHED else ["", "", ""]
+        measured = [_written([getattr(f, name) for f in own], name) for name in _FIGURES]
+        counts = (str(sum(f.scenes for f in own)), str(sum(f.failed for f in own))) if own else ("0", "-")
+        rows.append((method, *counts, *measured, *published))
+    return align_columns(rows, 1)
+
+
+def _written(values: Sequence[float | None], name: str) -> str:
+    known = [value for value in values if value is not None]
+    if not known or len(known) < len(values):
+        return "-"
+    digits = 2 if name == "seconds" else 3 if name == "clean" else 4
+    centre, low, high = mean_interval(known)
+    return f"{centre:.{digits}f}" if len(known) < 2 else f"{centre:.{digits}f} ±{(high - low) / 2:.{digits}f}"
+
+
+def open_methods(
+    wanted: Sequence[str], terms: CorrectorTerms, weights: Mapping[str, Path | None], steps: Mapping[str, int] = NO_STEPS
+) -> tuple[dict[str, Baseline], list[str]]:
+    """Loads the methods.
+
+    Args:
+        wanted: Names of METHODS; empty takes all that have weights.
+        terms: What the methods are told, and the weights of the flow.
+        weights: Rearranger -> its file.
+        steps: Rearranger -> largest number of its steps; 0, or none, is that of its weights.
+
+    Returns:
+        The methods by name, in the order of METHODS; and those that are left out because they have no weights.
+
+    Raises:
+        ConfigError: A name is unknown or a wanted method has no weights (``usage``), or weights cannot be used.
+    """
+    if unknown := sorted(set(wanted) - set(METHODS)):
+        raise ConfigError(f"--method {', '.join(unknown)}, expected of {', '.join(METHODS)}", "usage")
+    parts, found, left_out = corrector_parts(terms), dict[str, Baseline](), list[str]()
+    for name in METHODS:
+        if wanted and name not in wanted:
+            continue
+        if name in PARTS:
+            found[name] = parts[name]
+            continue
+        file = weights.get(name)
+        if file is None and wanted:
+            option = f"--{name.replace('_', '-')}"
+            raise ConfigError(f"--method {name} has no weights, expected {option} FILE of train-rearranger", "usage")
+        if file is None:
+            left_out.append(name)
+            continue
+        mover = open_rearranger(file, steps.get(name, 0), terms.error)
+        found[name] = CorrectorParts(terms, flows=True, refines=False, certifies=False, mover=mover)
+    return found, left_out
+
+
+def layouts_of(place: str, count: int, noise: float, seeds: int, *, along_z: bool = True) -> list[StartLayout]:
+    """Makes the perturbed layouts of held-out scenes, scene after scene, each with all seeds.
+
+    Raises:
+        ConfigError: The run has no clean held-out scene (``set_empty``).
+    """
+    scenes = held_out_scenes(place, count, _SPLITS)
+    if not scenes:
+        raise ConfigError(f"{place}: no clean scene in the splits test and validation, expected at least one", "set_empty")
+    store = scene_source(place).store
+    of_seed = [noisy_layouts(scenes, store, noise, seed, along_z=along_z) for seed in range(seeds)]
+    return [layout for of_scene in zip(*of_seed, strict=True) for layout in of_scene]
+
+
+def main(
+    place: Annotated[str, typer.Argument(metavar="RUN", help="A preprocess run.")],
+    count: Annotated[int, typer.Option(min=1, help="Held-out scenes; the paper has 500.")] = 500,
+    noise: Annotated[float, typer.Option(min=0.0, help="Standard deviation, metres and radians.")] = 0.1,
+    seeds: Annotated[int, typer.Option(min=1, help="Repetitions with other noise.")] = 3,
+    method: Annotated[list[str] | None, typer.Option(help=f"Of {', '.join(METHODS)}; all by default.")] = None,
+    lego_net: Annotated[Path | None, typer.Option(help="Weights of lego_net.")] = None,
+    struct_diffusion: Annotated[Path | None, typer.Option(help="Weights of struct_diffusion.")] = None,
+    lego_steps: Annotated[int, typer.Option(min=0, help="Largest number of steps of lego_net; 0: that of the weights.")] = 0,
+    diffusion_steps: Annotated[int, typer.Option(min=0, help="The same of struct_diffusion.")] = 0,
+    flow: Annotated[str, typer.Option(help="Weights of the flow; auto: those of the repository.")] = AUTO,
+    is_plane: Annotated[bool, typer.Option("--plane", help="No noise along z.")] = False,
+    infers: Annotated[bool, typer.Option("--infer", help="What carries what is inferred from the perturbed poses.")] = False,
+    is_untold: Annotated[bool, typer.Option("--untold", help="The methods are not told the size of the noise.")] = False,
+    limit: Annotated[float, typer.Option(help="Seconds after which no further layout is started.")] = np.inf,
+    file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
+) -> None:
+    """Measures the methods on perturbed held-out scenes."""
+    torch.set_num_threads(1)
+    error = UNKNOWN_ERROR if is_untold or not noise else ExpectedError(noise, noise)
+    terms = CorrectorTerms(flow, is_told=not infers, purpose="rearrange", error=error, keeps_all=True)
+    try:
+        weights = {"lego_net": lego_net, "struct_diffusion": struct_diffusion}
+        steps = {"lego_net": lego_steps, "struct_diffusion": diffusion_steps}
+        methods, left_out = open_methods(method or (), terms, weights, steps)
+        layouts = layouts_of(place, count, noise, seeds, along_z=not is_plane)
+        results = run(layouts, scene_source(place).store, methods, limit)
+    except StableDataError as found:
+        raise SystemExit(str(found)) from found
+    figures = figures_of(results)
+    objects = sum(r.num_objects for r in results if r.method == START)
+    print(
+        f"{len(layouts)} layouts with {objects} objects, {seeds} seeds, noise {noise:g} along {'x, y' if is_plane else 'x, y, z'}"
+    )
+    for name in left_out:
+        print(f"{name}: not measured, no weights (--{name.replace('_', '-')} FILE)")
+    print("", table(figures, method or METHODS), sep="\n")
+    if file is not None:
+        asked: dict[str, Any] = {"count": count, "noise": noise, "seeds": seeds}
+        asked |= {"plane": is_plane, "infer": infers, "untold": is_untold, "flow": flow, "steps": steps}
+        asked["weights"] = {name: str(path) for name, path in weights.items() if path}
+        file.write_text(json.dumps(_document(place, asked, figures, results), indent=1) + "\n", "utf-8")
+
+
+def _document(
+    place: str, asked: Mapping[str, Any], figures: Sequence[SeedFigures], results: Sequence[Result]
+) -> dict[str, Any]:
+    """The figures as JSON: means, single results, and the published figures apart."""
+    names = ("moved", "emd", "oc")
+    return {
+        "run": place,
+        **asked,
+        "figures": [asdict(f) for f in figures],
+        "results": [{key: value for key, value in asdict(r).items() if key != "tidiness"} for r in results],
+        "published": {method: dict(zip(names, values, strict=True)) for method, values in PUBLISHED.items()},
+    }
+
+
+if __name__ == "__main__":
+    typer.run(main)
