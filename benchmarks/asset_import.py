@@ -24,8 +24,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from benchmarks.text_table import align_columns
 from models.text_encoder import load_default
+from pipelines.reports.text_table import align_columns
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.gltf_reader import load_surfaces
 from stable_data.importers.boundary import Boundary

@@ -47,13 +47,13 @@ from benchmarks.audit import readable_scenes
 from benchmarks.corrector_parts import CorrectorTerms, corrector_parts
 from benchmarks.layouts import StartLayout, held_out_scenes, perturbed_layouts, proposed_layouts, read_layouts, shaken_layouts
 from benchmarks.steerable_drake import in_drake
-from benchmarks.text_table import align_columns
 from models.baselines.methods import METHODS
 from models.baselines.outcome import Baseline, BaselineResult
 from models.physics_corrector.corrector import Purpose
 from models.physics_corrector.flow.expected_error import ExpectedError
 from models.physics_corrector.learned_flow import AUTO
 from models.physics_corrector.training.perturbation import PerturbationSettings
+from pipelines.reports.text_table import align_columns
 from pipelines.sources.scenes import scene_source
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError, StableDataError

@@ -36,10 +36,10 @@ from tqdm import tqdm
 from benchmarks.audit import readable_scenes
 from benchmarks.corrector_parts import corrector_parts
 from benchmarks.layouts import shaken
-from benchmarks.text_table import align_columns
 from models.baselines.outcome import Baseline
 from models.physics_corrector.geometry.scene_batch import LayoutBatch, pad_scenes
 from models.physics_corrector.training.perturbation import PerturbationSettings, perturb
+from pipelines.reports.text_table import align_columns
 from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError, StableDataError
 from stable_data.mesatask import MesaTaskDataset

@@ -30,11 +30,11 @@ from typing import Annotated, Any, TypeAlias
 import torch
 import typer
 
-from benchmarks.text_table import align_columns
 from models.physics_corrector.training.losses import LossSettings
 from models.physics_corrector.training.perturbation import PerturbationSettings
 from models.physics_corrector.training.settings import CorrectorTrainingSettings, PhysicsSchedule, training_preset
 from models.physics_corrector.training.validation import Card
+from pipelines.reports.text_table import align_columns
 from pipelines.train.corrector import CorrectorTrainingJob
 from pipelines.train.layouts import LayoutMonitoring
 from stable_data.errors import StableDataError

@@ -35,7 +35,7 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.chaos import below
-from benchmarks.text_table import align_columns
+from pipelines.reports.text_table import align_columns
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import load_surfaces

@@ -17,7 +17,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from benchmarks.text_table import align_columns
+from pipelines.reports.text_table import align_columns
 from stable_data.assets.store import AssetStore
 from stable_data.judges.registry import check_judges, disagree, judge
 from stable_data.judges.run_verdicts import agreement

@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from benchmarks.text_table import align_columns
 from pipelines.execution.resume import read_manifest
+from pipelines.reports.text_table import align_columns
 from stable_data.atomic_files import write_file_atomically
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean
 
-from benchmarks.text_table import align_columns
+from pipelines.reports.text_table import align_columns
 from stable_data.export.exporter import export_run
 from stable_data.export.manipvqa import QUESTIONS_FILE, SIZE
 from stable_data.scores.detection import OVERLAPS, Box, DetectedBox, LabelledBox, read_labels, score_detections

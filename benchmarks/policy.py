@@ -38,8 +38,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from benchmarks.text_table import align_columns
 from pipelines.evaluate_policy.job import UNSEEN
+from pipelines.reports.text_table import align_columns
 from stable_data.atomic_files import write_file_atomically
 from stable_data.cli import DONE, SOME_FAILED
 from stable_data.mesatask.asset_catalog import library_of_folder

@@ -24,9 +24,9 @@ from typing import Annotated, Any
 import typer
 from tqdm import tqdm
 
-from benchmarks.text_table import align_columns
 from models.scene_rating.rating_case import RatingCase
 from models.scene_rating.symbolic_judge import SymbolicJudge
+from pipelines.reports.text_table import align_columns
 from stable_data.assets.store import AssetStore
 from stable_data.cli import with_clear_errors
 from stable_data.rating.criteria import CRITERIA, KEYS

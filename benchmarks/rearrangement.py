@@ -40,12 +40,12 @@ import typer
 from benchmarks.correction import START, Result, run
 from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms, corrector_parts
 from benchmarks.layouts import StartLayout, held_out_scenes, noisy_layouts
-from benchmarks.text_table import align_columns
 from models.baselines.outcome import Baseline
 from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
 from models.physics_corrector.learned_flow import AUTO
 from models.rearrangement.rearranger import open_rearranger
 from models.rearrangement.settings import METHODS as REARRANGERS
+from pipelines.reports.text_table import align_columns
 from pipelines.sources.scenes import scene_source
 from stable_data.errors import ConfigError, StableDataError
 from stable_data.scores.intervals import mean_interval

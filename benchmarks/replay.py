@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import mannwhitneyu
 
-from benchmarks.text_table import align_columns
 from models.settings import fill_settings
 from pipelines.demonstrate.environments import EpisodeRef, open_episode
 from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.execution.resume import read_manifest
+from pipelines.reports.text_table import align_columns
 from stable_data.errors import StableDataError
 from stable_data.robot.acting.recording import replay
 from stable_data.robot.episodes import read_episodes

@@ -22,8 +22,8 @@ import typer
 
 from benchmarks.audit import readable_scenes
 from benchmarks.consumers.environment import FID_LIBRARIES
-from benchmarks.text_table import align_columns
 from models.picture_features import FeatureExtractor, Pictures, extractor_named
+from pipelines.reports.text_table import align_columns
 from stable_data.assets.store import AssetStore
 from stable_data.feature_files import GRADIENTS, INCEPTION, fetch_command, inception_file
 from stable_data.mesatask import MesaTaskDataset

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.text_table import align_columns
+from pipelines.reports.text_table import align_columns
 from pipelines.sources.assets import AssetLibraries, absolute_places
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.mesh import Mesh, join_meshes

@@ -43,7 +43,7 @@ import typer
 from PIL import Image
 from scipy.stats import wasserstein_distance
 
-from benchmarks.text_table import align_columns
+from pipelines.reports.text_table import align_columns
 from pipelines.sources.scenes import mesh_cache
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore

@@ -22,11 +22,11 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.text_table import align_columns
 from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.reader import InstructionReader
 from models.instruction_reader.reading import InstructionReading, MentionedObject, MentionedRelation
 from models.instruction_reader.weights import DEFAULT_WEIGHTS
+from pipelines.reports.text_table import align_columns
 from stable_data.embedded_world.sampling import sample_task
 from stable_data.instructions.wording.vocabulary import closeness
 from stable_data.metrics.alignment import reference_of

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pipelines.evaluation_commands import views
+from pipelines.evaluation_commands import evaluate, views
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, NumWorkers, RunOut, worker_count
 from pipelines.rating_commands import rate
 from pipelines.retired import CommandGroup
@@ -502,6 +502,7 @@ app.command("repair")(scene_files.repair)
 app.command("import-scenes")(scene_files.import_scenes)
 app.command("supports")(supports)
 app.command("reach", epilog=SETTINGS_HINT.format("reach"))(reach)
+app.command("evaluate", epilog=SETTINGS_HINT.format("evaluate"))(evaluate)
 app.command("views", epilog=SETTINGS_HINT.format("views"))(views)
 app.command("rate", epilog=SETTINGS_HINT.format("rate"))(rate)
 app.command("demonstrate", epilog=SETTINGS_HINT.format("demonstrate"))(demonstrate)

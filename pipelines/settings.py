@@ -63,6 +63,7 @@ JOBS: Mapping[str, SettingsLocation] = {
     "demonstrate": SettingsLocation("pipelines.demonstrate.settings:DemonstrateSettings"),
     "reach": SettingsLocation("pipelines.reach.settings:ReachSettings"),
     "rate": SettingsLocation("pipelines.rate.settings:RateSettings"),
+    "evaluate": SettingsLocation("pipelines.evaluate.settings:EvaluateSettings"),
     "evaluate-policy": SettingsLocation("pipelines.evaluate_policy.settings:EvaluatePolicySettings"),
     "train-corrector": SettingsLocation(
         "models.physics_corrector.training.settings:CorrectorTrainingSettings",

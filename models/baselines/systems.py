@@ -50,6 +50,16 @@ _MESATASK: Mapping[str, str | int] = {
 SYSTEMS: Mapping[str, ComparedSystem] = MappingProxyType(
     {
         "stable": ComparedSystem("Ours", "Algorithm 1: the reasoner and the corrector in turn, stage by stage", {}),
+        "one_shot": ComparedSystem(
+            "One-shot",
+            "the reasoner is asked once for the whole scene, then the corrector (Table 3 b)",
+            {"schedule": "whole"},
+        ),
+        "uncorrected": ComparedSystem(
+            "Reasoner alone",
+            "the reasoner's stages, as it proposes them",
+            {"corrects": "never"},
+        ),
         "steerable": ComparedSystem(
             "Steerable",
             "the reasoner's stages without a correction, then Steerable's projection",

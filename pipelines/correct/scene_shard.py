@@ -12,8 +12,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Generic, Literal, Self, TypeAlias, TypeVar
 
-import ray
-
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, DroppedObject
 from models.physics_corrector.certify.correction import Correction
 from models.physics_corrector.corrector import PhysicsCorrector
@@ -23,7 +21,7 @@ from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressTally
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, connect, run_isolated, time_limited
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, connection, run_isolated, time_limited
 from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_isolated, rows_or_failure
 from pipelines.sources.scenes import SceneSource, SourceScene, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
@@ -76,14 +74,12 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         if not settings.correctors:
             yield self, None
             return
-        started = connect(workers)
-        try:
-            opens = partial(_opened_corrector, self)
-            with corrector_pool(opens, settings.correctors, settings.corrector_gpus, may_grow=not started) as shared:
-                yield replace(self, correctors=shared), None
-        finally:
-            if started:
-                ray.shutdown()
+        opens, may_grow = partial(_opened_corrector, self), workers.address is not None
+        with (
+            connection(workers),
+            corrector_pool(opens, settings.correctors, settings.corrector_gpus, may_grow=may_grow) as shared,
+        ):
+            yield replace(self, correctors=shared), None
 
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
         """Computes the rows of a shard."""

@@ -212,6 +212,21 @@ def connect(workers: WorkerPool) -> bool:
     return True
 
 
+@contextmanager
+def connection(workers: WorkerPool) -> Iterator[None]:
+    """Holds a local Ray or the connection to the cluster, which everything that runs meanwhile shares.
+
+    Raises:
+        ConfigError: Ray cannot be reached.
+    """
+    started = not workers.are_this_process and connect(workers)
+    try:
+        yield
+    finally:
+        if started:
+            ray.shutdown()
+
+
 def _checkout() -> dict[str, Any] | None:
     """The runtime environment that ships this checkout to the nodes; None in a Ray job, which was submitted with one."""
     if "RAY_JOB_CONFIG_JSON_ENV_VAR" in os.environ:

@@ -78,7 +78,10 @@ def write_generate_report(
         "num_varied",
     ]
     scenes, rejected = (_frame(folder, name, columns) for name in ("scenes", "rejected"))
-    spent, turns = _spent(folder), _frame(folder, "turns", ["stage", "tries", "prompt_tokens", "reply_tokens", "cost", "code"])
+    spent, turns = (
+        core_seconds(folder),
+        _frame(folder, "turns", ["stage", "tries", "prompt_tokens", "reply_tokens", "cost", "code"]),
+    )
     store = AssetStore(RunAssets(folder, mesh_cache())) if sources is None else sources.store
     grids = SceneGrids(folder, store)
     body = [
@@ -113,8 +116,8 @@ def _frame(folder: RunFolder, name: str, columns: Sequence[str]) -> pl.DataFrame
     return frame
 
 
-def _spent(folder: RunFolder) -> Counter[str]:
-    """Process seconds by kind of work, and the number of scenes."""
+def core_seconds(folder: RunFolder) -> Counter[str]:
+    """Returns the process seconds of a run by kind of work, and as ``scenes`` the number of its scenes."""
     spent: Counter[str] = Counter()
     files = [f"{TIMING_FOLDER}/{shard_id}.json" for shard_id in folder.shard_ids("scenes")]
     with ThreadPoolExecutor(_AT_ONCE) as pool:

@@ -44,7 +44,7 @@ from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.engine_pool import PooledEngine, check_gpus, engine_pool
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import LocalTally, ProgressReporter, ProgressTally, SharedTally
-from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connect, time_limited
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connection, time_limited
 from pipelines.execution.shard_step import (
     NOT_OF_AN_ITEM,
     Rows,
@@ -181,28 +181,25 @@ class GenerateWork(ShardStep[Task]):
             here = LocalTally()
             yield replace(self, tally=here), here
             return
-        started = connect(workers)
-        try:
-            with ExitStack() as stack:
-                work, settings = self, self.settings
-                wanted = {
-                    "engines": (settings.engines, settings.engine_gpus),
-                    "correctors": (settings.correctors, settings.corrector_gpus),
-                }
-                if started and settings.engines and settings.correctors:
-                    check_gpus(wanted)
-                if settings.engines:
-                    engines = engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=not started)
-                    work = replace(work, pool=stack.enter_context(engines))
-                if settings.correctors:
-                    opens = partial(_opened_corrector, self)
-                    shared = corrector_pool(opens, settings.correctors, settings.corrector_gpus, may_grow=not started)
-                    work = replace(work, correctors=stack.enter_context(shared))
-                tally = SharedTally.started()
-                yield replace(work, tally=tally), tally
-        finally:
-            if started:
-                ray.shutdown()
+        may_grow = workers.address is not None
+        with ExitStack() as stack:
+            stack.enter_context(connection(workers))
+            work, settings = self, self.settings
+            wanted = {
+                "engines": (settings.engines, settings.engine_gpus),
+                "correctors": (settings.correctors, settings.corrector_gpus),
+            }
+            if not may_grow and settings.engines and settings.correctors:
+                check_gpus(wanted)
+            if settings.engines:
+                engines = engine_pool(settings.engine, settings.engines, settings.engine_gpus, may_grow=may_grow)
+                work = replace(work, pool=stack.enter_context(engines))
+            if settings.correctors:
+                opens = partial(_opened_corrector, self)
+                shared = corrector_pool(opens, settings.correctors, settings.corrector_gpus, may_grow=may_grow)
+                work = replace(work, correctors=stack.enter_context(shared))
+            tally = SharedTally.started()
+            yield replace(work, tally=tally), tally
 
     def shard(self, shard: Shard[Task], *, isolated: bool = False) -> ShardResult:
         """Makes the scenes of a shard.

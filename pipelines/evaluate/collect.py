@@ -1,0 +1,143 @@
+"""Reads what a system gave in one repetition from the runs of its scenes, pictures and ratings."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipelines.evaluate.figures import FIGURES, Repetition
+from pipelines.generate.report import core_seconds
+from stable_data.diversity.comparison import SAMPLE, compare_sets
+from stable_data.diversity.scene_set import SceneSet
+from stable_data.errors import ConfigError
+from stable_data.rating.criteria import KEYS
+from stable_data.scores.set_distance import Features, FeatureStatistics, frechet_distance, kernel_distance, vendi_at
+from stable_data.storage.row_groups import TableFiles
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS
+
+VIEW = "front"
+"""The view whose features are compared, as the paper does for FID."""
+
+_CARD = [figure.key for figure in FIGURES if figure.key in SCHEMAS["scenes"].names]
+_RATED = [*KEYS, "average", "quality_pass"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """The pictures with which those of systems are compared.
+
+    Attributes:
+        features: (N, D) float32, of the front views.
+        fingerprint: That of their extractor.
+        table_types: Types of the tables.
+    """
+
+    features: Features
+    fingerprint: str
+    table_types: frozenset[str]
+
+
+def read_reference(run: str, views: str, where: str) -> Reference:
+    """Reads the reference.
+
+    Args:
+        run: The run of its scenes.
+        views: The run of their pictures.
+        where: The condition on its scenes.
+    """
+    types = TableFiles(run, "scenes", ["table_type"], where=where or None)
+    names = {name for group in range(len(types.groups)) for name in types.read([group])["table_type"].to_pylist()}
+    features, fingerprint = read_features(views)
+    return Reference(features, fingerprint, frozenset(names))
+
+
+def read_features(views: str) -> tuple[Features, str]:
+    """Returns the features of the front views of a views run, (N, D) float32 by scene id, and the fingerprint of their extractor.
+
+    Raises:
+        ConfigError: The run has none (``source_empty``).
+    """
+    leaves = ["scene_id", "extractor_fingerprint", "views.list.element.view", "views.list.element.features"]
+    files = TableFiles(views, "views", leaves)
+    rows = [row for group in range(len(files.groups)) for row in files.read([group]).to_pylist()]
+    if not rows:
+        raise ConfigError(f"{views}: has no pictures, expected some", "source_empty")
+    rows.sort(key=lambda row: str(row["scene_id"]))
+    chosen = [next(view["features"] for view in row["views"] if view["view"] == VIEW) for row in rows]
+    return np.array(chosen, np.float32), str(rows[0]["extractor_fingerprint"])
+
+
+def read_repetition(place: str, tasks: Sequence[str], reference: Reference | None) -> tuple[Repetition, list[str]]:
+    """Reads a repetition.
+
+    Args:
+        place: The folder with its runs ``scenes``, ``views`` and ``ratings``; the last two may be missing.
+        tasks: Ids of all tasks.
+        reference: What its pictures are compared with; None: nothing.
+
+    Returns:
+        The repetition, whose diversity is not known yet, and notes on what is unknown.
+    """
+    scenes, ratings = RunFolder(f"{place}/scenes"), RunFolder(f"{place}/ratings")
+    found = scenes.table("scenes", ["scene_id", "table_type", *_CARD]).to_pylist()
+    rated = {}
+    if ratings.shard_ids("ratings"):
+        rated = {row["scene_id"]: row for row in ratings.table("ratings", ["scene_id", *_RATED]).to_pylist()}
+    rows = {row["scene_id"]: _row(row, rated.get(row["scene_id"], {})) for row in found}
+    values, notes = _picture_values(place, {row["table_type"] for row in found}, reference)
+    values |= _spent(scenes, len(tasks))
+    return Repetition(tuple(tasks), rows, values), notes
+
+
+def _row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str, Any]:
+    verdicts = (card["clean"], card["stable"])
+    ready = False if False in verdicts else None if None in verdicts else True
+    return {**card, **{key: rating.get(key) for key in _RATED}, "made": True, "ready": ready}
+
+
+def _picture_values(place: str, types: set[str], reference: Reference | None) -> tuple[dict[str, float | None], list[str]]:
+    """Distances of the pictures from the reference."""
+    if reference is None or not RunFolder(f"{place}/views").shard_ids("views"):
+        return {}, []
+    if strange := sorted(types - reference.table_types):
+        return {}, [f"distances of pictures are unknown: the reference has no {', '.join(strange)}; choose another one"]
+    try:
+        features, fingerprint = read_features(f"{place}/views")
+        if fingerprint != reference.fingerprint:
+            return {}, ["distances of pictures are unknown: the features of the reference are others"]
+        parts = (FeatureStatistics.of(one) for one in (features, reference.features))
+        return {"frechet": frechet_distance(*parts), "kernel": kernel_distance(features, reference.features)}, []
+    except ConfigError as error:
+        return {}, [f"distances of pictures are unknown: {error}"]
+
+
+def _spent(scenes: RunFolder, num_tasks: int) -> dict[str, float | None]:
+    """Core seconds, tokens and cost for each task, whether it got a scene or not."""
+    spent = core_seconds(scenes)
+    seconds = sum(value for name, value in spent.items() if name != "scenes")
+    turns = scenes.table("turns", ["prompt_tokens", "reply_tokens", "cost"]).to_pylist()
+    tokens = sum((turn["prompt_tokens"] or 0) + (turn["reply_tokens"] or 0) for turn in turns)
+    n = max(1, num_tasks)
+    return {"core_seconds": seconds / n, "tokens": tokens / n, "cost": sum(turn["cost"] or 0.0 for turn in turns) / n}
+
+
+def set_diversity(repetitions: Sequence[tuple[Repetition, str]]) -> list[Repetition]:
+    """Returns repetitions of systems on the same tasks with their Vendi scores, at one number of scenes for all.
+
+    Args:
+        repetitions: Each with the folder of its runs.
+    """
+    filled = [k for k, (one, _) in enumerate(repetitions) if len(one.rows) > 1]
+    values: list[dict[str, float | None]] = [dict(one.values) for one, _ in repetitions]
+    if filled:
+        sets = [SceneSet.read(f"{repetitions[k][1]}/scenes") for k in filled]
+        for k, found in zip(filled, compare_sets(sets).sets, strict=True):
+            values[k]["vendi_layouts"] = found.layouts
+    drawn = [k for k in filled if RunFolder(f"{repetitions[k][1]}/views").num_rows("views") > 1]
+    features = {k: read_features(f"{repetitions[k][1]}/views")[0] for k in drawn}
+    size = min([SAMPLE, *(len(rows) for rows in features.values())])
+    for k, rows in features.items():
+        values[k]["vendi_pictures"] = vendi_at(rows, size).mean
+    return [Repetition(one.tasks, one.rows, value) for (one, _), value in zip(repetitions, values, strict=True)]

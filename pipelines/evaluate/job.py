@@ -1,0 +1,235 @@
+"""The evaluate job: systems on the same tasks, each generated, drawn and rated by the jobs of that name, then compared.
+
+``OUT/seed_K/LABEL`` has the runs ``scenes``, ``views`` and ``ratings`` of one system in one repetition, and ``OUT/reference`` the pictures
+of the reference. Each of these is a run of its own, with every item exactly once; the same command continues after a stop, and further
+systems or repetitions can be added later.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from pipelines.evaluate.collect import Reference, read_reference, read_repetition, set_diversity
+from pipelines.evaluate.figures import Estimate, Repetition, estimate_figures
+from pipelines.evaluate.settings import EvaluateSettings
+from pipelines.evaluate.systems import EvaluatedSystem, parse_systems
+from pipelines.execution.ray_executor import WorkerPool, connection
+from pipelines.generate.job import GenerateJob, generate
+from pipelines.rate.job import rate
+from pipelines.sources.generation_tasks import TaskSource
+from pipelines.views.job import draw_views
+from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import RunFolder
+
+Tasks: TypeAlias = Callable[[int], TaskSource]
+"""The tasks of a repetition, by its seed."""
+
+_EMPTY = "source_empty"
+
+
+@dataclass(slots=True)
+class SystemResult:
+    """A system with what it gave.
+
+    Attributes:
+        system: The system.
+        repetitions: Its repetitions; none if it was not run.
+        notes: What is unknown and why, and what to know about its figures.
+        runs: Folders of the runs of each repetition.
+        has_failed: Whether something that was asked for could not be done.
+    """
+
+    system: EvaluatedSystem
+    repetitions: list[Repetition] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    runs: list[str] = field(default_factory=list)
+    has_failed: bool = False
+
+    def note(self, text: str) -> None:
+        """Adds a note once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """The result of an evaluation.
+
+    Attributes:
+        out: Its folder.
+        num_tasks: Number of tasks of a repetition.
+        results: The systems.
+        estimates: Label -> key of a figure -> estimate.
+        names: What distances of pictures are called, and who rated: keys ``frechet``, ``kernel``, ``judge``.
+        notes: What is unknown for all systems.
+    """
+
+    out: str
+    num_tasks: int
+    results: tuple[SystemResult, ...]
+    estimates: dict[str, dict[str, Estimate]]
+    names: dict[str, str]
+    notes: tuple[str, ...]
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether something that was asked for could not be done."""
+        return any(result.has_failed for result in self.results)
+
+
+def evaluate(
+    tasks: Tasks, out: str, settings: EvaluateSettings, workers: WorkerPool, assets: Sequence[str] = (), *, report: bool = True
+) -> Evaluation:
+    """Runs all systems in all repetitions, or what is missing, and writes ``evaluation.json`` and the report page.
+
+    A system that cannot run, or whose pictures or ratings cannot be made, has a note and unknown figures; the others go on.
+
+    Raises:
+        ConfigError: The settings cannot be used, or the reference is no run with scenes.
+    """
+    from pipelines.evaluate.report import write_evaluation_report
+
+    results = [SystemResult(system) for system in parse_systems(settings.systems)]
+    seeds = [settings.generate.seed + k for k in range(settings.repetitions)]
+    sources = {seed: tasks(seed) for seed in seeds}
+    names = {"frechet": "Fréchet distance", "kernel": "kernel distance", "judge": settings.rate.rating.judge}
+    for result in results:
+        if lacking := result.system.lacks(settings.generate):
+            result.note(f"not run: needs {lacking}")
+    with connection(workers):
+        reference, notes = _reference(out, settings, workers)
+        for seed in seeds:
+            for result in results:
+                if result.system.lacks(settings.generate) or (seed != seeds[0] and not result.system.is_repeated()):
+                    continue
+                place = f"{out.rstrip('/')}/seed_{seed}/{result.system.label}"
+                _run_system(result, place, sources[seed], seed, settings, workers, assets, reference, names)
+            done = [result for result in results if _has(result, seed)]
+            for result, one in zip(done, set_diversity([(r.repetitions[-1], r.runs[-1]) for r in done]), strict=True):
+                result.repetitions[-1] = one
+    estimates = estimate_figures({result.system.label: result.repetitions for result in results})
+    evaluation = Evaluation(out, len(sources[seeds[0]].tasks), tuple(results), estimates, names, tuple(notes))
+    folder = RunFolder(out)
+    folder.write_bytes("evaluation.json", json.dumps(to_json(evaluation), indent=2).encode() + b"\n")
+    if report:
+        write_evaluation_report(folder, evaluation, settings)
+    return evaluation
+
+
+def plan(tasks: Tasks, settings: EvaluateSettings, assets: Sequence[str] = ()) -> dict[str, Any]:
+    """Describes what an evaluation would do, for ``--dry-run``."""
+    seed, found = settings.generate.seed, {}
+    for system in parse_systems(settings.systems):
+        lacking = system.lacks(settings.generate)
+        if lacking:
+            found[system.label] = f"not run: needs {lacking}"
+            continue
+        GenerateJob(tasks(seed), system.settings(settings.generate, seed), assets).inputs()
+        found[system.label] = system.compared.about
+    return {
+        "job": "evaluate",
+        "num_tasks": len(tasks(seed).tasks),
+        "seeds": [seed + k for k in range(settings.repetitions)],
+        "systems": found,
+        "judge": settings.rate.rating.judge,
+        "features": settings.views.resolved().features,
+        "reference": settings.reference or None,
+    }
+
+
+def _has(result: SystemResult, seed: int) -> bool:
+    return bool(result.runs) and result.runs[-1].endswith(f"/seed_{seed}/{result.system.label}")
+
+
+def _reference(out: str, settings: EvaluateSettings, workers: WorkerPool) -> tuple[Reference | None, list[str]]:
+    if not settings.reference:
+        return None, ["distances of pictures are unknown: give a run of scenes to compare with, --reference RUN"]
+    place = f"{out.rstrip('/')}/reference"
+    try:
+        manifest = draw_views(settings.reference, place, settings.views, workers, where=settings.reference_where)
+    except ConfigError as error:
+        if error.code != "no_gl":
+            raise
+        return None, [f"distances of pictures are unknown: {error}"]
+    reference = read_reference(settings.reference, place, settings.reference_where)
+    lost = manifest["counts"]["failures"]
+    about = f"the reference has {len(reference.features)} pictures" + (f"; {lost} could not be drawn" if lost else "")
+    return reference, [about]
+
+
+def _run_system(
+    result: SystemResult,
+    place: str,
+    source: TaskSource,
+    seed: int,
+    settings: EvaluateSettings,
+    workers: WorkerPool,
+    assets: Sequence[str],
+    reference: Reference | None,
+    names: dict[str, str],
+) -> None:
+    """Generates, draws and rates, and adds a repetition to the result."""
+    _say(f"{result.system.label}, seed {seed}")
+    try:
+        own = result.system.settings(settings.generate, seed)
+        job = GenerateJob(source, own, assets)
+        for notice in job.odd():
+            result.note(notice.message)
+        generate(source, f"{place}/scenes", own, workers, assets)
+    except ConfigError as error:
+        result.has_failed = True
+        result.note(f"seed {seed} was not run: {error}")
+        return
+    for verb in ("pictures", "ratings"):
+        try:
+            if verb == "pictures":
+                manifest = draw_views(f"{place}/scenes", f"{place}/views", settings.views, workers)
+                names |= {"frechet": manifest["distance"], "kernel": manifest["kernel_distance"]}
+            else:
+                manifest = rate(f"{place}/scenes", f"{place}/ratings", settings.rate, workers)
+        except ConfigError as error:
+            if error.code != _EMPTY:  # without a scene there is nothing to draw
+                result.has_failed = True
+                result.note(f"seed {seed}: {verb} are unknown: {error}")
+        else:
+            if lost := manifest["counts"]["failures"]:
+                result.note(f"seed {seed}: {verb} of {lost} scenes are unknown, see the table failures")
+    ids = [*(task.scene_id for task in source.tasks), *(notice.item_id for notice in source.lost)]
+    repetition, found = read_repetition(place, ids, reference)
+    for text in found:
+        result.note(text)
+    result.repetitions.append(repetition)
+    result.runs.append(place)
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):
+        sys.stderr.write(f"{text}\n")
+
+
+def to_json(evaluation: Evaluation) -> dict[str, Any]:
+    """Returns an evaluation as JSON values."""
+    systems = {}
+    for result in evaluation.results:
+        label = result.system.label
+        figures = {
+            key: {"value": e.value, "low": e.low, "high": e.high, "known": e.known, "unknown": e.unknown}
+            for key, e in evaluation.estimates[label].items()
+        }
+        systems[label] = {
+            "system": result.system.name,
+            "row": result.system.compared.row,
+            "given": result.system.given,
+            "repetitions": len(result.repetitions),
+            "figures": figures,
+            "notes": result.notes,
+        }
+    return {
+        "num_tasks": evaluation.num_tasks,
+        "names": evaluation.names,
+        "notes": list(evaluation.notes),
+        "systems": systems,
+    }
