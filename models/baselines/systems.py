@@ -14,8 +14,18 @@ LayoutName: TypeAlias = Literal["stages", "holodeck", "idesign", "files"]
 CorrectorName: TypeAlias = Literal["stable", "steerable", "steerable_parts", "mesatask", "mesatask_released"]
 """What corrects scenes: the Physics Corrector, or one of :data:`models.baselines.methods.METHODS`."""
 
-_EVERY: Mapping[str, str] = {"accept": ""}
-"""A row is a mean over all scenes, clean or not."""
+_EVERY: Mapping[str, str | int] = {
+    "accept": "",  # a row is a mean over all scenes, clean or not
+    "layout": "stages",
+    "schedule": "task,important,secondary",
+    "corrector": "stable",
+    "corrects": "each",
+    "density": 0,
+}
+"""What makes a system, where its own settings do not say otherwise: its row means the same whatever a file sets."""
+
+_LONG: Mapping[str, int] = {"engine.sampling.max_tokens": 16_384}
+"""Room for sixty objects, or for their relations, in one answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +47,7 @@ class ComparedSystem:
     @property
     def overrides(self) -> list[str]:
         """The settings as ``key=value``."""
-        return [f"{key}={json.dumps(value)}" for key, value in (*_EVERY.items(), *self.settings.items())]
+        return [f"{key}={json.dumps(value)}" for key, value in {**_EVERY, **self.settings}.items()]
 
 
 _WHOLE: Mapping[str, str] = {"schedule": "whole", "corrects": "never"}
@@ -62,7 +72,7 @@ SYSTEMS: Mapping[str, ComparedSystem] = MappingProxyType(
         ),
         "steerable": ComparedSystem(
             "Steerable",
-            "the reasoner's stages without a correction, then Steerable's projection",
+            "the reasoner's stages without a correction, then Steerable's projection alone, without its simulation",
             {"corrector": "steerable", "corrects": "end"},
         ),
         "mesatask": ComparedSystem(
@@ -80,19 +90,19 @@ SYSTEMS: Mapping[str, ComparedSystem] = MappingProxyType(
         "zero_shot": ComparedSystem(
             "GPT-4o",
             "a general language model, asked for the whole layout in this project's JSON",
-            {**_WHOLE, "reasoner.dialect": "zero_shot"},
+            {**_WHOLE, **_LONG, "reasoner.dialect": "zero_shot"},
             "--engine openai:gpt-4o, or another model that follows instructions",
         ),
         "holodeck": ComparedSystem(
             "Holodeck-Table",
             "a language model proposes objects and relations, a search over a grid places them",
-            {"layout": "holodeck", "corrects": "never"},
+            {**_LONG, "layout": "holodeck", "corrects": "never"},
             "--engine openai:gpt-4o for the paper's row; the embedded model exercises the search with its own layouts",
         ),
         "idesign": ComparedSystem(
             "I-Design-Table",
             "agents propose objects and a graph that rules check, backtracking places them",
-            {"layout": "idesign", "corrects": "never"},
+            {**_LONG, "layout": "idesign", "corrects": "never"},
             "--engine as for holodeck",
         ),
         "files": ComparedSystem(

@@ -222,8 +222,8 @@ class _StageLoop:
 
         Returns:
             The attempt, and its scene, or None if it cannot be used. An attempt that misses more relations of the instruction
-            than before, or after whose first objects the goal holds already, is rejected, but its scene can be used if no attempt
-            is better.
+            than before, after whose first objects the goal holds already, or in which an object of a whole layout found no asset, is
+            rejected, but its scene can be used if no attempt is better.
         """
         task, before = state.task, state.scene
         # Propose the objects of the stage, given the corrected layout.
@@ -243,14 +243,16 @@ class _StageLoop:
         names = {o.instance for o in found}
         if lost := [o.instance for o in proposed if o.stage is Stage.TASK and o.instance not in names]:
             why = next((f"; {assigned.unmatched[name].reason}" for name in lost if name in assigned.unmatched), "")
-            return replace(turn, rejected=f"no asset for {', '.join(lost)}{why}", code="asset_unmatched"), None
+            turn = replace(turn, rejected=f"no asset for {', '.join(lost)}{why}", code="asset_unmatched")
+            if wanted != "whole":
+                return turn, None  # later stages would be proposed around what is not there
         if not (found or before.movable):
             return replace(turn, rejected="the proposal has no objects, expected at least one", code="layout_empty"), None
         scene = replace(before, objects=(*before.objects, *found))
         if not before.movable:
             scene = attach_task_info(scene, task.instruction, proposed, self.interpret, task.reference, task.conditions)
-        supports = state.supports | _proposed_supports(replace(before, objects=(*before.movable, *proposed)), names)
-        candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing)
+        supports = state.supports | proposed_supports(replace(before, objects=(*before.movable, *proposed)), names)
+        candidate = StageCandidate(scene, found, supports, assigned.notices, state.num_missing + len(lost))
 
         # Correct all objects so far.
         if self.settings.corrects != "each" or not (found or is_last):
@@ -261,7 +263,7 @@ class _StageLoop:
         turn, done = replace(turn, corrections=corrections), corrections[-1]
         if done.certified is None:
             return replace(turn, rejected=done.reason, code=str(done.status)), None
-        missing = self._num_missing(task, done)
+        missing = self._num_missing(task, done) + len(lost)
         candidate = replace(candidate, scene=done.certified, correction=done, is_at_rest=is_last, num_missing=missing)
         if self.is_done is not None and not before.movable:
             candidate = replace(candidate, is_done=self.is_done(done.certified))
@@ -322,7 +324,7 @@ def with_wanted_relations(scene: Scene, supports: Mapping[str, Relation]) -> Sce
     return replace(scene, relations=tuple(r for r in (*wanted.values(), *beside) if r.target in instances))
 
 
-def _proposed_supports(scene: Scene, new: Set[str]) -> dict[str, Relation]:
-    """Returns subject -> relation for new objects whose boxes are on or in another object of the proposal."""
+def proposed_supports(scene: Scene, new: Set[str]) -> dict[str, Relation]:
+    """Returns subject -> relation for the objects ``new`` whose boxes are on or in another object of a scene."""
     graph = scene_graph(scene, contacts_of(scene))
     return {r.subject: r for r in relations_of(graph) if r.kind in CARRYING and r.target != TABLE and r.subject in new}

@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 from models.instruction_reader.reader import reader_fingerprint
 from models.semantic_reasoner.engines.protocol import Engine
-from models.semantic_reasoner.engines.registry import EngineSettings, load_engine
+from models.semantic_reasoner.engines.registry import EMBEDDED, EngineSettings, load_engine
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
-from models.semantic_reasoner.prompt_styles import prompt_style_of
+from models.semantic_reasoner.prompt_styles import MESATASK_TEXT, prompt_style_of
 from models.semantic_reasoner.reasoner import SemanticReasoner
 from models.semantic_reasoner.replies.checks import CheckSettings, ReplyCheck, form_check
 from models.semantic_reasoner.replies.object_check import ObjectCheck
@@ -101,6 +101,13 @@ def load_reasoner(
     return reasoner, interpret
 
 
+def embedded_interpreter() -> InstructionInterpreter:
+    """Returns the interpreter of the embedded reasoner, which reads instructions for any system."""
+    from models.text_encoder import load_default
+
+    return InstructionInterpreter(CategoryStatistics.load(EMBEDDED), load_default())
+
+
 def _absolute(path: str) -> str:
     return absolute_uri(path) if path else path
 
@@ -127,13 +134,14 @@ def proposal_config(engine: EngineSettings, settings: ReasonerSettings | None = 
         "prompt_version": PROMPT_VERSION,
     }
     if (dialect := settings.dialect_with(engine)) != "stages":
-        wording = ZERO_SHOT_SYSTEM if dialect == "zero_shot" else _text(settings.wording)
+        wording = ZERO_SHOT_SYSTEM if dialect == "zero_shot" else _text(settings.wording) or MESATASK_TEXT
         found |= {"dialect": dialect, "wording": content_id(wording)}
     statistics = _statistics(engine, settings)
     if settings.statistics:  # else they are in the engine's own folder, whose files are hashed with the model
         found["statistics"] = content_id(None if statistics is None else asdict(statistics))
-    if statistics is not None:
-        found["reader"] = reader_fingerprint()
+    if statistics is None:
+        found["statistics"] = content_id(asdict(CategoryStatistics.load(EMBEDDED)))  # of the reading by which scenes are judged
+    found["reader"] = reader_fingerprint()
     return found
 
 

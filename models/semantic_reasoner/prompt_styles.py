@@ -87,7 +87,7 @@ class StagedPromptStyle:
 _FINAL = "**Final Answer**"
 """The line before the layout in an answer of MesaTask's model."""
 
-_MESATASK = """Lay out a tabletop scene for the task below. Frame: the table's front left corner is the origin, x to the right, y to \
+MESATASK_TEXT = """Lay out a tabletop scene for the task below. Frame: the table's front left corner is the origin, x to the right, y to \
 the back, z up from the table top; lengths are centimetres, z_rotation degrees, 0 faces the observer. First reason in one paragraph \
 about the core task objects and the environment objects and where each belongs (left, middle, right; front, middle, back). Then \
 write the scene graph, one triple (a, relation, b) a line: left of, right of, in front of, behind, above, below, in, is at, face to. \
@@ -110,7 +110,7 @@ class MesaTaskPromptStyle:
     """
 
     def __init__(self, wording: str = "") -> None:
-        self._wording = wording or _MESATASK
+        self._wording = wording or MESATASK_TEXT
 
     def messages(self, question: ReasonerQuestion, refused: Sequence[tuple[str, str]] = ()) -> list[Message]:
         """Returns the chat that asks for a whole layout.

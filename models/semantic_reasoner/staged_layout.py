@@ -155,7 +155,10 @@ def staged_layouts(
 def task_of_scene(scene: Scene) -> LayoutTask:
     """Returns the task of a scene that has one, on its table with its surroundings; with labels if its objects are known."""
     assert scene.task is not None
-    task = LayoutTask(scene.scene_id, scene.task.task, scene.table, surroundings=scene.surroundings, frame=scene.frame)
+    told = TaskInfo(
+        *(getattr(scene.task, name) for name in ("environment", "task", "goal", "action_sequence", "objects_cluster"))
+    )
+    task = LayoutTask(scene.scene_id, told.task, scene.table, told, surroundings=scene.surroundings, frame=scene.frame)
     with suppress(SceneError):
         return replace(task, reference=reference_of(scene), conditions=scene.task.conditions)
     return task

@@ -65,15 +65,16 @@ class GenerateJob(ShardJob):
     def __init__(self, tasks: TaskSource, settings: GenerateSettings, assets: Sequence[str] = ()) -> None:
         settings = settings.of_tasks(len(tasks.tasks))
         self._supports, places = tasks.supports, absolute_places(assets)
+        places = places or (EMBEDDED,) * (tasks.supports is not None)
+        self._asked_places = places  # tasks are drawn for these: the same tasks for each system
         if settings.layout_files:
             settings = replace(settings, layout_files=absolute_uri(settings.layout_files))
-            self._supports, places = settings.layout_files, (*places, *((tasks.supports,) if tasks.supports else ()))
+            self._supports, places = settings.layout_files, (*(places or (EMBEDDED,)), *filter(None, [tasks.supports]))
         if tasks.varies and settings.layout != "stages":
             raise ConfigError(
                 f"layout is {settings.layout}, but a variant has the layout of its scene; leave out --vary, or set layout to stages",
                 "usage",
             )
-        places = places or (EMBEDDED,) * (self._supports is not None)
         if tasks.varies and tasks.supports is not None:  # whose assets serve first, as in edits
             places = tuple(dict.fromkeys((tasks.supports, *places)))
         self.dataset, self.settings, self.places, self._asked = tasks.name, settings, places, tasks
@@ -81,9 +82,9 @@ class GenerateJob(ShardJob):
     @cached_property
     def tasks(self) -> TaskSource:
         """The tasks, of which those that are sampled may be limited to what the libraries have."""
-        if not self.settings.draws_served(self.places):
+        if not self.settings.draws_served(self._asked_places):
             return self._asked
-        advice = self.settings.serving_advice(self.places)
+        advice = self.settings.serving_advice(self._asked_places)
         return served_tasks(self._asked, self._libraries.serves(self.settings.retrieval), advice)
 
     def layout_tasks(self) -> Iterator[LayoutTask]:
@@ -106,15 +107,16 @@ class GenerateJob(ShardJob):
     @cached_property
     def _inputs(self) -> dict[str, Any]:
         settings, tasks = self.settings, self.tasks
-        load_flow(settings.weights, settings.steps)
         found: dict[str, Any] = {}
+        if settings.corrects != "never" and settings.corrector == "stable":
+            load_flow(settings.weights, settings.steps)
+            found["weights"] = weights_fingerprint(settings.weights)
         if settings.layout in ("holodeck", "idesign"):
             found["prompts"] = PROMPTS_FINGERPRINT
         if settings.layout_files:
             found["layouts"] = LayoutFiles(settings.layout_files, self._libraries).fingerprint
         return found | {
             "tasks": content_id(fingerprints_of_tasks(tasks.tasks), [asdict(notice) for notice in tasks.lost]),
-            "weights": weights_fingerprint(settings.weights),
             "reasoner": content_id(proposal_config(settings.engine, settings.reasoner)),
             **self._asked.inputs,
             **{f"assets.{library}": found for library, found in self._libraries.fingerprints.items()},
@@ -158,6 +160,16 @@ class GenerateJob(ShardJob):
                 "relations are those of its own layouts, and only the search is that of the system; name another model with --engine"
             )
             notices.append(Notice(layout, "reason", "own_prompts_only", message))
+        if self.settings.reasoner.dialect == "mesatask":
+            message = (
+                "MesaTask's prompt has the environment, goal, actions and objects of a task, which its own pipeline lets a language model "
+                "write first; here they are those of the scenes of --scenes, and empty for other tasks"
+            )
+            notices.append(Notice("mesatask", "reason", "task_info_short", message))
+        place = self.settings.layout_files
+        if place and (rejected := _num_rejected(place)):
+            message = f"{place} has {rejected} scenes in its table rejected, which are not read; make that run with accept= to have all"
+            notices.append(Notice(place, "layout", "rejected_not_read", message))
         return notices
 
     def lost(self) -> Sequence[Notice]:
@@ -170,3 +182,8 @@ class GenerateJob(ShardJob):
         if self._asked.varies and self._asked.supports is not None:
             sources = TableSource(self._asked.supports, self._libraries)
         write_generate_report(folder, manifest, self.settings, sources)
+
+
+def _num_rejected(place: str) -> int:
+    folder = RunFolder(place)
+    return folder.num_rows("rejected") if folder.shard_ids("rejected") else 0

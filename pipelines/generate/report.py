@@ -106,8 +106,9 @@ def write_generate_report(
 def _system(manifest: dict[str, Any], settings: GenerateSettings) -> str:
     """Who lays out, and what corrects when."""
     laid_out = f"Layout: {settings.layout}" + (f" ({settings.layout_files})" if settings.layout_files else "")
-    corrected = settings.corrector + (f" ({settings.weights})" if settings.corrector == "stable" else "")
-    return f"Reasoner: {manifest['engine']}. {laid_out}. Corrector: {corrected}, {settings.corrects}"
+    weights = f" ({settings.weights})" if settings.corrector == "stable" else ""
+    corrected = "none" if settings.corrects == "never" else f"{settings.corrector}{weights}, {settings.corrects}"
+    return f"Reasoner: {manifest['engine']}. {laid_out}. Corrector: {corrected}"
 
 
 def _frame(folder: RunFolder, name: str, columns: Sequence[str]) -> pl.DataFrame:

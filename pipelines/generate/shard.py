@@ -33,7 +33,7 @@ from models.physics_corrector.flow.expected_error import PROPOSAL_ERROR
 from models.physics_corrector.learned_flow import load_flow
 from models.physics_corrector.refinement.refiner import Refiner
 from models.semantic_reasoner.engines.protocol import OFF
-from models.semantic_reasoner.factory import load_reasoner
+from models.semantic_reasoner.factory import embedded_interpreter, load_reasoner
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import assistant_message
@@ -64,7 +64,7 @@ from pipelines.sources.scene_variants import SceneVariant
 from pipelines.sources.scenes import TableSource, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
-from stable_data.errors import Notice, SceneError
+from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.alignment import Alignment, AlignmentReference, align, requires_the_same
@@ -287,18 +287,24 @@ class GenerateWork(ShardStep[Task]):
             return idesign(task, seed, settings, interpret, drafting)
         if self.settings.layout == "files":
             began = perf_counter()
-            found = opened.layouts.of_task(task.scene_id)
+            found, remarks = opened.layouts.of_task(task.scene_id)
             seconds = opened.answers.seconds
             seconds["read"] = seconds.get("read", 0.0) + perf_counter() - began
-            return imported_layout(task, found, settings, interpret)
+            return imported_layout(task, found, settings, interpret, remarks)
         return dual_system(task, seed, settings, interpret, is_done=opened.is_done)
 
     def _searched(self, search: Search, problem: PlacementProblem, *, process: IsolatedProcess | None) -> Placement:
         """Finds places, in a separate process if workers died while they processed its shard."""
         seconds = self.settings.seconds_per_item
         if process is None:
-            with time_limited(seconds):
-                return search(problem)
+            try:
+                with time_limited(seconds):
+                    return search(problem)
+            except ConfigError:
+                raise
+            except Exception as error:  # noqa: BLE001 - else the whole shard would be made again, and its questions be asked again
+                reason = f"the search for places failed ({type(error).__name__}: {error})"
+                return Placement((), dict.fromkeys((o.instance for o in problem.objects), reason))
         found = process.call(search, problem, seconds=seconds)
         if not isinstance(found, ProcessFailure):
             return found
@@ -455,6 +461,7 @@ def _opened(work: GenerateWork) -> GenerateWorkerState:
     settings = work.settings
     shelf = AssetLibraries(work.assets, scenes=work.supports, offers_scenes=False)
     reasoner, interpret = load_reasoner(settings.engine, settings.reasoner, work.pool)
+    interpret = interpret or embedded_interpreter()  # all systems are judged by a reading of their instruction
     retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf, work.correctors)
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)
     known = shelf.by_category(settings.retrieval)

@@ -106,8 +106,10 @@ class AssetLibraries:
             _opened(place, place if _name(place) in twice else _name(place), may_be_empty=scenes is not None and k == 0)
             for k, place in enumerate(every)
         ]
-        if scenes is not None and not offers_scenes and scenes not in named:
+        is_hidden = scenes is not None and not offers_scenes and scenes not in named
+        if is_hidden:
             self._places[0] = _not_offered(self._places[0])
+        self._offering = self._places[is_hidden:]
         self._of: dict[str, _Place] = {}
         libraries = []
         for place in self._places:
@@ -142,8 +144,13 @@ class AssetLibraries:
 
     def serves(self, settings: RetrievalSettings) -> Callable[[str], bool]:
         """Returns whether a library other than the embedded world's has a wanted thing or a kind of it, by its category."""
-        libraries = [library for library in self.libraries if library.name != EMBEDDED]
-        known = {a.category for library in libraries for a in library.assets if may_be_used(a, settings)}
+        # A source of scenes that offers nothing hides no asset here, although it gives the meshes of those that it shares with a library.
+        known, seen = set[str](), set[str]()
+        for place in self._offering:
+            assets = [] if place.library is None else [a for a in place.library.assets if a.asset_id not in seen]
+            seen.update(place.asset_ids)
+            if place.library is not None and place.library.name != EMBEDDED:
+                known.update(a.category for a in assets if may_be_used(a, settings))
         return cache(lambda wanted: any(noun_fit(category, wanted) >= NounFit.KIND for category in known))
 
     def by_category(self, settings: RetrievalSettings) -> dict[str, list[Asset]]:

@@ -73,7 +73,7 @@ def write_tasks(path: Path, tasks: Iterable[LayoutTask]) -> int:
 
     Args:
         path: The file, .jsonl.
-        tasks: The tasks; labels and surroundings are not written.
+        tasks: The tasks. Labels are not written; surroundings are a restricted zone.
 
     Returns:
         The number of tasks.
@@ -94,7 +94,7 @@ def write_tasks(path: Path, tasks: Iterable[LayoutTask]) -> int:
 
 def _row_of(task: LayoutTask) -> dict[str, Any]:
     """The row of a task; lengths to a micrometre."""
-    table = task.table
+    table = task.shown_table
     row: dict[str, Any] = {"scene_id": task.scene_id, "instruction": task.instruction, "table_type": table.table_type}
     lengths = {"table_size_cm": table.size_xy, "restricted_zone_cm": table.restricted_zone}
     return row | {key: [round(100 * v, 4) for v in values] for key, values in lengths.items() if values is not None}

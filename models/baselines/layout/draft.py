@@ -9,12 +9,13 @@ from typing import Any
 
 from models.baselines.placement.candidates import floor_of
 from models.baselines.placement.problem import CARRYING, Constraint, PlacementRelation
+from models.semantic_reasoner.replies.checks import are_metres
 from models.semantic_reasoner.replies.grammar import CATEGORY, HIGHEST_CM, MOST_OBJECTS
 from models.semantic_reasoner.replies.json_form import JsonForm, closed_object
 from models.semantic_reasoner.text.reply_json import LayoutObject, category_word, sanitise_words
 from stable_data.errors import SceneError
 from stable_data.json_text import quote_value
-from stable_data.scene import TABLE, SceneObject, Vec3
+from stable_data.scene import TABLE, SceneObject, Tabletop, Vec3
 from stable_data.scene_graph.relations import CELLS, facing_of
 from stable_data.scene_graph.support_tree import SupportTree
 
@@ -130,13 +131,18 @@ class StatedRelation:
         kind = self.kind
         if kind is None:
             return None
-        target = "_".join(self.target.lower().replace("-", "_").split())
+        subject, target = _name(self.subject), _name(self.target)
         if kind is PlacementRelation.IS_AT:
             cell = _cell(target)
-            return None if cell is None else Constraint(self.subject, kind, cell)
+            return None if cell is None else Constraint(subject, kind, cell)
         if kind is PlacementRelation.FACE_TO:
-            return Constraint(self.subject, kind, target) if target in FACINGS else None
-        return Constraint(self.subject, kind, self.target)
+            return Constraint(subject, kind, target) if target in FACINGS else None
+        return Constraint(subject, kind, target)
+
+
+def _name(words: str) -> str:
+    """A name as objects have it: small letters and underscores, without an article."""
+    return re.sub(r"\W+", "_", words.lower()).strip("_").removeprefix("the_")
 
 
 def _cell(target: str) -> str | None:
@@ -149,12 +155,12 @@ def _cell(target: str) -> str | None:
     return f"{row}_{column}"
 
 
-def read_objects(document: Any, width_m: float) -> tuple[LayoutObject, ...]:
+def read_objects(document: Any, table: Tabletop) -> tuple[LayoutObject, ...]:
     """Reads a list of objects.
 
     Args:
         document: The JSON.
-        width_m: Width of the table, metres: if no side is longer than that in centimetres, the sizes are not in centimetres.
+        table: The table, whose size shows whether sizes are in centimetres.
 
     Returns:
         Each object, numbered from 0 within its category; their positions are 0.
@@ -178,8 +184,8 @@ def read_objects(document: Any, width_m: float) -> tuple[LayoutObject, ...]:
         for _ in range(number):
             found.append(LayoutObject(f"{category}_{count[category]}", words, size, (0.0, 0.0, 0.0), 0))
             count[category] += 1
-    if max(max(o.size_cm) for o in found) <= width_m:
-        raise SceneError("no side is longer than the table is wide in metres; give sizes in centimetres", "unit")
+    if are_metres(found, table):
+        raise SceneError("no side is longer than the table in metres; give sizes in centimetres", "unit")
     return tuple(found)
 
 
@@ -207,7 +213,8 @@ def _read_object(entry: Any, k: int) -> tuple[str, str, Vec3, int]:
 
 
 def _number(value: Any) -> int:
-    return value if isinstance(value, int) and not isinstance(value, bool) else 0
+    is_whole = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
+    return int(value) if is_whole else 0
 
 
 def _is_side(value: Any) -> bool:

@@ -81,7 +81,7 @@ class Exchanges:
 
     def objects(self, system: str) -> Asking[tuple[LayoutObject, ...] | None]:
         """Asks for the objects."""
-        read = partial(read_objects, width_m=self.task.table.size_xy[0])
+        read = partial(read_objects, table=self.task.table)
         found = yield from self.ask(lambda: ChatQuestion(objects_chat(system, self.task), OBJECTS_FORM, read))
         assert found is None or isinstance(found, tuple)
         return found

@@ -2,7 +2,8 @@
 
 Çelen et al., "I-Design: Personalized LLM Interior Designer", 2024, as the paper of STABLE and MesaTask use it on tables; re-implemented
 from these descriptions, with prompts and code of our own. Objects are placed by the sizes that the agents state, and assets are retrieved
-for the finished layout, as in the original; the boxes of assets have other proportions, which is where collisions come from.
+for the finished layout, as in the original. The original stretches assets to these sizes along each axis; here the setting
+``retrieval.stretch`` decides for all systems alike.
 """
 
 from collections.abc import Sequence
@@ -46,20 +47,21 @@ def draft(exchanges: Exchanges) -> Asking[Draft | None]:
     stated = yield from exchanges.relations(ARCHITECT, objects)
     if stated is None:
         return None
+    best = checked = check_relations(stated, objects)
     for _ in range(MOST_ROUNDS):
-        faults = check_relations(stated, objects).faults
-        if not faults:
+        if not checked.faults:
             break
-        again = yield from _corrected(exchanges, objects, stated, [fault.message for fault in faults])
+        again = yield from _corrected(exchanges, objects, stated, [fault.message for fault in checked.faults])
         if again is None and exchanges.code != UNUSABLE:
             return None  # the engine gave no answer
         if again is None:
-            exchanges.failure = exchanges.code = ""  # the graph before is used
+            exchanges.failure = exchanges.code = ""  # the best graph before is used
             break
-        stated = again
-    checked = check_relations(stated, objects)
-    exchanges.faults += checked.faults
-    return Draft(objects, checked.constraints)
+        stated, checked = again, check_relations(again, objects)
+        if checked.num_related >= best.num_related:  # a correction may lose more than it mends
+            best = checked
+    exchanges.faults += best.faults
+    return Draft(objects, best.constraints)
 
 
 def _corrected(

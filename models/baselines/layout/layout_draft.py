@@ -6,6 +6,7 @@ the instruction states.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from models.baselines.layout.relation_checks import CheckedRelations, check_relations
 from models.baselines.placement.problem import CARRYING, DIRECTIONS, Constraint, PlacementRelation
@@ -53,7 +54,7 @@ def relations_of_layout(
     own = list(_of_graph(placed, table, {o.instance: holds(o.category) for o in placed}))
     checked = check_relations([*stated, *own], objects)
     told = [fault for fault in checked.faults if any(fault.message.startswith(f"{c}: ") for c in stated)]
-    return CheckedRelations(checked.constraints, tuple(told))
+    return replace(checked, faults=tuple(told))
 
 
 def _constraints(relations: Sequence[Relation]) -> Iterator[Constraint]:

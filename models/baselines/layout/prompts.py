@@ -7,12 +7,13 @@ it. Both are adapted to tables: what concerns rooms, walls and doors is left out
 
 from collections.abc import Sequence
 
-from models.baselines.layout.draft import FACINGS, StatedRelation
+from models.baselines.layout.draft import FACINGS, OBJECTS_FORM, RELATIONS_FORM, StatedRelation
 from models.baselines.placement.problem import PlacementRelation
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import ANY_TABLE, Message, check_instruction
 from models.semantic_reasoner.text.reply_json import LayoutObject, sanitise_words
 from stable_data.content_id import content_id
+from stable_data.scene import Tabletop
 from stable_data.scene_graph.relations import CELLS
 
 OBJECTS_WANTED = "Wanted: the objects."
@@ -67,11 +68,6 @@ relation to one that comes before it. Two objects that stand close to each other
 CORRECTOR = f"""You check the graph of a team that furnishes a table for robot simulation. Rules have found conflicts in it. Give the \
 whole list of relations again, with as few changes as the conflicts need, and no new conflict. {_FRAME}
 {_VOCABULARY}"""
-
-FINGERPRINT = content_id(
-    HOLODECK_OBJECTS, HOLODECK_RELATIONS, DESIGNER, ARCHITECT, CORRECTOR, list(map(str, PlacementRelation))
-)
-"""Hash of all fixed parts."""
 
 
 def objects_chat(system: str, task: LayoutTask) -> tuple[Message, ...]:
@@ -128,3 +124,18 @@ def _task_text(task: LayoutTask) -> str:
 def _list_text(objects: Sequence[LayoutObject]) -> str:
     lines = (f"- {o.instance}: {o.description}, {' x '.join(f'{s:.1f}' for s in o.size_cm)} cm" for o in objects)
     return "Objects:\n" + "\n".join(lines)
+
+
+def _fingerprint() -> str:
+    task = LayoutTask("scene", "Do it.", Tabletop("table", (1.0, 1.0), (0.0, 0.1, 0.0, 0.1)))
+    objects, stated = (
+        [LayoutObject("mug_0", "a mug", (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), 0)],
+        [StatedRelation("mug_0", "on", "tray_0")],
+    )
+    systems = (HOLODECK_OBJECTS, HOLODECK_RELATIONS, DESIGNER, ARCHITECT)
+    chats = objects_chat("", task), relations_chat("", task, objects), correction_chat(task, objects, stated, ["conflict"])
+    return content_id(systems, chats, OBJECTS_FORM.text, RELATIONS_FORM.text, list(map(str, PlacementRelation)))
+
+
+FINGERPRINT = _fingerprint()
+"""Hash of all texts, and of the forms of the answers."""

@@ -28,10 +28,12 @@ class CheckedRelations:
     Attributes:
         constraints: The relations, in their order.
         faults: One for each relation that is left out, and one for all objects without any relation.
+        num_related: Number of objects that some relation places.
     """
 
     constraints: tuple[Constraint, ...]
     faults: tuple[ReplyFault, ...]
+    num_related: int
 
 
 def check_relations(stated: Sequence[StatedRelation | Constraint], objects: Sequence[LayoutObject]) -> CheckedRelations:
@@ -48,12 +50,12 @@ def check_relations(stated: Sequence[StatedRelation | Constraint], objects: Sequ
         if reason is not None:
             faults.append(ReplyFault(reason[0], f"{relation}: {reason[1]}", is_hard=False))
     kept = tuple(checks.kept)
-    about = {name for c in kept for name in c.members}
+    about = {name for c in kept for name in c.members} | checks.on_table
     alone = [o.instance for o in objects if o.instance not in about]
     if alone:
         message = f"no relation says where {', '.join(alone)} {'is' if len(alone) == 1 else 'are'}"
         faults.append(ReplyFault(UNRELATED, message, is_hard=False))
-    return CheckedRelations(kept, tuple(faults))
+    return CheckedRelations(kept, tuple(faults), len(objects) - len(alone))
 
 
 class _Checks:
@@ -70,6 +72,7 @@ class _Checks:
         self._directions: set[frozenset[str]] = set()
         self._order: tuple[nx.DiGraph[str], nx.DiGraph[str]] = nx.DiGraph(), nx.DiGraph()  # along x, along y
         self._single: set[tuple[str, bool]] = set()
+        self.on_table: set[str] = set()
 
     def add(self, relation: StatedRelation | Constraint) -> tuple[str, str] | None:
         """Accepts a relation, or returns the code and the reason why not."""
@@ -77,6 +80,9 @@ class _Checks:
         if c is None:
             return "relation_unknown", "there is no such relation, direction or part of the table"
         if c.kind in CARRYING and c.target == TABLE:
+            if c.subject not in self._objects:
+                return "object_unknown", f"{c.subject} is not one of the objects"
+            self.on_table.add(c.subject)
             return None  # what nothing else carries is on the table
         for name in c.members:
             if name not in self._objects:

@@ -228,11 +228,15 @@ def _repeated(names: Sequence[str]) -> list[tuple[str, int]]:
     return [(name, count) for name, count in Counter(names).items() if count > 1]
 
 
-def _unit_fault(objects: Sequence[LayoutObject], question: ReasonerQuestion) -> Iterator[ReplyFault]:
-    """Yields a fault if all objects would be in a corner of the table that is as many centimetres wide as the table is metres."""
+def are_metres(objects: Sequence[LayoutObject], table: Tabletop) -> bool:
+    """Returns whether all objects would be in a corner of the table that is as many centimetres wide as the table is metres."""
     largest = max((max(*o.size_cm, *map(abs, o.position_cm)) for o in objects), default=math.inf)
-    if largest <= max(1.0, *question.table.size_xy):
-        yield ReplyFault("unit", f"no size and no position exceeds {largest:.1f} cm, as if they were metres; give centimetres")
+    return largest <= max(1.0, *table.size_xy)
+
+
+def _unit_fault(objects: Sequence[LayoutObject], question: ReasonerQuestion) -> Iterator[ReplyFault]:
+    if are_metres(objects, question.table):
+        yield ReplyFault("unit", "no size and no position is longer than the table in metres; give centimetres")
 
 
 def _suggestions(known: Sequence[str], wanted: str) -> str:

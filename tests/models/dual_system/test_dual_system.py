@@ -290,6 +290,19 @@ def test_a_task_object_without_an_asset_is_a_failure_that_says_so() -> None:
     assert len(set(seeds)) == len(seeds) == 2
 
 
+def test_a_whole_layout_without_one_of_its_assets_is_used_if_no_try_is_better() -> None:
+    lacking = [said("cube_0", 50, 40), said("elephant_0", 20, 20)]
+    answers = Answers({"whole": lacking})
+    task = LayoutTask("scene", "Tidy up.", TABLE)  # names nothing: all objects are task objects
+    made = driven(answers, LoopSettings(("whole",), corrects="never", tries=2), task)
+    assert made.scene is not None
+    assert [o.instance for o in made.scene.objects] == ["cube_0"]
+    assert [turn.code for turn in made.turns] == ["asset_unmatched", ""]  # the last one is used
+    assert made.turns[-1].assigned is not None
+    assert set(made.turns[-1].assigned.unmatched) == {"elephant_0"}
+    assert len(answers.of(ProposalRequest)) == 2
+
+
 def test_a_stage_that_has_no_answer_costs_no_more_than_itself() -> None:
     def stages(request: ProposalRequest) -> Proposal:
         if request.question.wanted is Stage.IMPORTANT:

@@ -1,5 +1,6 @@
 """Scenes of another system are found by the ids of the tasks, also by those that import-scenes makes of paths."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -15,7 +16,7 @@ def theirs(real_data: Path, tmp_path: Path) -> Path:
     root = tmp_path / "theirs"
     shutil.copytree(real_data, root)
     folders = sorted(path.parent for path in root.glob("Layout_info/*/*/layout.json"))
-    names = ("one", "two__scene", "two__scene__shelf_1", "three__scene", "three__other", "fourth")
+    names = ("one", "two__scene", "two__scene__shelf_1", "three__shelf_1", "three__shelf_1__scene", "fourth")
     for folder, name in zip(folders, names, strict=False):
         folder.rename(folder.with_name(name))
     for folder in folders[len(names) :]:
@@ -26,18 +27,28 @@ def theirs(real_data: Path, tmp_path: Path) -> Path:
 def test_the_scene_of_a_task_has_its_id_or_that_of_its_file(theirs: Path) -> None:
     files = LayoutFiles(str(theirs))
     for task, scene_id in (("one", "one"), ("two", "two__scene"), ("fourth", "fourth")):
-        found = files.of_task(task)
+        found, _ = files.of_task(task)
         assert isinstance(found, Scene)
         assert found.scene_id == scene_id
         assert found.objects
 
 
-@pytest.mark.parametrize(("task", "code"), [("three", "layout_ambiguous"), ("four", "layout_missing")])
-def test_none_and_several_are_told(theirs: Path, task: str, code: str) -> None:
-    found = LayoutFiles(str(theirs)).of_task(task)
+@pytest.mark.parametrize("task", ["three", "four", "two__scene__shelf"])
+def test_the_scene_of_another_task_is_not_taken(theirs: Path, task: str) -> None:
+    found, _ = LayoutFiles(str(theirs)).of_task(task)
     assert isinstance(found, Notice)
-    assert (found.item_id, found.code) == (task, code)
+    assert (found.item_id, found.code) == (task, "layout_missing")
     assert found.message.startswith(f"{task}: ")
+
+
+def test_what_the_reader_remarks_is_told(theirs: Path) -> None:
+    layout = next(theirs.glob("Layout_info/*/fourth/layout.json"))
+    content = json.loads(layout.read_text())
+    content["objects"][0]["rotation"] = [0.0, 0.0, 0.0, 2.0]
+    layout.write_text(json.dumps(content))
+    found, remarks = LayoutFiles(str(theirs)).of_task("fourth")
+    assert isinstance(found, Scene)
+    assert {(remark.item_id, remark.code) for remark in remarks} >= {("fourth", "rotation_not_unit")}
 
 
 def test_a_changed_layout_changes_the_fingerprint(theirs: Path) -> None:

@@ -24,17 +24,19 @@ from tests.models.semantic_reasoner.language.known_categories import interpreter
 
 R = PlacementRelation
 
+DESK = Tabletop("office_table", (1.2, 0.6))
+
 
 def entry(**more: Any) -> dict[str, Any]:
     return {"category": "mug", "description": "a white mug", "size": [11, 8.04, 9.5], "number": 1, **more}
 
 
 def test_objects_are_numbered_within_their_category() -> None:
-    found = read_objects({"objects": [entry(number=2), entry(category="Dinner Plate", size=[26, 26, 2]), entry()]}, 1.2)
+    found = read_objects({"objects": [entry(number=2), entry(category="Dinner Plate", size=[26, 26, 2]), entry()]}, DESK)
     assert [o.instance for o in found] == ["mug_0", "mug_1", "dinner_plate_0", "mug_2"]
     assert found[0].size_cm == (11.0, 8.0, 9.5)
-    assert [o.instance for o in read_objects({"objects": [entry(category="mug_1")]}, 1.2)] == ["mug_0"]
-    (bare,) = read_objects({"objects": [{"category": "coffee_cup", "size": [8, 8, 9]}]}, 1.2)
+    assert [o.instance for o in read_objects({"objects": [entry(category="mug_1")]}, DESK)] == ["mug_0"]
+    (bare,) = read_objects({"objects": [{"category": "coffee_cup", "size": [8, 8, 9]}]}, DESK)
     assert bare.description == "coffee cup"
 
 
@@ -58,7 +60,7 @@ def test_objects_are_numbered_within_their_category() -> None:
 )
 def test_a_list_of_objects_that_cannot_be_used_is_refused_with_a_reason(document: Any, code: str) -> None:
     with pytest.raises(SceneError) as refused:
-        read_objects(document, 1.2)
+        read_objects(document, DESK)
     assert refused.value.code == code
     if code == "too_many":
         assert "200 objects" in str(refused.value)
@@ -99,6 +101,7 @@ def test_an_empty_list_of_relations_is_one() -> None:
         ("face to", "front_left", "mug_0 face to front_left"),
         ("face to", "plate_0", None),
         ("hovers over", "plate_0", None),
+        ("on", "The Plate-0", "mug_0 on plate_0"),
     ],
 )
 def test_the_words_of_a_relation_are_read(relation: str, target: str, found: str | None) -> None:
@@ -160,6 +163,10 @@ def test_of_relations_that_exclude_each_other_the_first_stays(second: str, code:
 
 def test_what_is_said_of_the_table_or_twice_is_no_fault() -> None:
     assert checked("mug_0 on table", "pen_0 near cup_0", "pen_0 near cup_0") == (["pen_0 near cup_0"], [])
+    assert checked("Tray_0 on Table") == ([], [])
+    found = check_relations([StatedRelation("mug_0", "on", "the table")], THINGS)
+    assert (found.num_related, "mug_0" in found.faults[0].message) == (1, False)
+    assert checked("spoon_0 on table") == ([], ["object_unknown"])
 
 
 def test_objects_that_no_relation_names_are_told() -> None:

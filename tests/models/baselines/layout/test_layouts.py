@@ -191,6 +191,13 @@ def test_idesign_asks_the_corrector_so_often_and_leaves_out_what_remains() -> No
     assert codes(found) == ["relation_circle", "relation_circle", "unrelated"]
 
 
+def test_a_correction_that_loses_relations_is_not_used() -> None:
+    handler = chats(relations="circle", corrected="none")
+    found = made(handler, idesign(TASK, 3, NEVER))
+    assert found.scene is not None
+    assert codes(found) == ["relation_circle", "relation_circle", "unrelated"]
+
+
 def test_a_corrector_that_talks_prose_costs_the_conflicting_relations_alone() -> None:
     handler = chats(relations="unknown_object", corrected="prose")
     found = made(handler, idesign(TASK, 3, NEVER))
@@ -327,6 +334,24 @@ def test_a_layout_on_another_table_keeps_it_and_the_difference_is_told() -> None
     assert found.scene.table.size_xy == (1.4, 0.8)
     assert codes(found) == ["table_differs"]
     assert "140.0 x 80.0 cm, that of the task 100.0 x 80.0 cm" in found.warnings[0].message
+
+
+def test_a_layout_is_judged_in_the_place_of_the_task() -> None:
+    sink, wall = Tabletop("vanity", (1.0, 0.8), (0.2, 0.5, 0.2, 0.5)), thing("cube_2", (0.9, 0.7, 0.05, 0.0))
+    task = replace(TASK, table=sink, surroundings=(wall,))
+    found = made(chats(), imported_layout(task, foreign(), NEVER, remarks=[Notice("scene", "read", "odd", "scene: odd")]))
+    assert found.scene is not None
+    assert (found.scene.table, found.scene.surroundings) == (sink, (wall,))
+    assert [o.instance for o in found.scene.movable] == ["cube_0", "cube_1"]
+    assert [(w.code, w.message) for w in found.warnings] == [("odd", "scene: odd")]
+
+
+def test_a_post_processor_knows_what_stands_on_what() -> None:
+    stacked = replace(foreign(), objects=(thing("cube_0", (0.3, 0.3, 0.05, 0.0)), thing("cube_1", (0.3, 0.3, 0.15, 0.0))))
+    loop = imported_layout(TASK, stacked, LoopSettings(corrects="end"))
+    asked = next(loop)
+    assert isinstance(asked, CorrectionRequest)
+    assert {(r.subject, str(r.kind), r.target) for r in asked.scene.relations} == {("cube_1", "on", "cube_0")}
 
 
 def test_a_layout_of_another_system_can_be_corrected() -> None:
