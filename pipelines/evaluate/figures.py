@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from stable_data.rating.criteria import CRITERIA
@@ -23,6 +23,8 @@ class Figure:
         digits: Decimals in tables.
         better: ``higher``, ``lower``, or empty if neither is better.
         is_verdict: Whether values are true or false.
+        lowest: Smallest possible value, in the unit of the table, at which intervals end.
+        highest: Largest possible value.
     """
 
     key: str
@@ -32,6 +34,8 @@ class Figure:
     digits: int = 1
     better: Literal["", "higher", "lower"] = ""
     is_verdict: bool = False
+    lowest: float = 0.0
+    highest: float = math.inf
 
 
 FIGURES = (
@@ -51,11 +55,11 @@ FIGURES = (
     Figure("num_objects", "objects"),
     Figure("num_stacked", "objects on others", digits=2),
     Figure("num_contained", "objects in others", digits=2),
-    *(Figure(c.key, f"{c.key.upper()}, 1 to 10", digits=2, better="higher") for c in CRITERIA),
-    Figure("average", "average of the five, 1 to 10", digits=2, better="higher"),
+    *(Figure(c.key, f"{c.key.upper()}, 1 to 10", digits=2, better="higher", lowest=1.0, highest=10.0) for c in CRITERIA),
+    Figure("average", "average of the five, 1 to 10", digits=2, better="higher", lowest=1.0, highest=10.0),
     Figure("quality_pass", "average above 7 and clean, % of tasks", "task", 100.0, better="higher", is_verdict=True),
     Figure("frechet", "Fréchet distance", "set", digits=2, better="lower"),
-    Figure("kernel", "kernel distance", "set", digits=4, better="lower"),
+    Figure("kernel", "kernel distance", "set", digits=4, better="lower", lowest=-math.inf),
     Figure("vendi_pictures", "Vendi score of pictures", "set", better="higher"),
     Figure("vendi_layouts", "Vendi score of layouts", "set", better="higher"),
     Figure("core_seconds", "core seconds a scene", "set", digits=2, better="lower"),
@@ -154,8 +158,16 @@ def estimate_figures(systems: Mapping[str, Sequence[Repetition]]) -> dict[str, d
             silent = made - {name for one in every for name, row in one.rows.items() if row.get(figure.key) is not None}
         for label, repetitions in systems.items():
             samples = [_values(figure, one, silent) for one in repetitions]
-            found[label][figure.key] = estimate(samples, figure.factor, are_verdicts=figure.is_verdict)
+            found[label][figure.key] = _within(figure, estimate(samples, figure.factor, are_verdicts=figure.is_verdict))
     return found
+
+
+def _within(figure: Figure, found: Estimate) -> Estimate:
+    """An estimate whose interval ends at the smallest and the largest possible value; shares end at 100 %."""
+    if found.low is None or found.high is None:
+        return found
+    highest = min(figure.highest, figure.factor) if figure.factor > 1 else figure.highest
+    return replace(found, low=max(found.low, figure.lowest), high=min(found.high, highest))
 
 
 def _values(figure: Figure, one: Repetition, silent: set[str]) -> list[float | None]:

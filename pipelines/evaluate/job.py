@@ -197,6 +197,9 @@ def _run_system(
         else:
             if lost := manifest["counts"]["failures"]:
                 result.note(f"seed {seed}: {verb} of {lost} scenes are unknown, see the table failures")
+            if codes := manifest["counts"].get("unknown_by_code"):
+                told = ", ".join(f"{code} {n}" for code, n in codes.items())
+                result.note(f"seed {seed}: some averages of ratings are unknown: {told} (docs/scene_rating.md)")
     ids = [*(task.scene_id for task in source.tasks), *(notice.item_id for notice in source.lost)]
     repetition, found = read_repetition(place, ids, reference)
     for text in found:

@@ -1,0 +1,226 @@
+"""The evaluate job: systems on the same tasks, with figures, notes on what is missing, and a page."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from models.baselines.layout.prompts import OBJECTS_WANTED, RELATIONS_WANTED
+from models.semantic_reasoner.engines.registry import EngineSettings
+from models.semantic_reasoner.staged_layout import LayoutTask
+from models.semantic_reasoner.text.prompt import WANTED
+from pipelines.__main__ import app
+from pipelines.evaluate.job import evaluate
+from pipelines.evaluate.report import evaluation_text
+from pipelines.evaluate.settings import EvaluateSettings
+from pipelines.evaluate.systems import EvaluatedSystem, parse_systems
+from pipelines.execution.ray_executor import WorkerPool
+from pipelines.generate.settings import GenerateSettings
+from pipelines.rate.settings import RateSettings
+from pipelines.sources.assets import AssetLibraries
+from pipelines.sources.generation_tasks import TaskSource
+from pipelines.views.settings import ViewsSettings
+from stable_data.errors import ConfigError
+from stable_data.metrics.alignment import AlignmentReference
+from stable_data.metrics.matching import RequiredObject
+from stable_data.scene import Tabletop
+from stable_data.simulation.offscreen import can_render
+from stable_data.storage.run_folder import RunFolder
+from tests.pipelines.runs import content
+from tests.pipelines.scripts import entry
+
+pytestmark = [pytest.mark.sim, pytest.mark.skipif(not can_render(), reason="this machine cannot render")]
+
+ALONE = WorkerPool()
+DESK = Tabletop("office_table", (1.2, 0.6))
+
+
+@pytest.fixture(scope="module")
+def engine(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """An engine that answers Holodeck's questions and those for a whole layout, but for one task."""
+    assets = AssetLibraries([str(dataset)]).libraries[0].assets[1:3]
+    listed = [{"category": a.category, "description": a.words, "size": entry(a, 0.0)["size"], "number": 1} for a in assets]
+    script: dict[str, Any] = {
+        "Say nonsense": "what?",
+        "That answer cannot be used": "what?",
+        OBJECTS_WANTED: {"objects": listed},
+        RELATIONS_WANTED: {"relations": []},
+        WANTED["whole"]: {"objects": [entry(a, 30.0 + 40.0 * k) for k, a in enumerate(assets)]},
+    }
+    path = tmp_path_factory.mktemp("engine") / "script.json"
+    path.write_text(json.dumps(script))
+    return f"scripted:{path}"
+
+
+@pytest.fixture(scope="module")
+def tasks(dataset: Path) -> TaskSource:
+    """Three tasks with labels, of which the last one has no scene."""
+    category = AssetLibraries([str(dataset)]).libraries[0].assets[1].category
+    required = AlignmentReference("task", (RequiredObject("it", (category,)),))
+    said = ("Lift it.", "Turn it.", "Say nonsense")
+    return TaskSource("tasks", [LayoutTask(f"task_{n}", s, DESK, reference=required) for n, s in enumerate(said)])
+
+
+@pytest.fixture(scope="module")
+def settings(engine: str) -> EvaluateSettings:
+    return EvaluateSettings(
+        systems=("holodeck", "one_shot", "zero_shot=scripted:/nowhere.json", "files"),
+        num_pictures=2,
+        generate=GenerateSettings(engine=EngineSettings(engine), num_pictures=0, weights="none"),
+        views=ViewsSettings(width=64, height=48, features="gradients"),
+        rate=RateSettings(),
+    )
+
+
+@pytest.fixture(scope="module")
+def evaluated(
+    tasks: TaskSource, settings: EvaluateSettings, dataset: Path, tiny_run: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, Any]]:
+    out = tmp_path_factory.mktemp("evaluated") / "out"
+    found = evaluate(lambda _: tasks, str(out), settings, ALONE, [str(dataset)])
+    assert found.has_failed
+    (out / "text.txt").write_text(evaluation_text(found))
+    return out, json.loads((out / "evaluation.json").read_text())
+
+
+def test_all_systems_are_judged_on_all_tasks(evaluated: tuple[Path, dict[str, Any]]) -> None:
+    _, found = evaluated
+    assert (found["num_tasks"], list(found["systems"])) == (3, ["holodeck", "one_shot", "zero_shot", "files"])
+    for label in ("holodeck", "one_shot"):
+        figures = found["systems"][label]["figures"]
+        assert figures["made"]["value"] == pytest.approx(200 / 3)
+        assert figures["awt"]["value"] == pytest.approx(200 / 3)  # the task without a scene counts as 0
+        assert (figures["num_objects"]["value"], figures["num_objects"]["known"]) == (2.0, 2)
+        assert figures["average"]["value"] is not None
+        assert figures["vendi_pictures"]["value"] >= 1.0
+        assert figures["core_seconds"]["value"] > 0
+    assert found["systems"]["one_shot"]["figures"]["ready"]["value"] == pytest.approx(200 / 3)
+
+
+def test_what_is_missing_is_unknown_with_what_to_do(evaluated: tuple[Path, dict[str, Any]]) -> None:
+    out, found = evaluated
+    systems = found["systems"]
+    for label, says in (("zero_shot", "/nowhere.json"), ("files", "needs --set layout_files=PLACE")):
+        assert all(figure["value"] is None for figure in systems[label]["figures"].values())
+        assert any(says in note for note in systems[label]["notes"]), systems[label]["notes"]
+    assert systems["holodeck"]["figures"]["frechet"]["value"] is None
+    assert any("--reference RUN" in note for note in found["notes"])
+    text = (out / "text.txt").read_text()
+    assert "zero_shot: seed 0 was not run" in text
+    assert "tasks with a scene, %" in text
+
+
+def test_the_page_has_measured_and_published_figures_apart(evaluated: tuple[Path, dict[str, Any]]) -> None:
+    page = (evaluated[0] / "report" / "index.html").read_text()
+    assert page.count("<img") == 4  # two tasks, two systems
+    before, published = page.split("Published: STABLE")
+    assert "Measured here" in before
+    assert "99.4" not in before
+    assert "99.4" in published
+    assert "not run" in page
+
+
+def test_the_same_again_changes_nothing_and_systems_can_be_added(
+    evaluated: tuple[Path, dict[str, Any]], tasks: TaskSource, settings: EvaluateSettings, dataset: Path
+) -> None:
+    out, first = evaluated
+    before = {name: content(out / "seed_0" / name / "scenes") for name in ("holodeck", "one_shot")}
+    more = replace(settings, systems=(*settings.systems[:2], f"mine:files={out}/seed_0/holodeck/scenes"))
+    evaluate(lambda _: tasks, str(out), more, ALONE, [str(dataset)])
+    assert {name: content(out / "seed_0" / name / "scenes") for name in before} == before
+    found = json.loads((out / "evaluation.json").read_text())["systems"]
+    for label in ("holodeck", "one_shot"):
+        same = {k: v for k, v in first["systems"][label]["figures"].items() if not k.startswith("vendi")}
+        assert {k: v for k, v in found[label]["figures"].items() if k in same} == same
+    for key in ("oc", "num_objects", "awt", "made"):  # the scenes of another system are judged as they were there
+        assert found["mine"]["figures"][key] == found["holodeck"]["figures"][key]
+
+
+def test_pictures_are_compared_with_those_of_a_reference(
+    tasks: TaskSource, settings: EvaluateSettings, dataset: Path, evaluated: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    scenes = f"{evaluated[0]}/seed_0/holodeck/scenes"
+    alone = replace(settings, systems=(f"same:files={scenes}",), reference=scenes)
+    found = evaluate(lambda _: tasks, str(tmp_path), alone, ALONE, [str(dataset)], report=False)
+    assert found.names["frechet"] == "Frechet distance (gradients)"
+    assert found.estimates["same"]["frechet"].value == pytest.approx(0.0, abs=1e-6)
+    others = replace(alone, reference=_with_other_tables(scenes, tmp_path / "others"))
+    found = evaluate(lambda _: tasks, str(tmp_path / "out"), others, ALONE, [str(dataset)], report=False)
+    assert found.estimates["same"]["frechet"].value is None
+    assert any("the reference has no office_table" in note for note in found.results[0].notes)
+
+
+def _with_other_tables(run: str, to: Path) -> str:
+    """A run with the same scenes on tables of another type."""
+    source, target = RunFolder(run), RunFolder(str(to))
+    for table in ("assets", "meshes", "scenes", "textures"):
+        rows = source.table(table).to_pylist()
+        target.write_shard(table, "all", [row | ({"table_type": "vanity"} if table == "scenes" else {}) for row in rows])
+    return str(to)
+
+
+@pytest.mark.parametrize(
+    ("texts", "code"),
+    [
+        ((), "config_invalid"),
+        (("gpt",), "system_unknown"),
+        (("stable", "stable"), "config_invalid"),
+        (("/:stable",), "config_invalid"),
+    ],
+)
+def test_systems_that_cannot_be_told_apart_are_refused(texts: tuple[str, ...], code: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_systems(texts)
+    assert caught.value.code == code
+
+
+def test_the_settings_of_a_system_win_over_those_of_all() -> None:
+    shared = GenerateSettings(corrects="end", accept="clean", schedule="whole", seed=5)
+    ours = EvaluatedSystem.parse("stable").settings(shared, 7)
+    assert (ours.corrects, ours.accept, ours.seed) == ("each", "", 7)
+    assert EvaluatedSystem.parse("a:zero_shot=openai:gpt-4o").settings(shared, 0).engine.engine == "openai:gpt-4o"
+    theirs = EvaluatedSystem.parse("b:files=place/{seed}")
+    assert (theirs.label, theirs.is_repeated(), theirs.settings(shared, 3).layout_files) == ("b", True, "place/3")
+    assert not EvaluatedSystem.parse("files=place").is_repeated()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ([], "expected one of --count, --tasks and --scenes"),
+        (["--count", "2", "--where", "clean"], "--where chooses scenes of --scenes"),
+        (["--count", "2", "--system", "gpt"], "expected one of stable"),
+        (["--count", "2", "--set", "views.colour=red"], "views.colour is not known"),
+    ],
+)
+def test_what_cannot_start_is_refused(words: list[str], says: str, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["evaluate", "--out", str(tmp_path / "out"), "--workers", "0", *words])
+    assert result.exit_code == 2
+    assert says in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dry_run_says_what_would_be_done(dataset: Path, tmp_path: Path) -> None:
+    words = [
+        "evaluate",
+        "--count",
+        "2",
+        "--out",
+        str(tmp_path / "out"),
+        "--assets",
+        str(dataset),
+        "--dry-run",
+        "--repetitions",
+        "3",
+    ]
+    result = CliRunner().invoke(
+        app, [*words, "--system", "stable", "--system", "zero_shot", "--set", "generate.only_served=never"]
+    )
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["seeds"] == [0, 1, 2]
+    assert found["systems"]["zero_shot"].startswith("not run: needs --engine")
+    assert not (tmp_path / "out").exists()
