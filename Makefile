@@ -83,9 +83,12 @@ policy: $(READY) ## COUNT=<training scenes> ROBOT=<panda, simple, …> OUT=<fold
 	$(BIN)/python -m pipelines train-policy --episodes $(POLICY)/demonstrations --out $(POLICY)/policy
 	$(BIN)/python -m pipelines evaluate-policy --policy $(POLICY)/policy --scenes $(POLICY)/test --out $(POLICY)/result --set task=pick --set max_steps=200 || [ $$? -eq 1 ]
 
-evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<folder of meshes> LAYOUTS=<file of start layouts> (without: scenes of DATA, shaken) OPTIONS=<more of benchmarks.correction>
-	mkdir -p runs/evaluate
-	OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 $(BIN)/python -m benchmarks.correction $(DATA) $(if $(LAYOUTS),--layouts $(LAYOUTS)) $(OPTIONS) --settle --json runs/evaluate/correction.json
+# On other data than the embedded set, the tasks are those of its test scenes, and its library serves them.
+evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<MesaTask-10K folder> LAYOUTS=<file of start layouts> OPTIONS=<more of "pipelines evaluate", such as --system or --repetitions>
+	$(BIN)/python -m pipelines preprocess --data $(DATA) --out runs/evaluate/data || [ $$? -eq 1 ]
+	$(BIN)/python -m pipelines evaluate $(if $(filter data/embedded,$(DATA)),--count 12,--scenes runs/evaluate/data --where "split == 'test'" --assets $(DATA)) --reference runs/evaluate/data --out runs/evaluate/systems $(OPTIONS) || [ $$? -eq 1 ]
+	OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 $(BIN)/python -m benchmarks.correction $(DATA) $(if $(LAYOUTS),--layouts $(LAYOUTS)) --per-bucket 2 --settle --json runs/evaluate/correction.json
+	$(BIN)/python -m benchmarks.paper_tables runs/evaluate
 
 bench: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
 	$(BIN)/python -m benchmarks --data $(DATA) --out runs/bench

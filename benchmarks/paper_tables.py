@@ -1,0 +1,251 @@
+"""All tables of the paper from figures that were measured before, each with the command that measures it.
+
+``python -m benchmarks.paper_tables FOLDER``. FOLDER has the outputs of these commands, under these names:
+
+- ``systems``: ``python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems`` (Tables 1 and 3 b);
+- ``correction.json``: ``python -m benchmarks.correction DATA --json FOLDER/correction.json`` (Table 2);
+- ``corrector_ablation.json``: ``python -m benchmarks.corrector_ablation RUN --json FOLDER/corrector_ablation.json`` (Table 3 a);
+- ``rearrangement.json``: ``python -m benchmarks.rearrangement RUN --lego-net FILE --struct-diffusion FILE --json
+  FOLDER/rearrangement.json``;
+- ``boxes.json``: ``stable-data score-boxes LABELS BOXES --json FOLDER/boxes.json`` (manipulability);
+- ``generalisation.json``: ``python -m benchmarks.generalisation DATA --json FOLDER/generalisation.json`` (unseen tables and assets, and
+  conflicting instructions);
+- ``edits.json``: ``python -m benchmarks.edits --file FILE --scenes DATA --json FOLDER/edits.json``. The embedded reasoner has seen
+  edits in its training; the paper's has not, as an engine ``transformers:FOLDER`` that was trained without them.
+
+DATA is a folder in the MesaTask-10K format, RUN a preprocess run. What was not measured is named with its command. Published figures stand
+below the measured ones, apart from them: they are of other scenes, assets, models and judges.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean
+from typing import Any, TypeAlias
+
+from benchmarks.generalisation import show as generalisation_lines
+from pipelines.evaluate.figures import FIGURES, Estimate
+from pipelines.evaluate.published import MANIPULABILITY, REARRANGEMENT, SOURCE, TABLE_1, TABLE_2, TABLE_3A, TABLE_3B
+from pipelines.reports.text_table import align_columns
+from stable_data.rating.criteria import CRITERIA
+
+Rows: TypeAlias = list[list[str]]
+
+_UNKNOWN = "unknown"
+_LABELS = {figure.key: figure for figure in FIGURES}
+_TABLE_1 = ("frechet", *(c.key for c in CRITERIA), "average", "oc", "awt", "aws")
+_ARMS = {"no support": "without L_sup", "no table": "without L_obj-table", "no objects": "without L_obj-obj", "full": "full"}
+_METHODS = {"lego_net": "LEGO-Net", "struct_diffusion": "StructDiffusion", "flow + refine + certify": "Ours"}
+
+
+@dataclass(frozen=True, slots=True)
+class PaperTable:
+    """A table of the paper.
+
+    Attributes:
+        title: Its title.
+        file: The file of its figures in the folder.
+        command: What measures them.
+        measured: Makes its lines from the content of the file.
+        published: The rows that the paper prints, the first one is the head; empty if it prints none.
+    """
+
+    title: str
+    file: str
+    command: str
+    measured: Callable[[Any], Iterable[str]]
+    published: Rows
+
+    def lines(self, folder: Path) -> Iterable[str]:
+        """Yields the table as text."""
+        yield f"== {self.title}"
+        path = folder / self.file
+        if not path.is_file():
+            yield f"not measured; {self.command}"
+        else:
+            try:
+                found = list(self.measured(json.loads(path.read_text("utf-8"))))
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                found = [
+                    f"{path} has other content than expected ({type(error).__name__}: {error}); measure again: {self.command}"
+                ]
+            yield from found
+        if self.published:
+            yield f"published ({SOURCE}), not measured here:"
+            yield from _aligned(self.published)
+        yield ""
+
+
+def systems_lines(found: Mapping[str, Any]) -> Iterable[str]:
+    """Yields Table 1, with who rated and what the distance of pictures is called."""
+    names = found["names"]
+    head = ["system", names["frechet"], *(f"{c.key.upper()}" for c in CRITERIA), "average", "OC %", "AwT %", "AwS %"]
+    rows = [head]
+    for label, system in found["systems"].items():
+        rows.append([f"{label} ({system['row']})", *(_estimate(system, key) for key in _TABLE_1)])
+    yield from _aligned(rows)
+    yield f"{found['num_tasks']} tasks; CWT to average: {names['judge']}, on a scale of 1 to 10; brackets: 95 % intervals"
+    yield from (f"all: {note}" for note in found["notes"])
+    yield from (f"{label}: {note}" for label, system in found["systems"].items() for note in system["notes"])
+
+
+def stages_lines(found: Mapping[str, Any]) -> Iterable[str]:
+    """Yields Table 3 (b)."""
+    by_name = {system["system"]: system for system in found["systems"].values()}
+    rows = [["system", "AwT %", "distractors %"]]
+    for name in TABLE_3B:
+        known = name in by_name
+        rows.append([name, *(_estimate(by_name[name], key) if known else "not run" for key in ("awt", "distractor_rate"))])
+    yield from _aligned(rows)
+
+
+def collision_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """Yields Table 2: layouts that end without a collision, of all with so many at the start."""
+    buckets, methods = (list(dict.fromkeys(row[key] for row in found)) for key in ("bucket", "method"))
+    rows = [["method", *buckets]]
+    for method in methods:
+        own = {bucket: [r for r in found if (r["method"], r["bucket"]) == (method, bucket)] for bucket in buckets}
+        rows.append([method, *(f"{sum(r['num_collisions'] == 0 for r in of)}/{len(of)}" for of in own.values())])
+    yield from _aligned(rows)
+    yield "scenes without a collision of all; a pair that cannot be judged counts as colliding"
+
+
+def ablation_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """Yields Table 3 (a): raw samples of short trainings without one of the losses."""
+    rows = [["training", "OC %", "float %"]]
+    for arm in found:
+        if arm["arm"] in _ARMS:
+            cells = [[row["raw"].get(key) for row in arm["card"].values()] for key in ("oc", "float_rate")]
+            rows.append([_ARMS[arm["arm"]], *(_mean(values, 100.0, 1) for values in cells)])
+    yield from _aligned(rows)
+    yield "raw samples of the flow, means over the rows of the validation card"
+
+
+def rearrangement_lines(found: Mapping[str, Any]) -> Iterable[str]:
+    """Yields the table of rearrangement, objects of one category matched as in the paper."""
+    rows = [["method", "moved m", "EMD m", "OC", "seeds"]]
+    for method in dict.fromkeys(f["method"] for f in found["figures"]):
+        own = [f for f in found["figures"] if f["method"] == method]
+        cells = [_mean([f[key] for f in own], 1.0, 3) for key in ("moved_category", "emd_category", "oc")]
+        rows.append([method, *cells, str(len(own))])
+    yield from _aligned(rows)
+
+
+def boxes_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """Yields the table of manipulability."""
+    rows = [["object", "labels", "AP at 0.5", "AP at 0.75"]]
+    rows += [[one["category"], str(one["labels"]), *(_mean([x], 1.0, 2) for x in one["precision"].values())] for one in found]
+    yield from _aligned(rows)
+
+
+def edits_lines(found: Mapping[str, Any]) -> Iterable[str]:
+    """Yields the edits in free words that are right, by kind."""
+    summary = found["summary"]
+    rows = [["kind", "right"]]
+    rows += [[kind, f"{summary['right_by_kind'][kind]}/{count}"] for kind, count in summary["edits_by_kind"].items()]
+    yield from _aligned([*rows, ["all", f"{summary['right']}/{summary['edits']}"]])
+    yield f"engine {found['engine']}"
+
+
+def _estimate(system: Mapping[str, Any], key: str) -> str:
+    if not system["repetitions"]:
+        return "not run"
+    return Estimate(**system["figures"][key]).text(_LABELS[key].digits)
+
+
+def _mean(values: Sequence[float | None], factor: float, digits: int) -> str:
+    known = [value for value in values if value is not None]
+    return f"{factor * mean(known):.{digits}f}" if known and len(known) == len(values) else _UNKNOWN
+
+
+def _aligned(rows: Rows) -> list[str]:
+    return align_columns(rows, 1).splitlines()
+
+
+def _mark(solved: bool) -> str:
+    return "all" if solved else "not all"
+
+
+TABLES = (
+    PaperTable(
+        "Table 1: systems",
+        "systems/evaluation.json",
+        "python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems",
+        systems_lines,
+        [
+            ["system", "FID", *(c.key.upper() for c in CRITERIA), "average", "OC", "AwT", "AwS"],
+            *([r.name, *(f"{x:.1f}" for x in (r.fid, *r.criteria, r.average, r.oc, r.awt, r.aws))] for r in TABLE_1.values()),
+        ],
+    ),
+    PaperTable(
+        "Table 2: layouts without collisions, by collisions at the start",
+        "correction.json",
+        "python -m benchmarks.correction DATA --json FOLDER/correction.json",
+        collision_lines,
+        [["method", "0-10", "10-20", "20-30", "30-40"], *([name, *map(_mark, solved)] for name, solved in TABLE_2.items())],
+    ),
+    PaperTable(
+        "Table 3 (a): the losses of the Physics Corrector",
+        "corrector_ablation.json",
+        "python -m benchmarks.corrector_ablation RUN --out TRAININGS --json FOLDER/corrector_ablation.json",
+        ablation_lines,
+        [["training", "OC", "float"], *([name, f"{oc:.1f}", f"{floats:.1f}"] for name, (oc, floats) in TABLE_3A.items())],
+    ),
+    PaperTable(
+        "Table 3 (b): one request or stages",
+        "systems/evaluation.json",
+        "python -m pipelines evaluate --count 200 --repetitions 3 --system one_shot --system stable --out FOLDER/systems",
+        stages_lines,
+        [["system", "AwT", "distractors"], *([name, f"{awt:.1f}", f"{rate:.1f}"] for name, (awt, rate) in TABLE_3B.items())],
+    ),
+    PaperTable(
+        "Rearrangement",
+        "rearrangement.json",
+        "python -m benchmarks.rearrangement RUN --lego-net FILE --struct-diffusion FILE --json FOLDER/rearrangement.json, with weights of "
+        "python -m pipelines train-rearranger",
+        rearrangement_lines,
+        [["method", "moved", "EMD", "OC"], *([name, *(f"{x:g}" for x in values)] for name, values in REARRANGEMENT.items())],
+    ),
+    PaperTable(
+        "Manipulability",
+        "boxes.json",
+        "stable-data export RUN OUT --format manipvqa, a detector, then stable-data score-boxes OUT/manipvqa.json BOXES --json "
+        "FOLDER/boxes.json",
+        boxes_lines,
+        [
+            ["object", "AP at 0.5", "AP at 0.75"],
+            *([name, *(f"{x:.2f}" for x in values)] for name, values in MANIPULABILITY.items()),
+        ],
+    ),
+    PaperTable(
+        "Generalisation and conflicting instructions (the paper shows pictures)",
+        "generalisation.json",
+        "python -m benchmarks.generalisation DATA --json FOLDER/generalisation.json",
+        generalisation_lines,
+        [],
+    ),
+    PaperTable(
+        "Editing (the paper shows pictures)",
+        "edits.json",
+        "python -m benchmarks.edits --file FILE --scenes DATA --json FOLDER/edits.json",
+        edits_lines,
+        [],
+    ),
+)
+"""The tables in the order of the paper."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints all tables."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if len(words) != 1 or words[0].startswith("-"):
+        print(__doc__)
+        raise SystemExit(0 if words in (["--help"], ["-h"]) else 2)
+    for table in TABLES:
+        print("\n".join(table.lines(Path(words[0]))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""The tables of the paper from figures: what is measured, what is published, and what is missing with its command."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.paper_tables import TABLES, main
+from pipelines.evaluate.figures import FIGURES, Repetition, estimate_figures
+from stable_data.scores.detection import DetectionScore
+
+
+def printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
+    """The printed tables by title."""
+    main([str(folder)])
+    parts = capsys.readouterr().out.split("== ")[1:]
+    return {part.partition("\n")[0]: part for part in parts}
+
+
+def evaluation() -> dict[str, Any]:
+    row = {figure.key: 1.0 for figure in FIGURES} | {"oc": None}
+    found = estimate_figures({"stable": [Repetition(("a", "b"), {"a": row, "b": row}, {})], "files": []})
+    systems = {
+        label: {
+            "system": label,
+            "row": "Ours",
+            "repetitions": int(label == "stable"),
+            "figures": {key: asdict(value) for key, value in figures.items()},
+            "notes": ["not run: needs PLACE"] if label == "files" else [],
+        }
+        for label, figures in found.items()
+    }
+    names = {"frechet": "FID", "kernel": "KID", "judge": "symbolic"}
+    return {"num_tasks": 2, "names": names, "notes": [], "systems": systems}
+
+
+def test_what_is_missing_is_named_with_its_command_beside_what_is_published(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = printed(tmp_path, capsys)
+    assert len(found) == len(TABLES) == 8
+    for table in TABLES:
+        text = found[table.title]
+        assert f"not measured; {table.command}" in text
+        assert bool(table.published) == ("not measured here:" in text)
+    assert "99.4" in found["Table 1: systems"]
+
+
+def test_measured_figures_stand_before_published_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "systems").mkdir()
+    (tmp_path / "systems" / "evaluation.json").write_text(json.dumps(evaluation()))
+    layouts = [{"method": "start", "bucket": "0-10", "num_collisions": n} for n in (0, 3)]
+    (tmp_path / "correction.json").write_text(json.dumps(layouts))
+    scores = [asdict(DetectionScore("mug", 4, 4, {0.5: 1.0, 0.75: 0.5}, {0.5: 1.0, 0.75: 0.5}))]
+    (tmp_path / "boxes.json").write_text(json.dumps(scores))
+    card = {"jitter": {"raw": {"oc": 0.1, "float_rate": None}}}
+    (tmp_path / "corrector_ablation.json").write_text(json.dumps([{"arm": "no support", "card": card}]))
+    figures = [{"method": "lego_net", "moved_category": 0.2, "emd_category": 0.3, "oc": oc} for oc in (0.1, 0.3)]
+    (tmp_path / "rearrangement.json").write_text(json.dumps({"figures": figures}))
+    summary = {"right": 1, "edits": 2, "right_by_kind": {"add": 1, "move": 0}, "edits_by_kind": {"add": 1, "move": 1}}
+    (tmp_path / "edits.json").write_text(json.dumps({"engine": "embedded", "summary": summary}))
+    found = printed(tmp_path, capsys)
+    measured, published = found["Table 1: systems"].split("published (")
+    (ours,) = (line for line in measured.splitlines() if line.startswith("stable (Ours)"))
+    assert "unknown" in ours  # OC
+    assert "99.4" not in measured
+    assert "99.4" in published
+    assert "files: not run: needs PLACE" in measured
+    assert "1/2" in found["Table 2: layouts without collisions, by collisions at the start"]
+    text = found["Table 3 (a): the losses of the Physics Corrector"]
+    arm = next(line for line in text.splitlines() if line.startswith("without L_sup"))
+    assert arm.split()[-2:] == ["10.0", "unknown"]
+    assert "not run" in found["Table 3 (b): one request or stages"]
+    assert "0.200" in found["Rearrangement"]
+    assert "0.50" in found["Manipulability"]
+    assert "1/2" in found["Editing (the paper shows pictures)"]
+
+
+def test_a_file_with_other_content_is_named_and_the_other_tables_are_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "correction.json").write_text("{]")
+    (tmp_path / "boxes.json").write_text('{"a": 1}')
+    found = printed(tmp_path, capsys)
+    assert "has other content than expected" in found["Table 2: layouts without collisions, by collisions at the start"]
+    assert "has other content than expected" in found["Manipulability"]
+    assert len(found) == 8
+
+
+@pytest.mark.parametrize(("words", "status"), [([], 2), (["--help"], 0), (["a", "b"], 2)])
+def test_without_a_folder_it_says_what_it_needs(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == status
+    assert "FOLDER" in capsys.readouterr().out
