@@ -58,13 +58,13 @@ FIGURES = (
     *(Figure(c.key, f"{c.key.upper()}, 1 to 10", digits=2, better="higher", lowest=1.0, highest=10.0) for c in CRITERIA),
     Figure("average", "average of the five, 1 to 10", digits=2, better="higher", lowest=1.0, highest=10.0),
     Figure("quality_pass", "average above 7 and clean, % of tasks", "task", 100.0, better="higher", is_verdict=True),
-    Figure("frechet", "Fréchet distance", "set", digits=2, better="lower"),
+    Figure("frechet", "Frechet distance", "set", digits=2, better="lower"),
     Figure("kernel", "kernel distance", "set", digits=4, better="lower", lowest=-math.inf),
     Figure("vendi_pictures", "Vendi score of pictures", "set", better="higher"),
     Figure("vendi_layouts", "Vendi score of layouts", "set", better="higher"),
-    Figure("core_seconds", "core seconds a scene", "set", digits=2, better="lower"),
-    Figure("tokens", "tokens a scene", "set", digits=0, better="lower"),
-    Figure("cost", "cost a scene", "set", digits=4, better="lower"),
+    Figure("core_seconds", "core seconds a task", "set", digits=2, better="lower"),
+    Figure("tokens", "tokens a task", "set", digits=0, better="lower"),
+    Figure("cost", "cost a task", "set", digits=4, better="lower"),
 )
 """All figures, in the order of the table."""
 

@@ -28,6 +28,7 @@ Tasks: TypeAlias = Callable[[int], TaskSource]
 """The tasks of a repetition, by its seed."""
 
 _EMPTY = "source_empty"
+_ENOUGH = 10_000  # pictures from which FID hardly depends on their number
 
 
 @dataclass(slots=True)
@@ -95,7 +96,7 @@ def evaluate(
     results = [SystemResult(system) for system in parse_systems(settings.systems)]
     seeds = [settings.generate.seed + k for k in range(settings.repetitions)]
     sources = {seed: tasks(seed) for seed in seeds}
-    names = {"frechet": "Fréchet distance", "kernel": "kernel distance", "judge": settings.rate.rating.judge}
+    names = {"frechet": "Frechet distance", "kernel": "kernel distance", "judge": settings.rate.rating.judge}
     for result in results:
         if lacking := result.system.lacks(settings.generate):
             result.note(f"not run: needs {lacking}")
@@ -157,6 +158,8 @@ def _reference(out: str, settings: EvaluateSettings, workers: WorkerPool) -> tup
     reference = read_reference(settings.reference, place, settings.reference_where)
     lost = manifest["counts"]["failures"]
     about = f"the reference has {len(reference.features)} pictures" + (f"; {lost} could not be drawn" if lost else "")
+    if len(reference.features) < _ENOUGH:
+        about += f"; with fewer than {_ENOUGH:,} pictures the Frechet distance (FID) is far too large, and the kernel distance is not"
     return reference, [about]
 
 

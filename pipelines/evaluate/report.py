@@ -89,7 +89,8 @@ def _text(result: SystemResult, estimate: Estimate, figure: Figure) -> str:
 def _paper_table(evaluation: Evaluation) -> Iterable[str]:
     """Measured and published figures in the paper's layout, in columns of their own."""
     figures = [_BY_KEY[key] for key in _PAPER]
-    head = ["system", *(_label(f, evaluation) for f in figures)]
+    criteria = [c.key.upper() for c in CRITERIA]
+    head = ["system", evaluation.names["frechet"], *criteria, "average", "OC, %", "AwT, %", "AwS, %"]
     rows = [
         [
             f"{r.system.label} ({r.system.compared.row})",
@@ -97,14 +98,14 @@ def _paper_table(evaluation: Evaluation) -> Iterable[str]:
         ]
         for r in evaluation.results
     ]
-    yield '<p class="note">Measured here.</p>'
+    yield f'<p class="note">Measured here. {escape(", ".join(criteria))}: 1 to 10, by {escape(evaluation.names["judge"])}.</p>'
     yield table(head, rows)
     yield (
         f'<p class="note">Published: {escape(SOURCE)}, Table 1, with MesaTask-10K, Qwen3-8B, GPT-4o as judge and the paper\'s renderer. '
         "Nothing in this table was measured here, and none of its figures can be compared with one above that has another judge, other "
         "features or other assets.</p>"
     )
-    head = ["row of the paper", "FID", *(c.key.upper() for c in CRITERIA), "average", "OC", "AwT", "AwS"]
+    head = ["row of the paper", "FID", *criteria, "average", "OC", "AwT", "AwS"]
     yield table(
         head,
         [
