@@ -12,7 +12,9 @@ from stable_data.diversity.comparison import SAMPLE, compare_sets
 from stable_data.diversity.scene_set import SceneSet
 from stable_data.errors import ConfigError
 from stable_data.rating.criteria import KEYS
+from stable_data.scene import Scene
 from stable_data.scores.set_distance import Features, FeatureStatistics, frechet_distance, kernel_distance, vendi_at
+from stable_data.scores.taste import POOLED, Training, compare_scenes, placement_ratio, read_scenes
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
@@ -29,14 +31,18 @@ class Reference:
     """The pictures with which those of systems are compared.
 
     Attributes:
-        features: (N, D) float32, of the front views.
+        features: (N, D) float32, of the front views; none if they could not be drawn.
         fingerprint: That of their extractor.
         table_types: Types of the tables.
+        training: What its scenes of the split train say.
+        held_out: Its scenes of the splits validation and test.
     """
 
-    features: Features
+    features: Features | None
     fingerprint: str
     table_types: frozenset[str]
+    training: Training
+    held_out: tuple[Scene, ...]
 
 
 def read_reference(run: str, views: str, where: str) -> Reference:
@@ -44,13 +50,14 @@ def read_reference(run: str, views: str, where: str) -> Reference:
 
     Args:
         run: The run of its scenes.
-        views: The run of their pictures.
+        views: The run of their pictures; empty if they could not be drawn.
         where: The condition on its scenes.
     """
     types = TableFiles(run, "scenes", ["table_type"], where=where or None)
     names = {name for group in range(len(types.groups)) for name in types.read([group])["table_type"].to_pylist()}
-    features, fingerprint = read_features(views)
-    return Reference(features, fingerprint, frozenset(names))
+    features, fingerprint = read_features(views) if views else (None, "")
+    held_out = tuple(read_scenes(run, ["validation", "test"]))
+    return Reference(features, fingerprint, frozenset(names), Training(read_scenes(run, ["train"])), held_out)
 
 
 def read_features(views: str) -> tuple[Features, str]:
@@ -87,7 +94,7 @@ def read_repetition(place: str, tasks: Sequence[str], reference: Reference | Non
         rated = {row["scene_id"]: row for row in ratings.table("ratings", ["scene_id", *_RATED]).to_pylist()}
     rows = {row["scene_id"]: _row(row, rated.get(row["scene_id"], {})) for row in found}
     values, notes = _picture_values(place, {row["table_type"] for row in found}, reference)
-    values |= _spent(scenes, len(tasks))
+    values |= _taste_values(f"{place}/scenes", reference) | _spent(scenes, len(tasks))
     return Repetition(tuple(tasks), rows, values), notes
 
 
@@ -99,7 +106,7 @@ def _row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str, Any]:
 
 def _picture_values(place: str, types: set[str], reference: Reference | None) -> tuple[dict[str, float | None], list[str]]:
     """Distances of the pictures from the reference."""
-    if reference is None or not RunFolder(f"{place}/views").shard_ids("views"):
+    if reference is None or reference.features is None or not RunFolder(f"{place}/views").shard_ids("views"):
         return {}, []
     if strange := sorted(types - reference.table_types):
         return {}, [f"distances of pictures are unknown: the reference has no {', '.join(strange)}; choose another one"]
@@ -111,6 +118,14 @@ def _picture_values(place: str, types: set[str], reference: Reference | None) ->
         return {"frechet": frechet_distance(*parts), "kernel": kernel_distance(features, reference.features)}, []
     except ConfigError as error:
         return {}, [f"distances of pictures are unknown: {error}"]
+
+
+def _taste_values(run: str, reference: Reference | None) -> dict[str, float | None]:
+    """What occurs together and how it lies, compared with the reference."""
+    if reference is None or not reference.training.num_scenes or not reference.held_out:
+        return {}
+    found = compare_scenes(list(read_scenes(run, [])), reference.held_out, reference.training)[POOLED]
+    return {"pairs_unseen": found["pairs_unseen"].generated, "placement": placement_ratio(found)}
 
 
 def _spent(scenes: RunFolder, num_tasks: int) -> dict[str, float | None]:

@@ -62,6 +62,8 @@ FIGURES = (
     Figure("kernel", "kernel distance", "set", digits=4, better="lower", lowest=-math.inf),
     Figure("vendi_pictures", "Vendi score of pictures", "set", better="higher"),
     Figure("vendi_layouts", "Vendi score of layouts", "set", better="higher"),
+    Figure("pairs_unseen", "pairs of categories unseen in the reference's training, %", "set", better="lower", highest=100.0),
+    Figure("placement", "placement, as a multiple of its floor", "set", digits=2, better="lower"),
     Figure("core_seconds", "core seconds a task", "set", digits=2, better="lower"),
     Figure("tokens", "tokens a task", "set", digits=0, better="lower"),
     Figure("cost", "cost a task", "set", digits=4, better="lower"),

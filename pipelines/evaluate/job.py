@@ -147,20 +147,25 @@ def _has(result: SystemResult, seed: int) -> bool:
 
 def _reference(out: str, settings: EvaluateSettings, workers: WorkerPool) -> tuple[Reference | None, list[str]]:
     if not settings.reference:
-        return None, ["distances of pictures are unknown: give a run of scenes to compare with, --reference RUN"]
-    place = f"{out.rstrip('/')}/reference"
+        return None, ["distances from other scenes are unknown: give a run of scenes to compare with, --reference RUN"]
+    place, notes, lost = f"{out.rstrip('/')}/reference", list[str](), 0
     try:
         manifest = draw_views(settings.reference, place, settings.views, workers, where=settings.reference_where)
+        lost = manifest["counts"]["failures"]
     except ConfigError as error:
         if error.code != "no_gl":
             raise
-        return None, [f"distances of pictures are unknown: {error}"]
+        place = ""
+        notes.append(f"distances of pictures are unknown: {error}")
     reference = read_reference(settings.reference, place, settings.reference_where)
-    lost = manifest["counts"]["failures"]
-    about = f"the reference has {len(reference.features)} pictures" + (f"; {lost} could not be drawn" if lost else "")
-    if len(reference.features) < _ENOUGH:
-        about += f"; with fewer than {_ENOUGH:,} pictures the Frechet distance (FID) is far too large, and the kernel distance is not"
-    return reference, [about]
+    if reference.features is not None:
+        about = f"the reference has {len(reference.features)} pictures" + (f"; {lost} could not be drawn" if lost else "")
+        if len(reference.features) < _ENOUGH:
+            about += f"; with fewer than {_ENOUGH:,} the Frechet distance (FID) is far too large, the kernel distance is not"
+        notes.append(about)
+    about = f"{reference.training.num_scenes} scenes of the split train and {len(reference.held_out)} of validation and test"
+    notes.append(f"pairs of categories and placement are compared with {about} of the reference; too few are unknown")
+    return reference, notes
 
 
 def _run_system(
