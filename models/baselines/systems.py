@@ -35,7 +35,7 @@ class ComparedSystem:
     Attributes:
         row: Its name in the paper's Table 1 (Sec. "Experiment"), or in its appendix "Baselines".
         about: What it is, one line.
-        settings: Settings of ``generate``, by key.
+        settings: Settings of ``generate`` that differ from those of Algorithm 1, by key.
         needs: What else has to be given; empty if nothing has to be.
     """
 
@@ -45,9 +45,14 @@ class ComparedSystem:
     needs: str = ""
 
     @property
+    def values(self) -> dict[str, str | int]:
+        """All settings that make the system, by key."""
+        return {**_EVERY, **self.settings}
+
+    @property
     def overrides(self) -> list[str]:
-        """The settings as ``key=value``."""
-        return [f"{key}={json.dumps(value)}" for key, value in {**_EVERY, **self.settings}.items()]
+        """The same as ``key=value``."""
+        return [f"{key}={json.dumps(value)}" for key, value in self.values.items()]
 
 
 _WHOLE: Mapping[str, str] = {"schedule": "whole", "corrects": "never"}

@@ -9,13 +9,14 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from pipelines.evaluate.collect import Reference, read_reference, read_repetition, set_diversity
-from pipelines.evaluate.figures import Estimate, Repetition, estimate_figures
+from pipelines.evaluate.evaluation import Evaluation, SystemResult, to_json
+from pipelines.evaluate.figures import estimate_figures
+from pipelines.evaluate.report import write_evaluation_report
 from pipelines.evaluate.settings import EvaluateSettings
-from pipelines.evaluate.systems import EvaluatedSystem, parse_systems
+from pipelines.evaluate.systems import parse_systems
 from pipelines.execution.ray_executor import WorkerPool, connection
 from pipelines.generate.job import GenerateJob, generate
 from pipelines.rate.job import rate
@@ -31,56 +32,6 @@ _EMPTY = "source_empty"
 _ENOUGH = 10_000  # pictures from which FID hardly depends on their number
 
 
-@dataclass(slots=True)
-class SystemResult:
-    """A system with what it gave.
-
-    Attributes:
-        system: The system.
-        repetitions: Its repetitions; none if it was not run.
-        notes: What is unknown and why, and what to know about its figures.
-        runs: Folders of the runs of each repetition.
-        has_failed: Whether something that was asked for could not be done.
-    """
-
-    system: EvaluatedSystem
-    repetitions: list[Repetition] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    runs: list[str] = field(default_factory=list)
-    has_failed: bool = False
-
-    def note(self, text: str) -> None:
-        """Adds a note once."""
-        if text not in self.notes:
-            self.notes.append(text)
-
-
-@dataclass(frozen=True, slots=True)
-class Evaluation:
-    """The result of an evaluation.
-
-    Attributes:
-        out: Its folder.
-        num_tasks: Number of tasks of a repetition.
-        results: The systems.
-        estimates: Label -> key of a figure -> estimate.
-        names: What distances of pictures are called, and who rated: keys ``frechet``, ``kernel``, ``judge``.
-        notes: What is unknown for all systems.
-    """
-
-    out: str
-    num_tasks: int
-    results: tuple[SystemResult, ...]
-    estimates: dict[str, dict[str, Estimate]]
-    names: dict[str, str]
-    notes: tuple[str, ...]
-
-    @property
-    def has_failed(self) -> bool:
-        """Whether something that was asked for could not be done."""
-        return any(result.has_failed for result in self.results)
-
-
 def evaluate(
     tasks: Tasks, out: str, settings: EvaluateSettings, workers: WorkerPool, assets: Sequence[str] = (), *, report: bool = True
 ) -> Evaluation:
@@ -91,8 +42,6 @@ def evaluate(
     Raises:
         ConfigError: The settings cannot be used, or the reference is no run with scenes.
     """
-    from pipelines.evaluate.report import write_evaluation_report
-
     results = [SystemResult(system) for system in parse_systems(settings.systems)]
     seeds = [settings.generate.seed + k for k in range(settings.repetitions)]
     sources = {seed: tasks(seed) for seed in seeds}
@@ -219,28 +168,3 @@ def _run_system(
 def _say(text: str) -> None:
     with suppress(OSError):
         sys.stderr.write(f"{text}\n")
-
-
-def to_json(evaluation: Evaluation) -> dict[str, Any]:
-    """Returns an evaluation as JSON values."""
-    systems = {}
-    for result in evaluation.results:
-        label = result.system.label
-        figures = {
-            key: {"value": e.value, "low": e.low, "high": e.high, "known": e.known, "unknown": e.unknown}
-            for key, e in evaluation.estimates[label].items()
-        }
-        systems[label] = {
-            "system": result.system.name,
-            "row": result.system.compared.row,
-            "given": result.system.given,
-            "repetitions": len(result.repetitions),
-            "figures": figures,
-            "notes": result.notes,
-        }
-    return {
-        "num_tasks": evaluation.num_tasks,
-        "names": evaluation.names,
-        "notes": list(evaluation.notes),
-        "systems": systems,
-    }

@@ -7,8 +7,8 @@ from html import escape
 import pyarrow.compute as pc
 
 from pipelines.evaluate.collect import VIEW
+from pipelines.evaluate.evaluation import Evaluation, SystemResult
 from pipelines.evaluate.figures import FIGURES, Estimate, Figure
-from pipelines.evaluate.job import Evaluation, SystemResult
 from pipelines.evaluate.published import SOURCE, TABLE_1, TABLE_3B
 from pipelines.evaluate.settings import EvaluateSettings
 from pipelines.reports.html import page, table

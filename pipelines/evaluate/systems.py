@@ -1,13 +1,12 @@
 """The systems of an evaluation: what was asked for, as settings of the job ``generate``."""
 
-import json
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from models.baselines.systems import SYSTEMS, ComparedSystem, system_named
+from models.settings import fill_settings
 from pipelines.generate.settings import GenerateSettings
-from pipelines.settings import resolve_settings
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
 
@@ -62,12 +61,17 @@ class EvaluatedSystem:
         Raises:
             ConfigError: They cannot be used.
         """
-        own = f"seed={seed}", *self.compared.overrides
+        own: dict[str, str | int] = {"seed": seed, **self.compared.values}
         if self.given:
-            is_files = self.name == "files"
-            key, value = "layout_files" if is_files else "engine.engine", self.given.replace(_SEED, str(seed))
-            own += (f"{key}={json.dumps(value)}",)
-        return resolve_settings(GenerateSettings, "generate", None, own, shared)
+            own["layout_files" if self.name == "files" else "engine.engine"] = self.given.replace(_SEED, str(seed))
+        values = asdict(shared)
+        for key, value in own.items():
+            *path, last = key.split(".")
+            inner = values
+            for name in path:
+                inner = inner[name]
+            inner[last] = value
+        return fill_settings(GenerateSettings, values, "generate")
 
     def lacks(self, shared: GenerateSettings) -> str:
         """Returns what has to be given for it to run; empty if nothing is missing."""
