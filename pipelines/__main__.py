@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from pipelines.evaluation_commands import evaluate, views
+from pipelines.evaluation_commands import evaluate, rate, views
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, NumWorkers, RunOut, worker_count
-from pipelines.rating_commands import rate
 from pipelines.retired import CommandGroup
 from pipelines.robot_commands import demonstrate, evaluate_policy, reach
 from pipelines.scene_files import commands as scene_files
