@@ -310,11 +310,19 @@ def compare_diversity(
         Path | None, typer.Option(metavar="FILE", help="Output file with the group of near-duplicates of each scene (Parquet).")
     ] = None,
     figures: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Output file of the figures.")] = None,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="RUNs are runs of the job views; compare their pictures instead of layouts.")
+    ] = False,
+    alike: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="With --pictures: least cosine of near-duplicates. Default: that of the features."),
+    ] = None,
 ) -> None:
     """Say how diverse runs are, and which scenes are near-duplicates, within a run, between splits and between runs.
 
     Two scenes are near-duplicates if nine tenths of their objects have a counterpart of the same category within 2 cm. In the
-    table, group_split is a split that all scenes of a group have, in all of the runs.
+    table, group_split is a split that all scenes of a group have, in all of the runs. With --pictures, pictures are near-duplicates
+    whose features point in nearly the same direction.
     """
     import json
 
@@ -330,6 +338,20 @@ def compare_diversity(
     for file in (table, figures):
         if file is not None:
             prepare_place(file)
+    if pictures:
+        from stable_data.diversity.pictures import PictureSet, compare_pictures
+
+        if where is not None:
+            raise ConfigError("--where chooses scenes, expected no --pictures; choose them in the job views", "usage")
+        seen = compare_pictures([PictureSet.read(run) for run in runs], alike=alike, sample=sample, seed=seed)
+        typer.echo(str(seen))
+        if table is not None:
+            pl.DataFrame(list(seen.groups)).write_parquet(table)
+        if figures is not None:
+            figures.write_text(json.dumps(seen.figures(), indent=2) + "\n", "utf-8")
+        return
+    if alike is not None:
+        raise ConfigError("--alike is a limit for pictures, expected --pictures", "usage")
     found = compare_sets([SceneSet.read(run, where=where, limit=limit, seed=seed) for run in runs], sample=sample, seed=seed)
     typer.echo(str(found))
     if table is not None:

@@ -4,23 +4,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from pipelines.evaluate.figures import FIGURES, Repetition
 from pipelines.generate.report import core_seconds
 from stable_data.diversity.comparison import SAMPLE, compare_sets
+from stable_data.diversity.pictures import PictureSet
 from stable_data.diversity.scene_set import SceneSet
 from stable_data.errors import ConfigError
 from stable_data.rating.criteria import KEYS
 from stable_data.scene import Scene
-from stable_data.scores.set_distance import Features, FeatureStatistics, frechet_distance, kernel_distance, vendi_at
+from stable_data.scores.set_distance import FeatureStatistics, frechet_distance, kernel_distance, vendi_at
 from stable_data.scores.taste import POOLED, Training, compare_scenes, placement_ratio, read_scenes
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
-
-VIEW = "front"
-"""The view whose features are compared, as the paper does for FID."""
 
 _CARD = [figure.key for figure in FIGURES if figure.key in SCHEMAS["scenes"].names]
 _RATED = [*KEYS, "average", "quality_pass"]
@@ -31,15 +27,13 @@ class Reference:
     """The pictures with which those of systems are compared.
 
     Attributes:
-        features: (N, D) float32, of the front views; none if they could not be drawn.
-        fingerprint: That of their extractor.
+        pictures: The features of its pictures; None if they could not be drawn.
         table_types: Types of the tables.
         training: What its scenes of the split train say.
         held_out: Its scenes of the splits validation and test.
     """
 
-    features: Features | None
-    fingerprint: str
+    pictures: PictureSet | None
     table_types: frozenset[str]
     training: Training
     held_out: tuple[Scene, ...]
@@ -55,25 +49,9 @@ def read_reference(run: str, views: str, where: str) -> Reference:
     """
     types = TableFiles(run, "scenes", ["table_type"], where=where or None)
     names = {name for group in range(len(types.groups)) for name in types.read([group])["table_type"].to_pylist()}
-    features, fingerprint = read_features(views) if views else (None, "")
+    pictures = PictureSet.read(views) if views else None
     held_out = tuple(read_scenes(run, ["validation", "test"]))
-    return Reference(features, fingerprint, frozenset(names), Training(read_scenes(run, ["train"])), held_out)
-
-
-def read_features(views: str) -> tuple[Features, str]:
-    """Returns the features of the front views of a views run, (N, D) float32 by scene id, and the fingerprint of their extractor.
-
-    Raises:
-        ConfigError: The run has none (``source_empty``).
-    """
-    leaves = ["scene_id", "extractor_fingerprint", "views.list.element.view", "views.list.element.features"]
-    files = TableFiles(views, "views", leaves)
-    rows = [row for group in range(len(files.groups)) for row in files.read([group]).to_pylist()]
-    if not rows:
-        raise ConfigError(f"{views}: has no pictures, expected some", "source_empty")
-    rows.sort(key=lambda row: str(row["scene_id"]))
-    chosen = [next(view["features"] for view in row["views"] if view["view"] == VIEW) for row in rows]
-    return np.array(chosen, np.float32), str(rows[0]["extractor_fingerprint"])
+    return Reference(pictures, frozenset(names), Training(read_scenes(run, ["train"])), held_out)
 
 
 def read_repetition(place: str, tasks: Sequence[str], reference: Reference | None) -> tuple[Repetition, list[str]]:
@@ -106,16 +84,16 @@ def _row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str, Any]:
 
 def _picture_values(place: str, types: set[str], reference: Reference | None) -> tuple[dict[str, float | None], list[str]]:
     """Distances of the pictures from the reference."""
-    if reference is None or reference.features is None or not RunFolder(f"{place}/views").shard_ids("views"):
+    if reference is None or reference.pictures is None or not RunFolder(f"{place}/views").shard_ids("views"):
         return {}, []
     if strange := sorted(types - reference.table_types):
         return {}, [f"distances of pictures are unknown: the reference has no {', '.join(strange)}; choose another one"]
     try:
-        features, fingerprint = read_features(f"{place}/views")
-        if fingerprint != reference.fingerprint:
+        own = PictureSet.read(f"{place}/views")
+        if own.fingerprint != reference.pictures.fingerprint:
             return {}, ["distances of pictures are unknown: the features of the reference are others"]
-        parts = (FeatureStatistics.of(one) for one in (features, reference.features))
-        return {"frechet": frechet_distance(*parts), "kernel": kernel_distance(features, reference.features)}, []
+        sets = own.features, reference.pictures.features
+        return {"frechet": frechet_distance(*map(FeatureStatistics.of, sets)), "kernel": kernel_distance(*sets)}, []
     except ConfigError as error:
         return {}, [f"distances of pictures are unknown: {error}"]
 
@@ -151,7 +129,7 @@ def set_diversity(repetitions: Sequence[tuple[Repetition, str]]) -> list[Repetit
         for k, found in zip(filled, compare_sets(sets).sets, strict=True):
             values[k]["vendi_layouts"] = found.layouts
     drawn = [k for k in filled if RunFolder(f"{repetitions[k][1]}/views").num_rows("views") > 1]
-    features = {k: read_features(f"{repetitions[k][1]}/views")[0] for k in drawn}
+    features = {k: PictureSet.read(f"{repetitions[k][1]}/views").features for k in drawn}
     size = min([SAMPLE, *(len(rows) for rows in features.values())])
     for k, rows in features.items():
         values[k]["vendi_pictures"] = vendi_at(rows, size).mean

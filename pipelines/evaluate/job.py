@@ -107,9 +107,9 @@ def _reference(out: str, settings: EvaluateSettings, workers: WorkerPool) -> tup
         place = ""
         notes.append(f"distances of pictures are unknown: {error}")
     reference = read_reference(settings.reference, place, settings.reference_where)
-    if reference.features is not None:
-        about = f"the reference has {len(reference.features)} pictures" + (f"; {lost} could not be drawn" if lost else "")
-        if len(reference.features) < _ENOUGH:
+    if reference.pictures is not None:
+        about = f"the reference has {len(reference.pictures)} pictures" + (f"; {lost} could not be drawn" if lost else "")
+        if len(reference.pictures) < _ENOUGH:
             about += f"; with fewer than {_ENOUGH:,} the Frechet distance (FID) is far too large, the kernel distance is not"
         notes.append(about)
     about = f"{reference.training.num_scenes} scenes of the split train and {len(reference.held_out)} of validation and test"

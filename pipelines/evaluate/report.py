@@ -6,13 +6,13 @@ from html import escape
 
 import pyarrow.compute as pc
 
-from pipelines.evaluate.collect import VIEW
 from pipelines.evaluate.evaluation import Evaluation, SystemResult
 from pipelines.evaluate.figures import FIGURES, Estimate, Figure
 from pipelines.evaluate.published import SOURCE, TABLE_1, TABLE_3B
 from pipelines.evaluate.settings import EvaluateSettings
 from pipelines.reports.html import page, table
 from pipelines.reports.text_table import align_columns
+from stable_data.diversity.pictures import VIEW
 from stable_data.rating.criteria import CRITERIA
 from stable_data.storage.run_folder import RunFolder
 
