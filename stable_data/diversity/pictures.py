@@ -167,7 +167,7 @@ def compare_pictures(
     if len({one.fingerprint for one in sets}) > 1:
         names = ", ".join(sorted({one.extractor for one in sets}))
         raise ConfigError(
-            f"features of the pictures differ ({names}), expected one extractor; draw them again", "features_differ"
+            f"features of the pictures differ ({told}), expected one extractor; draw them again", "features_differ"
         )
     features = sets[0].extractor
     limit = ALIKE.get(features.partition(":")[0]) if alike is None else alike
