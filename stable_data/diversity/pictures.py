@@ -165,7 +165,7 @@ def compare_pictures(
         ConfigError: The features are not of one extractor (``features_differ``), or no limit is known for them (``setting_invalid``).
     """
     if len({one.fingerprint for one in sets}) > 1:
-        names = ", ".join(sorted({one.extractor for one in sets}))
+        told = ", ".join(sorted({one.extractor for one in sets}))
         raise ConfigError(
             f"features of the pictures differ ({told}), expected one extractor; draw them again", "features_differ"
         )
