@@ -6,7 +6,8 @@ and draws several samples, of which a score chooses one (:mod:`~models.rearrange
 
 What differs from the paper: the condition is the perturbed layout, since there is no instruction; poses are displacements from it, with yaw
 as their only rotation; the network is that of the corrector, with its features of shapes instead of point clouds; noise levels follow the
-cosine schedule, because the published rates leave 13 % of the signal at the last of 200 levels; and geometry replaces the learned
+cosine schedule, because the published rates leave 13 % of the signal at the last of 200 levels (``schedule=published`` has them); clean
+coordinates that are estimated during sampling are limited, which the published sampler does not do; and geometry replaces the learned
 discriminator: the paper's classifier of collisions between two point clouds estimates what is computed here.
 """
 

@@ -164,6 +164,18 @@ def test_a_diffusion_that_knows_the_noise_gives_the_clean_poses(sampler: str, st
     assert turns.max() < 1e-3
 
 
+def test_a_diffusion_reaches_the_other_end_of_a_table_and_a_half_turn() -> None:
+    settings = replace(small("struct_diffusion"), struct_diffusion=StructDiffusionSettings(times=20))
+    clean = on_table(condition(1, 3))
+    start = clean.poses.clone()
+    start[..., 0] += 1.5
+    start[..., 3] += 3.0
+    found = moved(settings, Oracle(settings, clean.poses), replace(clean, poses=start))
+    lengths, turns = distances(found, clean.poses)
+    assert lengths.max() < 1e-3
+    assert turns.max() < 1e-3
+
+
 def test_what_the_methods_cannot_use_is_refused() -> None:
     with pytest.raises(ConfigError, match="expected residual"):
         replace(small("lego_net"), coordinates=PoseCoordinates("absolute"))

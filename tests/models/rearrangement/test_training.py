@@ -65,6 +65,7 @@ def test_the_presets_cost_what_the_corrector_costs(method: Method) -> None:
         sizes = [sum(p.numel() for p in n.parameters()) for n in (ours.corrector.build()[0], build_network(theirs.rearranger))]
     assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
     assert theirs.rearranger.heights == ours.corrector.flow.heights
+    assert theirs.rearranger.coordinates == ours.corrector.flow.coordinates  # so that a turn weighs as much in the loss
 
 
 def test_an_unknown_method_is_refused() -> None:
