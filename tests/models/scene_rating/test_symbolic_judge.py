@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.rating import BAD, Change, turned_away, with_giant, with_task_object_under_table, without_task_object
+from benchmarks.rating import BAD, Change, with_all_turned_away, with_giant, with_task_object_under_table, without_task_object
 from models.scene_rating.fault import Fault, score_by
 from models.scene_rating.layout_rules import LayoutRules, turn_shows
 from models.scene_rating.placement_rules import PlacementRules
@@ -116,7 +116,7 @@ def test_the_reasons_name_what_is_wrong(rater: Rater) -> None:
     said = {
         without_task_object: ("cwt", "missing: mirror"),
         with_giant: ("osr", "times too large"),
-        turned_away: ("lcr", "1_mirror_0 faces away"),
+        with_all_turned_away: ("lcr", "1_mirror_0 faces away"),
         with_task_object_under_table: ("ov", "1_mirror_0 is hidden"),
     }
     for change, (key, words) in said.items():
