@@ -7,7 +7,7 @@
 - bad scenes: for each kind of change, the mean loss of each criterion over the scenes to which it applies and that are known before
   and after.
 
-Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``. Times are wall times, and processor times in brackets.
+Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``. Wall times and processor times are printed beside each other.
 """
 
 import json
