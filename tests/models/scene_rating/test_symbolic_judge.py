@@ -301,6 +301,11 @@ def test_placement_follows_the_audit(rater: Rater) -> None:
     rules = PlacementRules()
     assert "floats" in rules(AuditedScene.of(rater.geometry(lifted))).rationale
     assert "reaches over the edge" in rules(AuditedScene.of(rater.geometry(outside))).rationale
+    audited = AuditedScene.of(rater.geometry(lifted))
+    unmeasured = tuple(replace(o, gap=None) for o in audited.audit.objects)
+    open_ = rules(replace(audited, audit=replace(audited.audit, objects=unmeasured)))  # how far something floats is not known
+    assert open_.score is None
+    assert scene.objects[0].instance in open_.rationale
 
 
 def test_task_objects_weigh_more_when_they_are_hidden(rater: Rater) -> None:
