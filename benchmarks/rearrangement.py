@@ -201,11 +201,11 @@ def open_methods(
         elif named:
             left_out.append(mover)
     for name in chosen:
-        mover, repairs = name.removesuffix(REPAIR), name.endswith(REPAIR)
+        own, repairs = movers.get(name.removesuffix(REPAIR)), name.endswith(REPAIR)
         if name in PARTS:
             found[name] = parts[name]
-        elif mover in movers:
-            found[name] = CorrectorParts(terms, flows=True, refines=repairs, certifies=repairs, mover=movers[mover])
+        elif own is not None:
+            found[name] = CorrectorParts(terms, flows=True, refines=repairs, certifies=repairs, mover=own)
     return found, left_out
 
 
