@@ -9,7 +9,7 @@ from models.physics_corrector.flow.heights import Heights
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.physics_corrector.flow.velocity_network import VelocityNetworkSettings
 from models.rearrangement.noise_schedule import Schedule
-from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
+from models.settings import Count, NonNegative, PositiveCount, Settings, Share
 from stable_data.errors import ConfigError
 
 Method: TypeAlias = Literal["lego_net", "struct_diffusion"]
@@ -74,11 +74,6 @@ class StructDiffusionSettings(Settings):
 
     samples: Annotated[int, Interval(ge=1, le=1024)] = 8
     """Samples of each scene, of which the best is chosen."""
-
-    limit: Positive = 40.0
-    """Largest absolute value of a clean coordinate that is estimated during sampling, in coordinate units: 40 are 2 m, and more than a
-    whole turn, so that objects can be put back from the other end of a table.
-    """
 
 
 @dataclass(frozen=True, slots=True)
