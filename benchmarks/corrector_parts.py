@@ -4,14 +4,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
 
 from models.baselines.outcome import Baseline, BaselineResult
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
-from models.physics_corrector.certify.correction import CorrectionOptions, Fixed
+from models.physics_corrector.certify.correction import CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector, Polish, Purpose
 from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
 from models.physics_corrector.learned_flow import AUTO, NONE, load_flow
+from models.physics_corrector.learned_mover import LearnedMover
 from models.physics_corrector.refinement.refiner import Refiner
 from pipelines.sources.scenes import contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
@@ -44,18 +44,6 @@ class CorrectorTerms:
     purpose: Purpose = "repair"
     error: ExpectedError = UNKNOWN_ERROR
     keeps_all: bool = False
-
-
-class LearnedMover(Protocol):
-    """A trained network that moves objects: the corrector's flow, or a rearranger."""
-
-    def prepare(self, scene: Scene, shapes: Sequence[Shape]) -> None:
-        """Computes what is made once for each asset."""
-        ...
-
-    def __call__(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-        """Moves the objects of scenes, see :data:`~models.physics_corrector.corrector.Flow`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +84,8 @@ class CorrectorParts:
         requests = corrector.move([replace(known, relations=told.relations)], store, options, [audit])
         if not self.certifies and not self.refines:
             raw = requests[0].raw
-            return BaselineResult(raw or scene, raw is not None, time.process_time() - begin)
+            reason = "" if raw is not None else "the new poses are not finite"
+            return BaselineResult(raw or scene, raw is not None, time.process_time() - begin, reason)
         (request,) = corrector.prepare(requests, store)
         done = corrector.certify(request, store)
         seconds = time.process_time() - begin

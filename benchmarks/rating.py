@@ -7,7 +7,7 @@
 - bad scenes: for each kind of change, the mean loss of each criterion over the scenes to which it applies and that are known before
   and after.
 
-Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``. Times are wall times, and processor times in brackets.
+Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``. Wall times and processor times are printed beside each other.
 """
 
 import json
@@ -85,7 +85,7 @@ def heaped_up_in_corner(scene: Scene) -> Scene | None:
     return _each(scene, lambda o: o.moved((0.05 + 0.2 * o.position[0], 0.05 + 0.2 * o.position[1], o.position[2]), o.yaw))
 
 
-def turned_away(scene: Scene) -> Scene | None:
+def with_all_turned_away(scene: Scene) -> Scene | None:
     """Turns each object by 180 degrees in its place."""
     return _each(scene, lambda o: o.moved(o.position, o.yaw + math.pi))
 
@@ -103,7 +103,7 @@ BAD: Mapping[str, tuple[Change, str]] = {
     "a thing is as long as the table": (with_giant, "osr"),
     "two things are in one place": (with_two_in_one_place, "ppi"),
     "all is heaped up in a corner": (heaped_up_in_corner, "lcr"),
-    "all is turned away": (turned_away, "lcr"),
+    "all is turned away": (with_all_turned_away, "lcr"),
     "a task object is under the table": (with_task_object_under_table, "ov"),
 }
 """What makes scenes bad, and the criterion that has to show it."""

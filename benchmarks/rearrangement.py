@@ -1,10 +1,10 @@
 """The paper's rearrangement table: perturbed held-out scenes, put in order by the corrector's parts and by two learned rearrangers.
 
 ``python -m benchmarks.rearrangement RUN [--count 500] [--noise 0.1] [--seeds 3] [--method NAME ...] [--lego-net FILE]
-[--struct-diffusion FILE] [--flow FILE] [--json FILE]``. RUN is a preprocess run. Its clean scenes of the splits ``test`` and then
-``validation`` are perturbed: Gaussian noise of one standard deviation on x, y and z in metres and on yaw in radians, for every object by
-itself. FILE are weights of ``train-rearranger`` and ``train-corrector``; a method without weights is not measured. ``--lego-steps`` and
-``--diffusion-steps`` change the largest number of their steps.
+[--struct-diffusion FILE] [--flow FILE] [--split test ...] [--json FILE]``. RUN is a preprocess run. Its clean scenes of the split
+``test``, or of the named splits, are perturbed: Gaussian noise of one standard deviation on x, y and z in metres and on yaw in radians,
+for every object by itself. FILE are weights of ``train-rearranger`` and ``train-corrector``; a method without weights is not measured.
+``--lego-steps`` and ``--diffusion-steps`` change the largest number of their steps.
 
 The paper leaves open: the unit of the noise, taken as metres and radians; whether heights are perturbed too, which "translation" says
 (``--plane`` leaves them); whether what carries what is known, which all methods are told here (``--infer``: they infer it from the
@@ -12,9 +12,11 @@ perturbed poses); whether the methods know the size of the noise (``--untold``: 
 distance, here 0.1 m per radian. Objects may be off the table at the start.
 
 All methods move the same objects, none may be dropped, and every result is judged by the exact audit. ``start`` is the perturbed layout.
-``lego_net``, ``struct_diffusion`` and ``flow`` end with the same step that gives objects their exact heights by contact.
+``lego_net``, ``struct_diffusion`` and ``flow`` end with the same step that gives objects their exact heights by contact; with ``+ refine
++ certify``, the other parts of the corrector follow. Above the table stands how long and on what each network was trained.
 
 - failed: scenes for which the method gave no layout; they count as they were at the start;
+- unknown: scenes whose collisions by the paper's rule are not known; *OC sampled* leaves them out;
 - moved, EMD: mean distance that objects moved, and earth mover's distance to the clean scene, metres, with identical objects matched, and
   with objects of the same category matched as in the paper;
 - OC: colliding pairs as a share of all, deeper than 0.5 mm by exact meshes (unknown counts as colliding), and by the paper's rule, a
@@ -41,10 +43,12 @@ from benchmarks.correction import START, Result, run
 from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms, corrector_parts
 from benchmarks.layouts import StartLayout, held_out_scenes, noisy_layouts
 from models.baselines.outcome import Baseline
+from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
-from models.physics_corrector.learned_flow import AUTO
-from models.rearrangement.rearranger import open_rearranger
+from models.physics_corrector.learned_flow import AUTO, NONE
+from models.rearrangement.rearranger import Rearranger, open_rearranger
 from models.rearrangement.settings import METHODS as REARRANGERS
+from models.training.weights_file import read_notes
 from pipelines.reports.text_table import align_columns
 from pipelines.sources.scenes import scene_source
 from stable_data.errors import ConfigError, StableDataError
@@ -53,7 +57,10 @@ from stable_data.scores.intervals import mean_interval
 PARTS = ("flow", "flow + refine", "flow + refine + certify", "certify")
 """The corrector's parts that are measured."""
 
-METHODS = (*REARRANGERS, *PARTS)
+REPAIR = " + refine + certify"
+"""Ending of the name of a rearranger whose layouts the other parts of the corrector repair."""
+
+METHODS = (*(name + end for name in REARRANGERS for end in ("", REPAIR)), *PARTS)
 
 PUBLISHED: Mapping[str, tuple[float, float, float]] = {
     "lego_net": (0.28, 0.43, 0.32),
@@ -65,7 +72,7 @@ PUBLISHED: Mapping[str, tuple[float, float, float]] = {
 NO_STEPS: Mapping[str, int] = MappingProxyType({})
 """The rearrangers take the steps of their weights."""
 
-_SPLITS = ("test", "validation")  # the choice of the shipped weights has seen the latter
+_SPLITS = ("test", "validation", "unseen")  # the choice of the shipped weights has seen `validation`
 _FIGURES = ("moved", "moved_category", "emd", "emd_category", "oc", "oc_sampled", "clean", "seconds")
 _HEAD = ("moved m", "by category", "EMD m", "by category", "OC", "OC sampled", "clean", "s", "paper: moved", "EMD", "OC")
 
@@ -79,7 +86,7 @@ class SeedFigures:
         seed: Seed of the noise.
         scenes: Number of scenes.
         failed: Scenes for which it gave no layout.
-        unknown: Scenes whose collisions by the paper's rule are not known, which ``oc_sampled`` leaves out.
+        unknown: Scenes whose collisions by the paper's rule are not known; ``oc_sampled`` leaves them out.
         moved: Mean distance moved, identical objects matched, metres.
         moved_category: The same, objects of one category matched.
         emd: Earth mover's distance to the clean scene, identical objects matched, metres.
@@ -143,12 +150,12 @@ def table(figures: Sequence[SeedFigures], methods: Sequence[str] = METHODS) -> s
         figures: The figures of methods and seeds.
         methods: The methods of the rows, after the start.
     """
-    rows: list[tuple[str, ...]] = [("method", "scenes", "failed", *_HEAD)]
+    rows: list[tuple[str, ...]] = [("method", "scenes", "failed", "unknown", *_HEAD)]
     for method in (START, *methods):
         own = [f for f in figures if f.method == method]
         published = [f"{value:g}" for value in PUBLISHED[method]] if method in PUBLISHED else ["", "", ""]
         measured = [_written([getattr(f, name) for f in own], name) for name in _FIGURES]
-        counts = (str(sum(f.scenes for f in own)), str(sum(f.failed for f in own))) if own else ("0", "-")
+        counts = [str(sum(getattr(f, name) for f in own)) if own else "-" for name in ("scenes", "failed", "unknown")]
         rows.append((method, *counts, *measured, *published))
     return align_columns(rows, 1)
 
@@ -181,34 +188,60 @@ def open_methods(
     """
     if unknown := sorted(set(wanted) - set(METHODS)):
         raise ConfigError(f"--method {', '.join(unknown)}, expected of {', '.join(METHODS)}", "usage")
-    parts, found, left_out = corrector_parts(terms), dict[str, Baseline](), list[str]()
-    for name in METHODS:
-        if wanted and name not in wanted:
-            continue
+    chosen = [name for name in METHODS if not wanted or name in wanted]
+    parts, found = corrector_parts(terms), dict[str, Baseline]()
+    movers, left_out = dict[str, Rearranger](), list[str]()
+    for mover in REARRANGERS:
+        named, file = [name for name in chosen if name.removesuffix(REPAIR) == mover], weights.get(mover)
+        if named and file is not None:
+            movers[mover] = open_rearranger(file, steps.get(mover, 0), terms.error)
+        elif named and wanted:
+            option = f"--{mover.replace('_', '-')}"
+            raise ConfigError(f"--method {named[0]} has no weights, expected {option} FILE of train-rearranger", "usage")
+        elif named:
+            left_out.append(mover)
+    for name in chosen:
+        own, repairs = movers.get(name.removesuffix(REPAIR)), name.endswith(REPAIR)
         if name in PARTS:
             found[name] = parts[name]
-            continue
-        file = weights.get(name)
-        if file is None and wanted:
-            option = f"--{name.replace('_', '-')}"
-            raise ConfigError(f"--method {name} has no weights, expected {option} FILE of train-rearranger", "usage")
-        if file is None:
-            left_out.append(name)
-            continue
-        mover = open_rearranger(file, steps.get(name, 0), terms.error)
-        found[name] = CorrectorParts(terms, flows=True, refines=False, certifies=False, mover=mover)
+        elif own is not None:
+            found[name] = CorrectorParts(terms, flows=True, refines=repairs, certifies=repairs, mover=own)
     return found, left_out
 
 
-def layouts_of(place: str, count: int, noise: float, seeds: int, *, along_z: bool = True) -> list[StartLayout]:
+def trained_on(files: Mapping[str, Path | None]) -> dict[str, dict[str, str | None]]:
+    """Reads how long and on what networks were trained.
+
+    Args:
+        files: Name of a network -> its weights.
+
+    Returns:
+        Name -> the file, and from its notes ``steps`` and ``data_fingerprint``; None where the notes lack one.
+
+    Raises:
+        ConfigError: A file cannot be read.
+    """
+    found = {}
+    for name, file in files.items():
+        if file is not None:
+            notes = read_notes(file)
+            found[name] = {"file": str(file), **{key: notes.get(key) for key in ("steps", "data_fingerprint")}}
+    return found
+
+
+def layouts_of(
+    place: str, count: int, noise: float, seeds: int, splits: Sequence[str] = _SPLITS[:1], *, along_z: bool = True
+) -> list[StartLayout]:
     """Makes the perturbed layouts of held-out scenes, scene after scene, each with all seeds.
 
     Raises:
-        ConfigError: The run has no clean held-out scene (``set_empty``).
+        ConfigError: A split is not held out (``usage``), or the run has no clean scene of these splits (``set_empty``).
     """
-    scenes = held_out_scenes(place, count, _SPLITS)
+    if unknown := sorted(set(splits) - set(_SPLITS)):
+        raise ConfigError(f"--split {', '.join(unknown)}, expected of {', '.join(_SPLITS)}", "usage")
+    scenes = held_out_scenes(place, count, splits)
     if not scenes:
-        raise ConfigError(f"{place}: no clean scene in the splits test and validation, expected at least one", "set_empty")
+        raise ConfigError(f"{place}: no clean scene of the split {' or '.join(splits)}, expected at least one", "set_empty")
     store = scene_source(place).store
     of_seed = [noisy_layouts(scenes, store, noise, seed, along_z=along_z) for seed in range(seeds)]
     return [layout for of_scene in zip(*of_seed, strict=True) for layout in of_scene]
@@ -225,6 +258,7 @@ def main(
     lego_steps: Annotated[int, typer.Option(min=0, help="Largest number of steps of lego_net; 0: that of the weights.")] = 0,
     diffusion_steps: Annotated[int, typer.Option(min=0, help="The same of struct_diffusion.")] = 0,
     flow: Annotated[str, typer.Option(help="Weights of the flow; auto: those of the repository.")] = AUTO,
+    split: Annotated[list[str] | None, typer.Option(help=f"Of {', '.join(_SPLITS)}; {_SPLITS[0]} by default.")] = None,
     is_plane: Annotated[bool, typer.Option("--plane", help="No noise along z.")] = False,
     infers: Annotated[bool, typer.Option("--infer", help="What carries what is inferred from the perturbed poses.")] = False,
     is_untold: Annotated[bool, typer.Option("--untold", help="The methods are not told the size of the noise.")] = False,
@@ -239,7 +273,9 @@ def main(
         weights = {"lego_net": lego_net, "struct_diffusion": struct_diffusion}
         steps = {"lego_net": lego_steps, "struct_diffusion": diffusion_steps}
         methods, left_out = open_methods(method or (), terms, weights, steps)
-        layouts = layouts_of(place, count, noise, seeds, along_z=not is_plane)
+        has_flow = flow != NONE and any(name.startswith("flow") for name in methods)
+        networks = trained_on(weights | ({"flow": CORRECTOR if flow == AUTO else Path(flow)} if has_flow else {}))
+        layouts = layouts_of(place, count, noise, seeds, split or _SPLITS[:1], along_z=not is_plane)
         results = run(layouts, scene_source(place).store, methods, limit)
     except StableDataError as found:
         raise SystemExit(str(found)) from found
@@ -248,13 +284,16 @@ def main(
     print(
         f"{len(layouts)} layouts with {objects} objects, {seeds} seeds, noise {noise:g} along {'x, y' if is_plane else 'x, y, z'}"
     )
+    for name, notes in networks.items():
+        steps_done, data = (notes[key] or "unknown" for key in ("steps", "data_fingerprint"))
+        print(f"{name}: {steps_done} training steps, data {data}, {notes['file']}")
     for name in left_out:
         print(f"{name}: not measured, no weights (--{name.replace('_', '-')} FILE)")
     print("", table(figures, method or METHODS), sep="\n")
     if file is not None:
-        asked: dict[str, Any] = {"count": count, "noise": noise, "seeds": seeds}
+        asked: dict[str, Any] = {"count": count, "noise": noise, "seeds": seeds, "splits": split or _SPLITS[:1]}
         asked |= {"plane": is_plane, "infer": infers, "untold": is_untold, "flow": flow, "steps": steps}
-        asked["weights"] = {name: str(path) for name, path in weights.items() if path}
+        asked["networks"] = networks
         file.write_text(json.dumps(_document(place, asked, figures, results), indent=1) + "\n", "utf-8")
 
 

@@ -57,6 +57,11 @@ def quat_of(rotation: "Rotation") -> QuatXyzw:
     return (x, y, z, w)
 
 
+def wrap_angle(angle: FloatArray) -> FloatArray:
+    """Returns angles of the same directions between −π and π, radians."""
+    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
 def rotate_xy(points: FloatArray, yaw: float) -> FloatArray:
     """Rotates horizontal points (..., 2) by ``yaw`` radians about the origin."""
     c, s = np.cos(yaw), np.sin(yaw)

@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors import safe_open
 from tokenizers import Tokenizer
 from torch import Tensor
 from transformers import BertConfig
 
 from models.instruction_reader.network import ReaderNetwork, WordTokens
 from models.text_encoder.folder import packaged_folder, read_folder
-from stable_data.atomic_files import write_file_atomically
+from models.training.weights_file import read_weights, save_weights
 from stable_data.errors import ConfigError
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "instruction_reader.safetensors"
@@ -97,8 +96,7 @@ def save_reader(path: Path, model: ReaderModel, notes: Mapping[str, str]) -> Non
             else:
                 tensors[name] = difference
     header = {"format": FORMAT, "encoder": model.encoder, **notes}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file_atomically(path, save(tensors, dict(sorted(header.items()))))
+    save_weights(path, tensors, header)
 
 
 def load_reader(path: Path = DEFAULT_WEIGHTS, trains: bool = False) -> ReaderModel:
@@ -109,18 +107,11 @@ def load_reader(path: Path = DEFAULT_WEIGHTS, trains: bool = False) -> ReaderMod
         trains: Whether its weights shall be trained further.
 
     Raises:
-        ConfigError: The file is not a reader (``weights_invalid``), or it belongs to another sentence encoder
-            (``encoder_mismatch``).
+        ConfigError: The file cannot be read (``checkpoint_invalid``), is not a reader (``weights_invalid``), or it belongs to
+            another sentence encoder (``encoder_mismatch``).
     """
     model = new_reader()
-    try:
-        with safe_open(path, "pt") as file:
-            notes = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
-    except (OSError, SafetensorError) as error:
-        raise ConfigError(
-            f"{path}: {error}, expected a safetensors file of an instruction reader", "weights_invalid"
-        ) from error
+    tensors, notes = read_weights(path)
     if notes.get("format") != FORMAT:
         raise ConfigError(f"{path}: its format is {notes.get('format')}, expected {FORMAT}", "weights_invalid")
     if notes.get("encoder") != model.encoder:

@@ -35,8 +35,10 @@ from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.scene import TABLE, Relation, Scene
 
-Flow: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], list[Scene]]
-"""Moves the objects of scenes: scenes, the shapes of their objects, the fixed instances of each -> the moved scenes."""
+SceneMover: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], Sequence[Scene | None]]
+"""Moves the objects of scenes, such as :class:`~models.physics_corrector.learned_mover.LearnedMover`: scenes, the shapes of their
+objects, the fixed instances of each -> the moved scenes, None for a scene that it cannot move.
+"""
 
 
 class LayoutRefiner(Protocol):
@@ -82,7 +84,7 @@ class PhysicsCorrector:
         purpose: Whether layouts are meant as they are.
     """
 
-    flow: Flow | None = None
+    flow: SceneMover | None = None
     options: CertifyOptions = field(default_factory=CertifyOptions)
     judges_raw: bool = True
     refiner: LayoutRefiner | None = None
@@ -129,7 +131,8 @@ class PhysicsCorrector:
 
         Returns:
             One request per scene, in order; without a flow, objects do not move. If the result of
-            the flow is judged or published, and there is a refiner, objects have exact heights.
+            the flow is judged or published, and there is a refiner, objects have exact heights. A scene that the flow cannot move
+            stays as it is.
         """
         each = [options] * len(scenes) if isinstance(options, CorrectionOptions) else options
         each = [replace(own, fixed=own.fixed | scene.fixed) for own, scene in zip(each, scenes, strict=True)]
@@ -138,11 +141,12 @@ class PhysicsCorrector:
         raws: Sequence[Scene | None] = [None] * len(scenes)
         if self.flow is not None:
             fixed = [self.options.fixed | own.fixed for own in each]
-            moved = self.flow(found, [shapes for _, shapes in resolved], fixed)
+            raws = self.flow(found, [shapes for _, shapes in resolved], fixed)
             if self.refiner is not None and (self.judges_raw or self.polish == "off"):  # the refinement finds heights itself
-                of_scene = zip(moved, resolved, fixed, strict=True)
-                moved = self.refiner.rest([LayoutToRefine(scene, shapes, own) for scene, (_, shapes), own in of_scene])
-            raws = moved
+                of_scene = zip(raws, resolved, fixed, strict=True)
+                moved = [LayoutToRefine(raw, shapes, own) for raw, (_, shapes), own in of_scene if raw is not None]
+                rested = iter(self.refiner.rest(moved))
+                raws = [None if raw is None else next(rested) for raw in raws]
         known = [None] * len(scenes) if audits is None else audits
         return [CertificationRequest(*request) for request in zip(found, raws, each, known, strict=True)]
 

@@ -4,13 +4,12 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
-
-from models.device_batches import DeviceBatches
 from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.checkpoint import Checkpoint, load_corrector
+from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
+from models.physics_corrector.learned_mover import LearnedMover
 from models.physics_corrector.scene_reading import Encoders, SceneReader, encoder_beside, moved_scenes
 from models.point_encoder import PointEncoder
 from stable_data.assets.text_embeddings import TextEncoder
@@ -25,8 +24,8 @@ AUTO, NONE = "auto", "none"
 _BATCH = 64  # scenes in one batch of the network
 
 
-class LearnedFlow:
-    """A trained flow; a :data:`~models.physics_corrector.corrector.Flow`.
+class LearnedFlow(LearnedMover):
+    """A trained flow.
 
     Args:
         checkpoint: The network and its settings.
@@ -53,31 +52,15 @@ class LearnedFlow:
         codes: Path | None = None,
     ) -> None:
         self._checkpoint, self._steps = checkpoint, steps
-        self._batches = DeviceBatches("flow", _BATCH)
         encoders = Encoders(encoder, text_encoder)
-        self._reader = SceneReader(checkpoint.settings.network, checkpoint.notes, encoders, error, device, codes)
+        reader = SceneReader(checkpoint.settings.network, checkpoint.notes, encoders, error, device, codes)
+        super().__init__("flow", reader, _BATCH)
         checkpoint.network.to(device)
 
-    def prepare(self, scene: Scene, shapes: Sequence[Shape]) -> None:
-        """Computes what is kept of a scene's objects: features of their shapes and words."""
-        self._reader.condition([scene], [shapes], [frozenset()])
-
-    @torch.no_grad()
-    def __call__(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-        """Moves the objects of scenes; fixed objects, and scenes whose new poses are not finite, are unchanged bit by bit.
-
-        Args:
-            scenes: The scenes, positions at the centres of the boxes, with known supports.
-            shapes: The geometry of the objects of each scene, in their order.
-            fixed: The instances of each scene that must not move.
-        """
-        return self._batches.run(list(zip(scenes, shapes, fixed, strict=True)), self._move_batch)
-
-    def _move_batch(self, layouts: Sequence[tuple[Scene, Sequence[Shape], Fixed]]) -> list[Scene]:
-        scenes, shapes, fixed = [x for x, _, _ in layouts], [x for _, x, _ in layouts], [x for _, _, x in layouts]
-        condition = self._reader.condition(scenes, shapes, fixed)
-        if not condition.mask.any():
-            return list(scenes)
+    def _moved(
+        self, condition: Condition, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]
+    ) -> list[Scene | None]:
+        """See the base class."""
         poses = self._checkpoint.flow.sample(self._checkpoint.network, condition, steps=self._steps or None)
         return moved_scenes(scenes, fixed, poses)
 

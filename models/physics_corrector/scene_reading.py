@@ -181,19 +181,22 @@ class SceneReader:
         return torch.from_numpy(features)
 
 
-def moved_scenes(scenes: Sequence[Scene], fixed: Sequence[Fixed], poses: Tensor) -> list[Scene]:
-    """Returns scenes at new poses; fixed objects, and scenes whose new poses are not finite, are unchanged bit by bit.
+def moved_scenes(scenes: Sequence[Scene], fixed: Sequence[Fixed], poses: Tensor) -> list[Scene | None]:
+    """Returns scenes at new poses; fixed objects are unchanged bit by bit.
 
     Args:
         scenes: The scenes.
         fixed: The instances of each scene that must not move.
         poses: New poses of their objects, (B, N, 4).
+
+    Returns:
+        The scenes; None where the new poses are not finite, as for coordinates that overflow float32.
     """
-    moved, found = [], poses.double().cpu().numpy()
+    moved, found = list[Scene | None](), poses.double().cpu().numpy()
     for b, (scene, fixed_instances) in enumerate(zip(scenes, fixed, strict=True)):
         own = found[b, : len(scene.objects)]
-        if not np.isfinite(own).all():  # coordinates that overflow float32: `certify` starts at the input scene
-            moved.append(scene)
+        if not np.isfinite(own).all():
+            moved.append(None)
             continue
         # The fixed poses of the network's output were rounded to float32.
         is_fixed = np.array([o.instance in fixed_instances for o in scene.objects], np.bool_)

@@ -12,16 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import load_file
-from safetensors.torch import save as serialized
 from torch import Tensor
 
 from models.point_encoder.cloud import Preprocessing
 from models.point_encoder.encoder import PointEncoder
 from models.point_encoder.serialization import CURVES
 from models.point_encoder.transformer import TransformerConfig
-from stable_data.atomic_files import write_file_atomically
+from models.training.weights_file import read_weights, save_weights
 from stable_data.errors import ConfigError
 
 FORMAT = "stable-data point encoder 1"
@@ -36,28 +35,21 @@ _MAX_LISTED = 12  # names that a message lists
 
 
 def save(encoder: PointEncoder, path: Path) -> None:
-    """Writes an encoder atomically."""
+    """Writes an encoder atomically; equal ones give equal bytes."""
     settings = {name: json.dumps(value) for name, value in encoder.settings().items()}
     metadata = {"format": FORMAT, "fingerprint": encoder.fingerprint(), **settings}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in encoder.state_dict().items()}
-    # safetensors.save_file would write a file that only its owner may read.
-    write_file_atomically(path, serialized(tensors, metadata))
+    save_weights(path, encoder.state_dict(), metadata)
 
 
 def load(path: Path) -> PointEncoder:
     """Reads an encoder that `save` wrote.
 
     Raises:
-        ConfigError: The file is not an encoder or of another version (``weights_invalid``), its tensors do not match its
-            configuration (``weights_mismatch``), or its content has changed (``weights_changed``).
+        ConfigError: The file cannot be read (``checkpoint_invalid``), is not an encoder or of another version
+            (``weights_invalid``), its tensors do not match its configuration (``weights_mismatch``), or its content has changed
+            (``weights_changed``).
     """
-    try:
-        with safe_open(path, "pt") as file:
-            metadata = file.metadata() or {}
-        tensors = load_file(path)
-    except (OSError, SafetensorError) as error:
-        raise ConfigError(f"{path}: {error}, expected a safetensors file of a point encoder", "weights_invalid") from error
+    tensors, metadata = read_weights(path)
     if metadata.get("format") != FORMAT:
         message = (
             f"{path} has format {metadata.get('format')!r}, expected {FORMAT!r}; for published weights, use load_published"

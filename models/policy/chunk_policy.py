@@ -95,7 +95,8 @@ def open_policy(name: str) -> OpenedPolicy:
             ``act(observation)``.
 
     Raises:
-        ConfigError: There is none (``policy_missing``), or it is not usable (``weights_invalid``, ``policy_invalid``).
+        ConfigError: There is none (``policy_missing``), or it is not usable (``checkpoint_invalid``,
+            ``weights_invalid``, ``policy_invalid``).
     """
     path = Path(name).expanduser()
     file = path / FILE if path.is_dir() else path

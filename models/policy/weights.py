@@ -5,11 +5,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from safetensors import SafetensorError, safe_open
-
 from models.policy.network import PolicyNetwork, PolicyShape
 from models.settings import fill_settings
-from models.training.weights_file import save_weights
+from models.training.weights_file import read_weights, save_weights
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
 from stable_data.robot.episodes import EpisodeFeatures
@@ -58,12 +56,11 @@ def load_policy(path: Path) -> PolicyWeights:
     """Reads a policy from its file.
 
     Raises:
-        ConfigError: The file cannot be read, is of something else, or has values that are not finite (``weights_invalid``).
+        ConfigError: The file cannot be read (``checkpoint_invalid``), is of something else, or has values that are not finite
+            (``weights_invalid``).
     """
+    tensors, header = read_weights(path)
     try:
-        with safe_open(path, framework="pt") as file:
-            header = dict(file.metadata() or {})
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
         found = {key: json.loads(header.pop(key)) for key in _KEYS}
         features = found["features"]
         names = {name: tuple(features[name]) for name in _NAMES}
@@ -79,8 +76,6 @@ def load_policy(path: Path) -> PolicyWeights:
         shape = fill_settings(PolicyShape, found["network"], "network")
         network = PolicyNetwork(shape)
         network.load_state_dict(tensors)
-    except (OSError, SafetensorError) as error:
-        raise ConfigError(f"{path}: cannot be read as safetensors ({error})", "weights_invalid") from error
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         line = " ".join(str(error).split())[:200]
         raise ConfigError(

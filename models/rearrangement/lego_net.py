@@ -1,8 +1,7 @@
 """LEGO-Net (Wei et al. 2023, arXiv 2301.09629) on poses in 3D: iterative denoising of a layout by predicted displacements.
 
 Training: a clean layout x is perturbed at a scale that differs from scene to scene, and the network predicts from the perturbed layout x̃
-alone the displacement of every object to its clean place, f(x̃) ≈ x − x̃. Interchangeable objects are assigned to the nearest places.
-The network is told neither the scale nor a time.
+alone the displacement of every object to its clean place, f(x̃) ≈ x − x̃. The network is told neither the scale nor a time.
 
 Inference is close to Langevin dynamics: x_{k+1} = x_k + α_k f(x_k) + β_k z, z ~ N(0, I), with α_k = α_0 / (1 + a k) and β_k that falls
 by a factor every few steps. A scene is finished when its predicted displacements were small at some successive steps.
@@ -10,9 +9,12 @@ by a factor every few steps. A scene is finished when its predicted displacement
 What differs from the paper: the network is that of the corrector (with features of shapes, categories as text features, table and
 supports) instead of a transformer with a floor plan; the errors of the training are those of the corrector's training; the network
 predicts the displacement and not the clean pose, which are the same loss; the limits for finished scenes are means over the objects.
+The paper assigns the objects of a class to clean places by the earth mover's distance; here only objects of one shape and one parent
+that carry nothing exchange their places.
 """
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -30,11 +32,12 @@ class LegoNet:
 
     Attributes:
         settings: The settings.
-        num_samples: Samples of a scene: one.
+        num_samples: Samples of a scene.
     """
 
+    num_samples: ClassVar[int] = 1
+
     settings: RearrangerSettings
-    num_samples: int = 1
 
     def loss(self, network: Velocity, condition: Condition, targets: Tensor, generator: torch.Generator) -> Tensor:
         """Computes the error of the predicted displacements: squared and absolute, sum over coordinates, mean over movable objects.

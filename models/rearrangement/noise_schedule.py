@@ -11,7 +11,7 @@ A step from level k to a lower level j, with the estimates ε̂ and ŷ_0 = (y_k 
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import torch
 from torch import Tensor
@@ -20,6 +20,9 @@ _COSINE_OFFSET = 0.008  # Nichol and Dhariwal 2021
 _LARGEST_RATE = 0.999  # of one level: the last level keeps some signal, so that its root can divide
 _LINEAR_RATES = (1e-4, 0.02)  # of DDPM, for 1000 levels
 _LINEAR_LEVELS = 1000
+
+Schedule: TypeAlias = Literal["cosine", "linear", "published"]
+"""``published``: the rates of DDPM whatever the number of levels, as StructDiffusion has them for 200; ``linear`` scales them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,14 +36,14 @@ class NoiseSchedule:
     signal: Tensor
 
     @classmethod
-    def of(cls, times: int, schedule: Literal["cosine", "linear"]) -> "NoiseSchedule":
+    def of(cls, times: int, schedule: Schedule) -> "NoiseSchedule":
         """Makes a schedule of T levels."""
         if schedule == "cosine":
             level = torch.arange(times + 1, dtype=torch.float64) / times
             found = torch.cos((level + _COSINE_OFFSET) / (1 + _COSINE_OFFSET) * math.pi / 2).square()
             rates = 1 - found[1:] / found[:-1]
         else:
-            scale = _LINEAR_LEVELS / times
+            scale = _LINEAR_LEVELS / times if schedule == "linear" else 1.0
             rates = torch.linspace(scale * _LINEAR_RATES[0], scale * _LINEAR_RATES[1], times, dtype=torch.float64)
         kept = torch.cumprod(1 - rates.clamp(0, _LARGEST_RATE), 0)
         return cls(torch.cat([torch.ones(1, dtype=torch.float64), kept]))

@@ -1,13 +1,14 @@
-"""A trained rearranger: moves the objects of scenes, with the interface of the corrector's flow."""
+"""A trained rearranger: moves the objects of scenes in place of the corrector's flow."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
-from models.device_batches import DeviceBatches
 from models.physics_corrector.certify.correction import Fixed
+from models.physics_corrector.flow.condition import Condition
 from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
+from models.physics_corrector.learned_mover import LearnedMover
 from models.physics_corrector.scene_reading import NO_ENCODERS, Encoders, SceneReader, moved_scenes
 from models.rearrangement.scene_noise import SceneNoise
 from models.rearrangement.selection import choose_sample
@@ -21,8 +22,8 @@ from stable_data.scene import Scene
 _ROWS = 64  # samples of scenes in one batch of the network
 
 
-class Rearranger:
-    """A trained rearranger; a :data:`~models.physics_corrector.corrector.Flow`.
+class Rearranger(LearnedMover):
+    """A trained rearranger.
 
     The draws of a scene depend on the seed and the scene's id, so that a scene's result does not depend on the others.
 
@@ -51,31 +52,19 @@ class Rearranger:
     ) -> None:
         settings = weights.settings.with_steps(steps) if steps else weights.settings
         self._network, self._method, self._seed = weights.network.to(device), method_of(settings), seed
-        self._reader = SceneReader(weights.settings.network, weights.notes, encoders, error, device, codes)
-        self._batches = DeviceBatches("rearranger", max(1, _ROWS // self._method.num_samples))
+        reader = SceneReader(weights.settings.network, weights.notes, encoders, error, device, codes)
+        super().__init__("rearranger", reader, max(1, _ROWS // self._method.num_samples))
 
     def prepare(self, scene: Scene, shapes: Sequence[Shape]) -> None:
-        """Computes what is kept of a scene's objects: features of their shapes and words, and samples of surfaces for a choice."""
-        self._reader.condition([scene], [shapes], [frozenset()])
+        """See the base class; and computes samples of surfaces for a choice."""
+        super().prepare(scene, shapes)
         if self._method.num_samples > 1:
             prepare_samples(shapes)
 
-    @torch.no_grad()
-    def __call__(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
-        """Moves the objects of scenes; fixed objects, and scenes whose new poses are not finite, are unchanged bit by bit.
-
-        Args:
-            scenes: The scenes, positions at the centres of the boxes, with known supports.
-            shapes: The geometry of the objects of each scene, in their order.
-            fixed: The instances of each scene that must not move.
-        """
-        return self._batches.run(list(zip(scenes, shapes, fixed, strict=True)), self._move_batch)
-
-    def _move_batch(self, layouts: Sequence[tuple[Scene, Sequence[Shape], Fixed]]) -> list[Scene]:
-        scenes, shapes, fixed = [x for x, _, _ in layouts], [x for _, x, _ in layouts], [x for _, _, x in layouts]
-        condition = self._reader.condition(scenes, shapes, fixed)
-        if not condition.mask.any():
-            return list(scenes)
+    def _moved(
+        self, condition: Condition, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]
+    ) -> list[Scene | None]:
+        """See the base class."""
         count = self._method.num_samples
         rows = condition.take(torch.arange(len(scenes), device=condition.mask.device).repeat_interleave(count))
         seeds = [named_seed(self._seed, scene.scene_id, sample) for scene in scenes for sample in range(count)]

@@ -23,19 +23,23 @@ def num_faults(scene: Scene, shapes: Sequence[Shape]) -> int:
     return num_sampled_collisions(scene, shapes) + outside
 
 
-def choose_sample(start: Scene, shapes: Sequence[Shape], samples: Sequence[Scene]) -> Scene:
+def choose_sample(start: Scene, shapes: Sequence[Shape], samples: Sequence[Scene | None]) -> Scene | None:
     """Returns the sample with the fewest faults; of several the one whose objects moved least, of equal ones the first.
 
     Args:
         start: The perturbed scene.
         shapes: The geometry of its objects, in order.
-        samples: Scenes with the same objects, at least one.
+        samples: Scenes with the same objects; None, of which the poses are not finite, is not chosen.
+
+    Returns:
+        The chosen sample; None if there is none.
     """
-    if len(samples) == 1:
-        return samples[0]
+    found = [sample for sample in samples if sample is not None]
+    if len(found) < 2:
+        return next(iter(found), None)
 
     def score(sample: Scene) -> tuple[int, float]:
         moved = np.linalg.norm(sample.poses()[:, :3] - start.poses()[:, :3], axis=1)
         return num_faults(sample, shapes), float(moved.sum())
 
-    return min(samples, key=score)
+    return min(found, key=score)

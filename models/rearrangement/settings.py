@@ -8,7 +8,8 @@ from annotated_types import Interval
 from models.physics_corrector.flow.heights import Heights
 from models.physics_corrector.flow.pose_coordinates import PoseCoordinates
 from models.physics_corrector.flow.velocity_network import VelocityNetworkSettings
-from models.settings import Count, NonNegative, Positive, PositiveCount, Settings, Share
+from models.rearrangement.noise_schedule import Schedule
+from models.settings import Count, NonNegative, PositiveCount, Settings, Share
 from stable_data.errors import ConfigError
 
 Method: TypeAlias = Literal["lego_net", "struct_diffusion"]
@@ -17,7 +18,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 
 @dataclass(frozen=True, slots=True)
 class LegoNetSettings(Settings):
-    """Loss and iteration of LEGO-Net. Its lengths are shares of half a room; here half a table, taken as 0.5 m."""
+    """Loss and iteration of LEGO-Net. Its lengths are shares of half a room (6 m; 12 m for living rooms); here of half a table, 0.5 m."""
 
     l1_weight: NonNegative = 0.07
     """Weight of the absolute error beside the squared one."""
@@ -60,8 +61,10 @@ class StructDiffusionSettings(Settings):
     times: Annotated[int, Interval(ge=1, le=10_000)] = 200
     """Number T of noise levels."""
 
-    schedule: Literal["cosine", "linear"] = "cosine"
-    """Share of signal at each noise level; ``linear`` scales the rates of DDPM so that the last level is noise for every T."""
+    schedule: Schedule = "cosine"
+    """Share of signal at each noise level: ``cosine``; ``published``, rates from 0.0001 to 0.02 over the T levels, which leave 13 % of
+    the signal at the last of 200; or ``linear``, which scales these rates by 1000 / T, so that the last level is noise for every T.
+    """
 
     sampler: Literal["ancestral", "ddim"] = "ancestral"
     """``ancestral`` draws noise at each step, as DDPM; ``ddim`` only at the start."""
@@ -71,9 +74,6 @@ class StructDiffusionSettings(Settings):
 
     samples: Annotated[int, Interval(ge=1, le=1024)] = 8
     """Samples of each scene, of which the best is chosen."""
-
-    limit: Positive = 4.0
-    """Largest absolute value of a clean coordinate that is estimated during sampling, in coordinate units."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +86,8 @@ class RearrangerSettings(Settings):
     network: VelocityNetworkSettings = field(default_factory=VelocityNetworkSettings)
     """The shape of the network, which is that of the corrector."""
 
-    coordinates: PoseCoordinates = field(default_factory=lambda: PoseCoordinates(length_unit=0.1))
-    """Units of displacements. Their form must be ``residual``."""
+    coordinates: PoseCoordinates = field(default_factory=PoseCoordinates)
+    """Units of displacements, those of the corrector's flow by default. Their form must be ``residual``."""
 
     heights: Heights = "geometry"
     """``learned``, or with ``geometry`` heights follow from the supports, as in the corrector."""

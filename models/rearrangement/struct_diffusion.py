@@ -6,10 +6,12 @@ and draws several samples, of which a score chooses one (:mod:`~models.rearrange
 
 What differs from the paper: the condition is the perturbed layout, since there is no instruction; poses are displacements from it, with yaw
 as their only rotation; the network is that of the corrector, with its features of shapes instead of point clouds; noise levels follow the
-cosine schedule, because the published rates leave 13 % of the signal at the last of 200 levels; and geometry replaces the learned
-discriminator: the paper's classifier of collisions between two point clouds estimates what is computed here.
+cosine schedule, because the published rates leave 13 % of the signal at the last of 200 levels (``schedule=published`` has them); clean
+places that are estimated during sampling are limited to the table, which the published sampler does not do; and geometry replaces the
+learned discriminator: the paper's classifier of collisions between two point clouds estimates what is computed here.
 """
 
+import math
 from itertools import pairwise
 
 import torch
@@ -75,15 +77,26 @@ class StructDiffusion:
         own, coarse = self.settings.struct_diffusion, at_first_heights(condition, self.settings.heights)
         ranks, movable = coarse.content_ranks(), coarse.is_movable[..., None]
         y = torch.where(movable, self._free(noise.draw()), 0)
-        levels = self.schedule.levels(own.steps)
+        levels, (low, high) = self.schedule.levels(own.steps), self._bounds(coarse)
         for level, lower in pairwise(levels):
             t = y.new_full((len(y),), level / self.schedule.times)
             found = self._free(network(y, t, coarse, ranks, None))
-            y0 = self.schedule.clean(y, found, level).clamp(-own.limit, own.limit)
+            y0 = self.schedule.clean(y, found, level).clamp(low, high)
             is_drawn = own.sampler == "ancestral" and lower > 0
             y = self.schedule.step(y, y0, level, lower, self._free(noise.draw()) if is_drawn else None)
             y = torch.where(movable, y, 0)
         return torch.where(movable, self.settings.coordinates.decode(y, coarse.poses), condition.poses)
+
+    def _bounds(self, coarse: Condition) -> tuple[Tensor, Tensor]:
+        """Least and largest coordinates of clean poses, (B, N, 4) each: on the table, not higher than it is long, within half a turn.
+
+        At the highest levels, a small error of the noise is a large one of the estimate.
+        """
+        coordinates, height = self.settings.coordinates, coarse.table.amax(-1, keepdim=True)
+        corner = torch.cat([coarse.table, height], -1)[:, None]
+        half_turn = torch.full_like(coarse.poses[..., 3:], math.pi / coordinates.yaw_unit)
+        low, high = ((end - coarse.poses[..., :3]) / coordinates.length_unit for end in (0, corner))
+        return self._free(torch.cat([low, -half_turn], -1)), self._free(torch.cat([high, half_turn], -1))
 
     def _free(self, change: Tensor) -> Tensor:
         return without_heights(change, self.settings.heights)

@@ -39,7 +39,9 @@ class RearrangerTrainingSettings(LayoutTrainingSettings):
 
 
 def training_preset(method: str) -> RearrangerTrainingSettings:
-    """Returns the settings of a method with the network and the training of the corrector's preset ``embedded_set``.
+    """Returns the settings of a method with network, coordinates and training of the corrector's preset ``embedded_set``.
+
+    With the same units, the losses weigh a turn and a length as the flow's does.
 
     Raises:
         ConfigError: The method is unknown.
@@ -49,7 +51,8 @@ def training_preset(method: str) -> RearrangerTrainingSettings:
     like = corrector_preset(_LIKE)
     shared = {f.name: getattr(like, f.name) for f in fields(LayoutTrainingSettings)}
     network = replace(like.network, reads_errors=method != "lego_net")
-    rearranger = RearrangerSettings(method, network, heights=like.corrector.flow.heights)
+    flow = like.corrector.flow
+    rearranger = RearrangerSettings(method, network, flow.coordinates, flow.heights)
     return RearrangerTrainingSettings(**shared, rearranger=rearranger)
 
 

@@ -15,7 +15,7 @@ from models.settings import settings_from_json, settings_to_json
 from models.training.weights_file import fill_network, read_notes, save_weights
 from stable_data.errors import ConfigError
 
-Rearrangement: TypeAlias = LegoNet | StructDiffusion
+RearrangementMethod: TypeAlias = LegoNet | StructDiffusion
 """A method: what it is trained by, and how it moves objects."""
 
 _FORMAT = "stable-data rearranger 1"
@@ -36,7 +36,7 @@ class RearrangerWeights:
     notes: Mapping[str, str]
 
 
-def method_of(settings: RearrangerSettings) -> Rearrangement:
+def method_of(settings: RearrangerSettings) -> RearrangementMethod:
     """Returns the method that settings name."""
     return LegoNet(settings) if settings.method == "lego_net" else StructDiffusion(settings)
 

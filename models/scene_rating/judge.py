@@ -6,13 +6,16 @@ from typing import Protocol
 from models.scene_rating.rating_case import RatingCase
 from stable_data.rating.rating import Rating
 
+SYMBOLIC = "symbolic"
+"""The judge by rules, in settings and in ratings."""
+
 
 class RatingJudge(Protocol):
     """Rates scenes by the five criteria.
 
     Attributes:
         name: Its name in ratings.
-        version: Hash of what its ratings depend on beside the scenes: a prompt, or rules with their statistics.
+        version: Hash of the prompt; or of the rules and of all that they rest on beside the scenes.
     """
 
     name: str

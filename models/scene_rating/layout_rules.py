@@ -1,14 +1,23 @@
 """The rules of the criterion "Layout Coherence & Realism": facing, order, reach, company, spread, and what stands in front."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import igl
 import numpy as np
 
 from models.scene_rating.fault import Fault, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
-from models.scene_rating.usual_layouts import UPRIGHT, UsualLayouts, askew, offset_of, spread_of, standing_objects, turned_away
+from models.scene_rating.usual_layouts import (
+    UPRIGHT,
+    UsualLayouts,
+    UsualTurn,
+    askew,
+    offset_of,
+    spread_of,
+    standing_objects,
+    turned_away,
+)
 from stable_data.geometry.shape import Shape
 from stable_data.rating.rating import CriterionScore
 from stable_data.rotations import rotate_xy
@@ -46,68 +55,82 @@ class LayoutRules:
         self._usual = usual
 
     def __call__(self, case: AuditedScene) -> CriterionScore:
-        """Returns the score; unknown for a scene in which no rule can be applied."""
-        scene = case.scene
-        standing = standing_objects(scene)
+        """Returns the score; unknown if neither turns nor company, spread or reach can be judged."""
+        scene, standing = case.scene, standing_objects(case.scene)
         if not scene.movable:
             return unknown("the scene has no objects")
         if not standing:
             return unknown("no object is known to stand on the table")
         row = {o.instance: shape for o, shape in zip(scene.objects, case.geometry.shapes, strict=True)}
-        faults, checked, left_out = list[Fault](), list[str](), list[str]()
-        turns = [o for o in standing if self._usual.turn(o.category) is not None]
-        faults += [fault for o in turns for fault in self._turn_faults(o, row[o.instance])]
-        checked += [f"the turn of {len(turns)} of {len(standing)} standing objects"] if turns else []
-        faults += self._company_faults(case)
-        known = sum(o.category in self._usual.categories for o in scene.movable)
-        checked += [f"the company of {known} of {len(scene.movable)} objects"] if known else []
-        if known and not self._usual.knows_table(scene.table.table_type):
-            left_out.append(f"what is special to a {scene.table.table_type}, a kind of table without statistics")
-        faults += self._place_faults(scene)
-        checked += ["the spread"] if self._usual.limits(len(scene.movable)) is not None else []
-        wanted = [o for o in scene.movable if scene.task is not None and o.instance in scene.task.task_objects]
-        checked += [f"the reach of {len(wanted)} task objects"] if wanted else []
-        faults += _reach_faults(wanted)
-        checked.append("what stands in front")
-        faults += _front_row_faults(standing, scene.table.size_xy[1])
-        unknown_turns = len(standing) - len(turns)
-        left_out += [f"the turn of {unknown_turns} objects of other categories"] if unknown_turns else []
-        return score_by(faults, checked, left_out)
-
-    def _turn_faults(self, o: SceneObject, shape: Shape) -> Iterator[Fault]:
-        usual = self._usual.turn(o.category)
-        if usual is None or o.tilt_angle > UPRIGHT:
-            return
-        away, deviation = turned_away(o.yaw), askew(o.yaw)
-        if usual.front >= _FACES_FRONT and away > _AWAY and turn_shows(shape, o.yaw):
-            yield Fault(_SEVERITY["away"], f"{o.instance} faces away, by {math.degrees(away):.0f} degrees")
-        elif usual.askew <= _KEPT_STRAIGHT and deviation > _ASKEW and turn_shows(shape, deviation):
-            yield Fault(_SEVERITY["askew"], f"{o.instance} stands askew, by {math.degrees(deviation):.0f} degrees")
-
-    def _place_faults(self, scene: Scene) -> Iterator[Fault]:
-        """A layout that takes too little of the table, or stands too far from its middle."""
+        named = frozenset() if scene.task is None else frozenset(scene.task.task_objects)
+        wanted, others = ([o for o in scene.movable if (o.instance in named) == is_named] for is_named in (True, False))
+        turns = {o.instance: turn for o in standing if (turn := self._usual_turn(o)) is not None}
+        company = self._company(scene, others)
+        with_company = [o for o in others if o.category in company]
         limits = self._usual.limits(len(scene.movable))
-        if limits is None:
-            return
-        (least, most), share, offset = limits, spread_of(scene), offset_of(scene)
-        if share < least:
-            words = f"everything stands within {share:.0%} of the table, usual are {least:.0%} or more"
-            yield Fault(_SEVERITY["spread"] * (1 - share / least), words)
-        if offset > most:
-            words = (
-                f"the objects are {offset:.0%} of the way from the middle of the table to an edge, usual are {most:.0%} or less"
+        checked = {
+            f"the turn of {len(turns)} of {len(standing)} standing objects": len(turns),
+            f"the company of {len(with_company)} of {len(others)} objects": len(with_company),
+            "the spread": limits is not None,
+            f"the reach of {len(wanted)} task objects": len(wanted),
+        }
+        if not any(checked.values()):
+            return unknown(
+                "turns and company of the objects are not known, the task names none, and for a spread they are too few"
             )
-            yield Fault(_SEVERITY["spread"] * min(1.0, (offset - most) / max(1 - most, 1e-6)), words)
+        unknown_turns, alone = len(standing) - len(turns), len(others) - len(with_company)
+        kind, is_known_table = scene.table.table_type, self._usual.knows_table(scene.table.table_type)
+        left_out = {
+            f"the turn of {unknown_turns} objects of other categories, or tilted": unknown_turns,
+            f"the company of {alone} objects of other categories, or among few known ones": alone,
+            "the spread of so few objects": limits is None,
+            f"what is special to a {kind}, a kind of table without statistics": with_company and not is_known_table,
+        }
+        faults = [f for o in standing if o.instance in turns for f in _turn_faults(o, turns[o.instance], row[o.instance])]
+        faults += _company_faults(company, kind)
+        faults += [] if limits is None else _place_faults(scene, *limits)
+        faults += _reach_faults(wanted)
+        faults += _front_row_faults(standing, scene.table.size_xy[1])
+        said = [*(words for words, applies in checked.items() if applies), "what stands in front"]
+        return score_by(faults, said, [words for words, applies in left_out.items() if applies])
 
-    def _company_faults(self, case: AuditedScene) -> Iterator[Fault]:
-        scene = case.scene
-        wanted = frozenset(scene.task.task_objects) if scene.task is not None else frozenset()
+    def _usual_turn(self, o: SceneObject) -> UsualTurn | None:
+        """How things like an object usually stand; None if that is not known, or if it is tilted, so that its yaw says nothing."""
+        return self._usual.turn(o.category) if o.tilt_angle <= UPRIGHT else None
+
+    def _company(self, scene: Scene, judged: Sequence[SceneObject]) -> dict[str, float]:
+        """Category of a judged object -> the share of the other categories with which it usually stands, where that is known."""
         categories = sorted({o.category for o in scene.movable})
-        for category in sorted({o.category for o in scene.movable if o.instance not in wanted}):
-            share = self._usual.company(category, categories, scene.table.table_type)
-            if share is not None and share < _FEW:
-                words = f"{category} does not belong on a {scene.table.table_type} with the others"
-                yield Fault(_SEVERITY["company"] * (1 - share), words)
+        shares = {
+            name: self._usual.company(name, categories, scene.table.table_type) for name in sorted({o.category for o in judged})
+        }
+        return {name: share for name, share in shares.items() if share is not None}
+
+
+def _turn_faults(o: SceneObject, usual: UsualTurn, shape: Shape) -> Iterator[Fault]:
+    away, deviation = turned_away(o.yaw), askew(o.yaw)
+    if usual.front >= _FACES_FRONT and away > _AWAY and turn_shows(shape, o.yaw):
+        yield Fault(_SEVERITY["away"], f"{o.instance} faces away, by {math.degrees(away):.0f} degrees")
+    elif usual.askew <= _KEPT_STRAIGHT and deviation > _ASKEW and turn_shows(shape, deviation):
+        yield Fault(_SEVERITY["askew"], f"{o.instance} stands askew, by {math.degrees(deviation):.0f} degrees")
+
+
+def _place_faults(scene: Scene, least: float, most: float) -> Iterator[Fault]:
+    """A layout that takes too little of the table, or stands too far from its middle."""
+    share, offset = spread_of(scene), offset_of(scene)
+    if share < least:
+        words = f"everything stands within {share:.0%} of the table, usual are {least:.0%} or more"
+        yield Fault(_SEVERITY["spread"] * (1 - share / least), words)
+    if offset > most:
+        words = f"the objects are {offset:.0%} of the way from the middle of the table to an edge, usual are {most:.0%} or less"
+        yield Fault(_SEVERITY["spread"] * min(1.0, (offset - most) / max(1 - most, 1e-6)), words)
+
+
+def _company_faults(company: Mapping[str, float], table_type: str) -> Iterator[Fault]:
+    for category, share in company.items():
+        if share < _FEW:
+            words = f"{category} does not belong on a {table_type} with the others"
+            yield Fault(_SEVERITY["company"] * (1 - share), words)
 
 
 def turn_shows(shape: Shape, angle: float) -> bool:

@@ -1,6 +1,5 @@
 """The rules of the criterion "Placement Plausibility & Intersections": what the exact audit finds."""
 
-import math
 from collections.abc import Iterator
 
 from models.scene_rating.fault import Fault, listed, score_by, unknown
@@ -33,9 +32,8 @@ def _unknown_verdicts(audit: Audit) -> Iterator[str]:
         if pair.penetration is None:
             yield f"{pair.first} and {pair.second}"
     for verdict in audit.objects:
-        if verdict.instance not in audit.fixed and (
-            verdict.floats is None or verdict.is_outside is None or not verdict.has_mesh
-        ):
+        is_open = verdict.floats is None or verdict.is_outside is None or (verdict.floats and verdict.gap is None)
+        if verdict.instance not in audit.fixed and (is_open or not verdict.has_mesh):
             yield verdict.instance
 
 
@@ -50,9 +48,8 @@ def _faults_of(verdict: ObjectVerdict, audit: Audit) -> Iterator[Fault]:
     if verdict.instance in audit.fixed:
         return
     name = verdict.instance
-    if verdict.floats:
-        gap = math.inf if verdict.gap is None else verdict.gap
-        yield Fault(_severity(gap), f"{name} floats" + ("" if verdict.gap is None else f" {_length(gap)} above its support"))
+    if verdict.floats and verdict.gap is not None:
+        yield Fault(_severity(verdict.gap), f"{name} floats {_length(verdict.gap)} above its support")
     if verdict.table_penetration > audit.tolerance + ROUNDING:
         yield Fault(_severity(verdict.table_penetration), f"{name} is {_length(verdict.table_penetration)} in the table")
     if verdict.leaves_table:

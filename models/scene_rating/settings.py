@@ -4,15 +4,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from models.scene_rating.judge import RatingJudge
+from models.scene_rating.judge import SYMBOLIC, RatingJudge
 from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.protocol import Sampling
 from models.semantic_reasoner.engines.registry import EngineSettings, load_engine
 from models.settings import PositiveCount, Settings
 from stable_data.errors import ConfigError
-
-SYMBOLIC = "symbolic"
-"""The judge by rules."""
 
 _KINDS = ("openai", "scripted")  # engines that get pictures
 
@@ -65,7 +62,9 @@ class RatingSettings(Settings):
         return replace(self, judge=engine.engine, cache=engine.cache)
 
     def shaping(self) -> dict[str, Any]:
-        """Returns everything that ratings depend on beside the scenes; the endpoint's address and limits are left out.
+        """Returns all that ratings depend on beside the scenes and the categories of their assets.
+
+        The endpoint's address and limits are left out; its prices shape the cost.
 
         Raises:
             ConfigError: The script is missing (``engine_missing``), or the key is (``key_missing``).
@@ -81,6 +80,8 @@ class RatingSettings(Settings):
             "version": PROMPT_VERSION,
             "tries": self.tries,
             "binds": self.binds,
+            "prompt_price": self.http.prompt_price,
+            "reply_price": self.http.reply_price,
             **self.engine.shaping(),
         }
 

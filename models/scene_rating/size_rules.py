@@ -9,7 +9,7 @@ from models.scene_rating.fault import Fault, listed, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
 from stable_data.importers.conversion.sizes import SizeTable
 from stable_data.rating.rating import CriterionScore
-from stable_data.scene import SceneObject
+from stable_data.scene import SceneObject, Tabletop
 
 _SIGMAS = 2.6  # standard deviations within which a size is usual: 99 % of a normal distribution
 _SLACK = 1.25  # factor by which a size may exceed these bounds
@@ -21,7 +21,8 @@ class SizeRules:
     """Judges whether objects have sizes that are usual for their categories.
 
     The usual sizes are those of the table by which imported assets get their scale: the embedded world's catalogue, YCB and
-    furniture libraries. Only a category of the table, or another name of one, is judged; others are left out.
+    furniture libraries. Only a category of the table, or another name of one, is judged by them; of others it is known only that none
+    takes most of the tabletop.
     """
 
     def __init__(self) -> None:
@@ -29,25 +30,24 @@ class SizeRules:
         self._usual: dict[str, tuple[tuple[float, float], tuple[float, float]] | None] = {}
 
     def __call__(self, case: AuditedScene) -> CriterionScore:
-        """Returns the score; unknown if no object has a known category."""
-        objects = case.scene.movable
-        known = [o for o in objects if self._bounds(o.category) is not None]
-        if not known:
-            return unknown("the usual size of no object is known" if objects else "the scene has no objects")
-        every = ((k, o) for k, o in enumerate(case.scene.objects) if o.instance not in case.scene.fixed)
-        faults = [fault for k, o in every for fault in self._faults(case, k, o)]
-        others = sorted({o.category for o in objects} - {o.category for o in known})
-        left_out = [f"categories without known sizes ({listed(others)})"] if others else []
-        return score_by(faults, [f"sizes of {len(known)} of {len(objects)} objects"], left_out)
+        """Returns the score; unknown if no object has a known category, unless one takes most of the table."""
+        scene = case.scene
+        objects = [(k, o) for k, o in enumerate(scene.objects) if o.instance not in scene.fixed]
+        if not objects:
+            return unknown("the scene has no objects")
+        known = [(k, o) for k, o in objects if self._bounds(o.category) is not None]
+        others = [o for _, o in objects if self._bounds(o.category) is None]
+        faults = [fault for o in others for fault in _share_faults(o, scene.table)]
+        if not known and not faults:
+            return unknown("the usual size of no object is known")
+        faults += [fault for k, o in known for fault in self._faults(case, k, o)]
+        checked = [f"sizes of {len(known)} of {len(objects)} objects"]
+        categories = listed(sorted({o.category for o in others}))
+        return score_by(faults, checked, [f"categories without known sizes ({categories})"] if others else [])
 
     def _faults(self, case: AuditedScene, index: int, o: SceneObject) -> Iterator[Fault]:
         bounds = self._bounds(o.category)
-        if bounds is None:
-            width, depth = case.scene.table.size_xy
-            share = o.size[0] * o.size[1] / (width * depth)
-            if share > _MOST_OF_TABLE:
-                yield Fault(1 - _MOST_OF_TABLE / share, f"{o.instance} takes {share:.0%} of the table")
-            return
+        assert bounds is not None
         mesh = case.geometry.meshes[index]
         # A thing that leans has a larger box; the sides of its mesh are its own.
         _, middle, longest = sorted(o.size if mesh is None or o.scale is None else (mesh.extents * o.scale).tolist())
@@ -69,6 +69,14 @@ class SizeRules:
                 wide, wider = _SLACK * math.exp(spread), _SLACK * math.exp(_MIDDLE_SPREAD * spread)
                 self._usual[category] = (longest / wide, longest * wide), (middle / wider, middle * wider)
         return self._usual[category]
+
+
+def _share_faults(o: SceneObject, table: Tabletop) -> Iterator[Fault]:
+    """A thing that takes most of the table, whatever it is."""
+    width, depth = table.size_xy
+    share = o.size[0] * o.size[1] / (width * depth)
+    if share > _MOST_OF_TABLE:
+        yield Fault(1 - _MOST_OF_TABLE / share, f"{o.instance} takes {share:.0%} of the table")
 
 
 def _beyond(length: float, least: float, most: float) -> float:

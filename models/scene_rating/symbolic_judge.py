@@ -1,6 +1,7 @@
 """The judge by rules: the five criteria on the geometry, the task and the categories of a scene, without pictures.
 
-The same scene has the same rating on every machine. It is no GPT-score, and nothing is claimed about what people think of a scene.
+The same scene has the same rating of one version on every machine. It is no GPT-score, and nothing is claimed about what people think
+of a scene.
 """
 
 import hashlib
@@ -9,33 +10,50 @@ from functools import lru_cache
 from importlib.resources import files
 
 from models.instruction_reader.reader import reader_fingerprint
+from models.scene_rating.judge import SYMBOLIC
 from models.scene_rating.layout_rules import LayoutRules
 from models.scene_rating.placement_rules import PlacementRules
 from models.scene_rating.rating_case import AuditedScene, RatingCase
 from models.scene_rating.size_rules import SizeRules
-from models.scene_rating.task_rules import TaskRules, interpreter_for
+from models.scene_rating.task_rules import TaskRules, further_categories, interpreter_for
 from models.scene_rating.usual_layouts import DEFAULT, UsualLayouts
 from models.scene_rating.visibility_rules import VisibilityRules
+from models.semantic_reasoner.engines.registry import EMBEDDED
+from models.semantic_reasoner.language.category_statistics import FILE
 from stable_data.content_id import content_id
 from stable_data.rating.criteria import CONSISTENCY, CRITERIA, LAYOUT, PLACEMENT, SIZES, VISIBILITY
 from stable_data.rating.rating import CriterionScore, Rating
 
-RULES_VERSION = 1
+RULES_VERSION = 2
 """Raised whenever a rule or a constant of a rule changes, so that ratings of different rules are told apart."""
-
-NAME = "symbolic"
-"""Name of the judge."""
 
 Rules = Callable[[AuditedScene], CriterionScore]
 """The rules of one criterion."""
 
 
+def rules_version(categories: Iterable[str] = ()) -> str:
+    """Returns a hash of the rules and of what they rest on beside the scenes.
+
+    That is the instruction reader, the text encoder, the statistics of categories, usual sizes and usual layouts.
+
+    Args:
+        categories: Categories of the scenes, of which those count that the embedded world does not have.
+
+    Raises:
+        ConfigError: One of them cannot be read.
+    """
+    further = further_categories(categories)  # refuses missing statistics
+    return content_id(_foundations(), further)
+
+
 @lru_cache(maxsize=1)
-def rules_version() -> str:
-    """Returns a hash of the rules and of what they rest on: the instruction reader, usual sizes and usual layouts."""
+def _foundations() -> str:
+    from models.text_encoder import load_default
+
     sizes = files("stable_data.importers.conversion").joinpath("sizes.csv").read_bytes()
-    data = [hashlib.sha256(content).hexdigest() for content in (sizes, DEFAULT.read_bytes())]
-    return content_id(NAME, RULES_VERSION, reader_fingerprint(), data)
+    data = (sizes, DEFAULT.read_bytes(), (EMBEDDED / FILE).read_bytes())
+    hashes = [hashlib.sha256(content).hexdigest() for content in data]
+    return content_id(SYMBOLIC, RULES_VERSION, reader_fingerprint(), load_default().fingerprint, hashes)
 
 
 class SymbolicJudge:
@@ -49,9 +67,10 @@ class SymbolicJudge:
     """
 
     def __init__(self, categories: Iterable[str] = ()) -> None:
-        self.name, self.version = NAME, rules_version()
+        named = frozenset(categories)
+        self.name, self.version = SYMBOLIC, rules_version(named)
         self._rules: Mapping[str, Rules] = {
-            CONSISTENCY.key: TaskRules(interpreter_for(categories)),
+            CONSISTENCY.key: TaskRules(interpreter_for(named)),
             SIZES.key: SizeRules(),
             PLACEMENT.key: PlacementRules(),
             LAYOUT.key: LayoutRules(UsualLayouts.load()),

@@ -18,6 +18,15 @@ from stable_data.scene import Relation
 _RELATIONS, _LOOKS = 0.6, 0.4  # severity if no stated relation holds, and if every stated look is another one
 
 
+def further_categories(categories: Iterable[str]) -> list[str]:
+    """Returns those of some categories that the embedded world does not have, sorted.
+
+    Raises:
+        ConfigError: The statistics of the embedded engine cannot be read.
+    """
+    return sorted({*categories} - CategoryStatistics.load(EMBEDDED).categories.keys())
+
+
 def interpreter_for(categories: Iterable[str]) -> InstructionInterpreter:
     """Returns an interpreter of instructions that knows some categories beside those of the embedded world.
 
@@ -27,7 +36,7 @@ def interpreter_for(categories: Iterable[str]) -> InstructionInterpreter:
     from models.text_encoder import load_default
 
     known = CategoryStatistics.load(EMBEDDED)
-    more = CategoryStatistics.of_names(sorted({*categories} - known.categories.keys()))
+    more = CategoryStatistics.of_names(further_categories(categories))
     statistics = CategoryStatistics({**known.categories, **more.categories}, known.words, known.tables)
     return InstructionInterpreter(statistics, load_default())
 

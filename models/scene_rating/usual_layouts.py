@@ -22,6 +22,7 @@ from stable_data.atomic_files import write_file_atomically
 from stable_data.cli import with_clear_errors
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.rotations import wrap_angle
 from stable_data.scene import TABLE, Scene, SceneObject
 from stable_data.scene_graph.relations import yawed_rectangle
 from stable_data.scene_graph.support_from_boxes import carriers_of
@@ -191,18 +192,13 @@ def _pair(one: str, other: str) -> Pair:
 
 
 def _usual_turn(yaws: Sequence[float]) -> UsualTurn:
-    angles = np.array(yaws)
     quantile = float(np.quantile([askew(yaw) for yaw in yaws], 0.95))
-    return UsualTurn(len(yaws), round(float((np.abs(_wrapped(angles)) <= _FRONT).mean()), 4), round(quantile, 4))
-
-
-def _wrapped(angle: Any) -> Any:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+    return UsualTurn(len(yaws), round(float((np.abs(wrap_angle(np.array(yaws))) <= _FRONT).mean()), 4), round(quantile, 4))
 
 
 def turned_away(yaw: float) -> float:
     """Returns the angle between the facing of an object and the direction of the front edge, 0 to π."""
-    return float(abs(_wrapped(yaw)))
+    return float(abs(wrap_angle(np.array(yaw))))
 
 
 def askew(yaw: float) -> float:

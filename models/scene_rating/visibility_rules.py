@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.scene_rating.fault import Fault, score_by, unknown
+from models.scene_rating.fault import Fault, listed, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
 from stable_data.rating.rating import CriterionScore
 from stable_data.simulation.visibility import visible_shares
@@ -15,19 +15,26 @@ class VisibilityRules:
     """Judges how much of each object the two cameras see: an object counts by the picture that shows more of it."""
 
     def __call__(self, case: AuditedScene) -> CriterionScore:
-        """Returns the score; unknown for a scene without objects."""
-        if not case.scene.movable:
+        """Returns the score; unknown for a scene without objects, or with none that is large enough in the pictures."""
+        scene = case.scene
+        if not scene.movable:
             return unknown("the scene has no objects")
         shares = np.fmax(visible_shares(case.geometry, "front"), visible_shares(case.geometry, "perspective"))
-        wanted = frozenset(case.scene.task.task_objects) if case.scene.task is not None else frozenset()
-        faults, seen = [], []
-        for o, share in zip(case.scene.objects, shares.tolist(), strict=True):
-            if o.instance in case.scene.fixed or np.isnan(share):
+        wanted = frozenset(scene.task.task_objects) if scene.task is not None else frozenset()
+        faults, seen, small = [], [], []
+        for o, share in zip(scene.objects, shares.tolist(), strict=True):
+            if o.instance in scene.fixed:
+                continue
+            if np.isnan(share):
+                small.append(o.instance)
                 continue
             seen.append(share)
             if share < _ENOUGH:
                 worst = _TASK_HIDDEN if o.instance in wanted else _HIDDEN
                 faults.append(Fault(worst * (1 - share / _ENOUGH), f"{o.instance} is hidden, {share:.0%} of it can be seen"))
+        if not seen:
+            return unknown("every object is too small for its silhouette")
         boxes = sum(not shape.is_exact for shape in case.geometry.shapes)
         left_out = [f"the shapes of {boxes} objects without meshes, which count as boxes"] if boxes else []
+        left_out += [f"objects that are too small for their silhouettes ({listed(small)})"] if small else []
         return score_by(faults, [f"{len(seen)} objects, of which {np.mean(seen):.0%} can be seen on average"], left_out)

@@ -54,6 +54,20 @@ def read_notes(path: Path) -> dict[str, str]:
         raise _unreadable(path, error) from error
 
 
+def read_weights(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Reads the tensors and the notes of a file of weights, for a network that fills itself.
+
+    Raises:
+        ConfigError: The file cannot be read (``checkpoint_invalid``).
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+            return tensors, dict(file.metadata() or {})
+    except (OSError, SafetensorError) as error:
+        raise _unreadable(path, error) from error
+
+
 def fill_network(path: Path, network: nn.Module) -> None:
     """Reads weights from a file into a network.
 

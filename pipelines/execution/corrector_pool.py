@@ -17,7 +17,7 @@ from typing import Any, Literal, TypeAlias
 import ray
 
 from models.physics_corrector.certify.correction import Fixed
-from models.physics_corrector.corrector import Flow, PhysicsCorrector
+from models.physics_corrector.corrector import PhysicsCorrector, SceneMover
 from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout
 from pipelines.execution.engine_pool import check_gpus, first_answer
 from stable_data.assets.store import AssetStore
@@ -108,7 +108,7 @@ class _CorrectorActor:
         if step == "move":
             assert self._corrector.flow is not None
             scenes, shapes = [scene for scene, _ in resolved], [own for _, own in resolved]
-            return self._corrector.flow(scenes, shapes, [frozenset(layout.fixed) for layout in layouts])
+            return list(self._corrector.flow(scenes, shapes, [frozenset(layout.fixed) for layout in layouts]))
         assert self._corrector.refiner is not None
         whole = [replace(layout, scene=scene, shapes=own) for layout, (scene, own) in zip(layouts, resolved, strict=True)]
         return list(self._corrector.refiner.rest(whole) if step == "rest" else self._corrector.refiner.refine(whole))
@@ -142,7 +142,7 @@ class PooledCorrector:
         return tuple(actor._actor_id.hex() for actor in self.actors)
 
     @property
-    def flow(self) -> Flow | None:
+    def flow(self) -> SceneMover | None:
         """The flow, if there is one."""
         return self.move if self.flows else None
 
@@ -151,7 +151,7 @@ class PooledCorrector:
         """The refinement, if there is one."""
         return self if self.refines else None
 
-    def move(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene]:
+    def move(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> list[Scene | None]:
         """Moves the objects of scenes, as :class:`~models.physics_corrector.learned_flow.LearnedFlow`."""
         del shapes  # the actor reads them itself
         layouts = [LayoutToRefine(scene, (), own) for scene, own in zip(scenes, fixed, strict=True)]

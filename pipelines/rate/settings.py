@@ -1,10 +1,12 @@
 """Settings of the rate job: who rates, and from which pictures."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
+
+from annotated_types import Ge
 
 from models.scene_rating.settings import RatingSettings
-from models.settings import Count, Positive, PositiveCount, Settings
+from models.settings import Count, Positive, Settings
 from pipelines.execution.shard_size import shard_size
 
 _PARTS, _FEWEST, _MOST = 16, 4, 64  # shards of a small job, scenes of a shard
@@ -19,8 +21,8 @@ class RateSettings(Settings):
     rating: RatingSettings = field(default_factory=RatingSettings)
     """Who rates."""
 
-    picture_size: PositiveCount = 512
-    """Width and height of the pictures that a model sees, pixels."""
+    picture_size: Annotated[int, Ge(256)] = 512
+    """Width and height of the pictures that a model sees, pixels. In smaller ones, the caption would not be legible."""
 
     scenes_per_shard: Count = 0
     """Scenes of a shard, whose questions are asked at once. 0: by the number of scenes."""

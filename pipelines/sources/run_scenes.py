@@ -1,4 +1,4 @@
-"""The scenes of a run in which a job makes episodes."""
+"""The scenes of a run that a job works on."""
 
 from functools import cached_property
 from pathlib import Path

@@ -16,6 +16,7 @@ from models.instruction_reader.nouns import read_nouns
 from models.instruction_reader.training import ReaderTrainer, ReaderTrainingSettings, split_frames
 from models.instruction_reader.weights import ReaderModel, figures_note, load_reader, new_reader, save_reader
 from models.training.distributed import ProcessContext
+from models.training.weights_file import read_notes
 from pipelines.train.run import STATE, TrainingJob, TrainingMonitor, json_bytes, result_line
 from stable_data.code_version import code_version
 from stable_data.content_id import content_id
@@ -96,10 +97,7 @@ class ReaderTrainingJob(TrainingJob):
 
     def finish(self, folder: RunFolder, manifest: dict[str, Any]) -> str:
         """Closes the manifest and returns one line on what was done."""
-        from safetensors import safe_open
-
-        with safe_open(Path(folder.root) / self.WEIGHTS, framework="pt") as file:
-            notes = file.metadata()
+        notes = read_notes(Path(folder.root) / self.WEIGHTS)
         step = int(notes["steps"])
         is_done = step >= self.settings.steps
         closed = manifest | {"status": "complete" if is_done else "stopped", "steps_done": step}

@@ -114,6 +114,11 @@ class Audit:
         return len(self.objects) - len(self.fixed)
 
     @property
+    def num_pairs(self) -> int:
+        """Number of pairs that are judged: all but those of two fixed objects."""
+        return math.comb(len(self.objects), 2) - math.comb(len(self.fixed), 2)
+
+    @property
     def notices(self) -> tuple[Notice, ...]:
         """The warning that the audit was cut short, if it was."""
         if not self.is_cut_short:
@@ -129,8 +134,7 @@ class Audit:
         """The share of all pairs that collide deeper than a depth in metres; None if a pair is unknown."""
         if any(p.penetration is None for p in self.pairs):
             return None
-        count = math.comb(len(self.objects), 2) - math.comb(len(self.fixed), 2)
-        return sum(p.penetration is not None and p.penetration > depth for p in self.pairs) / max(1, count)
+        return sum(p.penetration is not None and p.penetration > depth for p in self.pairs) / max(1, self.num_pairs)
 
     def card(self) -> MetricCard:
         """The metric card of the scene. Counts that need the scene graph are None, see :func:`stable_data.metrics.card.add_counts`."""

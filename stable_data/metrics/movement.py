@@ -6,6 +6,7 @@ import numpy as np
 
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.relations_kept import RelationsKept
+from stable_data.rotations import wrap_angle
 from stable_data.scene import Scene
 
 
@@ -24,7 +25,7 @@ def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
     if not len(steps):
         return 0.0, 0.0, 0.0
     lengths = 1e3 * np.linalg.norm(steps[:, :3], axis=1)
-    turns = np.degrees(np.abs(np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))))  # wrapped to 180 degrees
+    turns = np.degrees(np.abs(wrap_angle(steps[:, 3])))
     return float(lengths.mean()), float(lengths.max()), float(turns.max())
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from stable_data.errors import SceneError
-from stable_data.rotations import YAW_ARM
+from stable_data.rotations import YAW_ARM, wrap_angle
 from stable_data.scene import FloatArray, Scene, SceneObject
 
 Matching: TypeAlias = Literal["identical", "category"]
@@ -77,8 +77,7 @@ def _transport(
     targets = [other[name] for name in names]
     poses, places = scene.poses(), np.array([(*o.position, o.yaw) for o in targets])
     shift = np.linalg.norm(poses[:, None, :3] - places[None, :, :3], axis=2)
-    angle = poses[:, None, 3] - places[None, :, 3]
-    turn = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
+    turn = np.abs(wrap_angle(poses[:, None, 3] - places[None, :, 3]))
     is_like = _is_identical if matching == "identical" else _has_same_category
     may_match = np.array([[o.instance == t.instance or is_like(o, t) for t in targets] for o in scene.objects])
     cost = cost_of(shift, turn)

@@ -46,7 +46,7 @@ def add_sampled_collisions(card: MetricCard, scene: Scene, shapes: Sequence[Shap
         if pair.penetration is None or not (shapes[i].is_exact and shapes[j].is_exact):
             return replace(card, oc_sdf=None)
         count += _collide(shapes[i], poses[i], shapes[j], poses[j])
-    return replace(card, oc_sdf=count / max(1, len(shapes) * (len(shapes) - 1) // 2))
+    return replace(card, oc_sdf=count / max(1, audit.num_pairs))
 
 
 def num_sampled_collisions(scene: Scene, shapes: Sequence[Shape]) -> int:

@@ -13,7 +13,9 @@ from typing import Any
 from stable_data.rating.criteria import HIGHEST, KEYS, LOWEST
 
 PASS_MARK = 7.0
-"""A scene passes if its average is above this and it is clean (the quality-pass of PhyScene3D, arXiv 2606.01649)."""
+"""A scene passes if its average is above this and it is clean. The quality-pass of PhyScene3D (arXiv 2606.01649), with the same mark,
+asks for no collisions alone: what floats or is out of bounds passes there.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,8 @@ from stable_data.simulation.scene_geometry import SceneGeometry
 PICTURE_SIZE = (256, 256)
 """Width and height of the buffer, pixels."""
 
+_FEWEST_PIXELS = 4  # of a silhouette, below which a share of it says nothing
+
 _TIE = 1e-4  # relative difference of depths that are the same, for surfaces in contact
 _MOST_SAMPLES = 4_000_000  # of triangles that are drawn at a time
 
@@ -30,7 +32,8 @@ def visible_shares(geometry: SceneGeometry, view: View, size: tuple[int, int] = 
         size: Width and height of the buffer, pixels.
 
     Returns:
-        (N,) float64, from 0 to 1; 0 for an object without a pixel. Fixed objects that the support shows are not drawn: nan.
+        (N,) float64, from 0 to 1; nan for an object whose silhouette has fewer than four pixels, and for fixed objects that the
+        support shows, which are not drawn.
     """
     low, high = geometry.seen_bounds
     camera = _Camera(low, high, view, size, geometry)
@@ -51,7 +54,8 @@ def visible_shares(geometry: SceneGeometry, view: View, size: tuple[int, int] = 
     for k, silhouette in enumerate(drawn):
         if silhouette is not None:
             pixels, depths = silhouette
-            shares[k] = float((depths >= (1 - _TIE) * nearest[pixels]).mean()) if len(pixels) else 0.0
+            if len(pixels) >= _FEWEST_PIXELS:
+                shares[k] = float((depths >= (1 - _TIE) * nearest[pixels]).mean())
     return shares
 
 

@@ -306,10 +306,17 @@ SCHEMAS: dict[str, pa.Schema] = {
             _dropped,
             _column("start", pa.list_(POSE), "input pose of each object, including removed objects", "m, rad"),
             _column(
-                "raw", pa.list_(POSE), "object poses after the flow and before certification; null without a flow", "m, rad"
+                "raw",
+                pa.list_(POSE),
+                "object poses after the flow and before certification; null without a flow, or if its poses are not finite",
+                "m, rad",
             ),
             _column("card_before", CARD, "metric card of the input scene"),
-            _column("card_raw", CARD, "metric card after the flow and before certification; null without a flow"),
+            _column(
+                "card_raw",
+                CARD,
+                "metric card after the flow and before certification; null without a flow, or if its poses are not finite",
+            ),
             _column("card_after", CARD, "metric card of the corrected scene; null if infeasible"),
             _column("on_in_held", _count, "number of on and in relations that held in the input"),
             _column("on_in_kept", _count, "number of relations of on_in_held that also hold after the correction"),

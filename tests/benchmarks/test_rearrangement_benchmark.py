@@ -17,8 +17,9 @@ from typer.testing import CliRunner
 from benchmarks.correction import Result, run
 from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms
 from benchmarks.layouts import StartLayout, noisy_layouts
-from benchmarks.rearrangement import METHODS, PUBLISHED, figures_of, layouts_of, main, open_methods, table
+from benchmarks.rearrangement import METHODS, PUBLISHED, figures_of, layouts_of, main, open_methods, table, trained_on
 from models.baselines.outcome import Baseline, BaselineResult
+from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
 from models.rearrangement.rearranger import open_rearranger
 from models.rearrangement.settings import METHODS as REARRANGERS
 from stable_data.assets.store import AssetStore
@@ -56,6 +57,15 @@ class Broken:
         raise MeshError("no such mesh", "mesh_missing")
 
 
+class Lost:
+    """A mover whose new poses are never finite."""
+
+    def prepare(self, scene: Scene, shapes: Sequence[Shape]) -> None: ...
+
+    def __call__(self, scenes: Sequence[Scene], *_: object) -> list[None]:
+        return [None] * len(scenes)
+
+
 class Perfect:
     """Knows the clean scenes."""
 
@@ -79,6 +89,8 @@ def results(layouts: list[StartLayout], store: AssetStore, tmp_path_factory: pyt
     methods: dict[str, Baseline] = {
         name: CorrectorParts(TERMS, True, False, False, open_rearranger(weights_of(name, folder))) for name in REARRANGERS
     }
+    lego_net = open_rearranger(weights_of("lego_net", folder))
+    methods |= {"lego_net + refine + certify": CorrectorParts(TERMS, mover=lego_net)}
     methods |= {"certify": CorrectorParts(TERMS, False, False, True), "broken": Broken(), "perfect": Perfect(layouts)}
     return run(layouts, store, methods)
 
@@ -106,7 +118,9 @@ def test_the_noise_is_the_papers_and_depends_on_seed_and_scene_alone(scenes: lis
 def test_every_method_is_judged_on_every_scene_and_seed(results: list[Result]) -> None:
     figures = figures_of(results)
     assert [(f.method, f.seed, f.scenes) for f in figures] == [
-        (name, seed, 3) for seed in range(2) for name in ("start", *REARRANGERS, "certify", "broken", "perfect")
+        (name, seed, 3)
+        for seed in range(2)
+        for name in ("start", *REARRANGERS, "lego_net + refine + certify", "certify", "broken", "perfect")
     ]
     of = {(f.method, f.seed): f for f in figures}
     for seed in range(2):
@@ -116,7 +130,7 @@ def test_every_method_is_judged_on_every_scene_and_seed(results: list[Result]) -
         assert perfect.emd == pytest.approx(0, abs=1e-9)
         assert perfect.moved > 0.05
         assert (perfect.clean, perfect.oc, perfect.seconds) == (1, 0, 0.25)
-        assert of["certify", seed].clean == 1
+        assert of["certify", seed].clean == of["lego_net + refine + certify", seed].clean == 1
         for name in REARRANGERS:
             assert of[name, seed].moved > 0.001
             assert of[name, seed].failed == 0
@@ -132,14 +146,29 @@ def test_a_method_that_fails_is_counted_with_the_layout_as_it_was(results: list[
     for one, other in zip(broken, start, strict=True):
         assert (one.move_mean_mm, one.emd_mm, one.oc) == (0, other.emd_mm, other.oc)
     row = next(line for line in table(figures_of(results), ["broken"]).splitlines() if line.startswith("broken"))
-    assert row.split()[1:3] == ["6", "6"]
+    assert row.split()[1:4] == ["6", "6", "0"]
+
+
+def test_scenes_of_which_a_verdict_is_unknown_are_counted(results: list[Result]) -> None:
+    own = [r for r in results if r.method == "certify"]
+    open_ = [replace(r, oc_sdf=None) if k == 0 else r for k, r in enumerate(own)]
+    assert [f.unknown for f in figures_of(open_)] == [1, 0]
+    row = next(line for line in table(figures_of(open_), ["certify"]).splitlines() if line.startswith("certify"))
+    assert row.split()[1:4] == ["6", "0", "1"]
+
+
+def test_poses_that_are_not_finite_are_a_failure(layouts: list[StartLayout], store: AssetStore) -> None:
+    parts = CorrectorParts(TERMS, True, False, False, Lost())  # type: ignore[arg-type]
+    (start, lost) = run(layouts[:1], store, {"lost": parts})
+    assert (lost.converged, lost.failed, lost.reason) == (False, True, "the new poses are not finite")
+    assert lost.emd_mm == start.emd_mm
 
 
 def test_published_figures_are_never_measured_ones(results: list[Result]) -> None:
     lines = table(figures_of(results)).splitlines()
     rows = {name: next(line for line in lines if line.startswith(f"{name} ")) for name in ("start", *METHODS)}
     assert rows["struct_diffusion"].split()[-3:] == ["0.21", "0.23", "0.25"]
-    assert rows["flow + refine + certify"].split()[5:] == ["0", "-", *["-"] * 8, "0.14", "0.08", "0"]  # not measured here
+    assert rows["flow + refine + certify"].split()[5:] == ["-", "-", "-", *["-"] * 8, "0.14", "0.08", "0"]  # not measured here
     assert "±" in rows["certify"]
     assert set(PUBLISHED) < set(METHODS)
     alone = table([f for f in figures_of(results) if f.seed == 0])
@@ -149,7 +178,13 @@ def test_published_figures_are_never_measured_ones(results: list[Result]) -> Non
 def test_methods_without_weights_are_named(tmp_path: Path) -> None:
     files = {"lego_net": weights_of("lego_net", tmp_path), "struct_diffusion": None}
     methods, left_out = open_methods((), TERMS, files)
-    assert (list(methods), left_out) == ([m for m in METHODS if m != "struct_diffusion"], ["struct_diffusion"])
+    known = [m for m in METHODS if not m.startswith("struct_diffusion")]
+    assert (list(methods), left_out) == (known, ["struct_diffusion"])
+    alone, repaired = methods["lego_net"], methods["lego_net + refine + certify"]
+    assert isinstance(alone, CorrectorParts)
+    assert isinstance(repaired, CorrectorParts)
+    assert alone.mover is repaired.mover is not None
+    assert [(p.flows, p.refines, p.certifies) for p in (alone, repaired)] == [(True, False, False), (True, True, True)]
     assert list(open_methods(("certify", "lego_net"), TERMS, files)[0]) == ["lego_net", "certify"]
     with pytest.raises(ConfigError, match="struct_diffusion has no weights, expected --struct-diffusion FILE"):
         open_methods(("struct_diffusion",), TERMS, files)
@@ -182,6 +217,15 @@ def test_the_command_measures_held_out_scenes_of_a_run(clean_run: Path, tmp_path
     ]
     assert found["published"]["lego_net"] == {"moved": 0.28, "emd": 0.43, "oc": 0.32}
     assert len(found["results"]) == 4
+    assert found["networks"] == {"lego_net": {"file": weights, "steps": None, "data_fingerprint": "abc"}}
+    assert "lego_net: unknown training steps, data abc, " in done.stdout
+    assert trained_on({"flow": DEFAULT_WEIGHTS})["flow"]["steps"] is not None
     train = of_split(clean_run, tmp_path / "train", "train")
-    with pytest.raises(ConfigError, match="no clean scene in the splits test and validation"):
+    with pytest.raises(ConfigError, match="no clean scene of the split test"):
         layouts_of(str(train), 1, 0.1, 1)
+    with pytest.raises(ConfigError, match="--split train, expected of test, validation, unseen"):
+        layouts_of(str(train), 1, 0.1, 1, ["train"])
+    chosen_on = of_split(clean_run, tmp_path / "validation", "validation")
+    with pytest.raises(ConfigError, match="no clean scene of the split test"):
+        layouts_of(str(chosen_on), 1, 0.1, 1)
+    assert len(layouts_of(str(chosen_on), 1, 0.1, 1, ["test", "validation"])) == 1

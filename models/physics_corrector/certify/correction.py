@@ -69,7 +69,7 @@ class CertificationRequest:
 
     Attributes:
         scene: The scene, resolved (``AssetStore.resolved``).
-        raw: The scene after the flow; None without a flow.
+        raw: The scene after the flow; None without a flow, or if its poses are not finite.
         options: The permitted changes.
         audit: The exact audit of ``scene``; None if it is not known.
         prepared: The layout with which certification starts, if it was prepared with others as a batch.
@@ -128,7 +128,7 @@ class Correction:
         status: The outcome.
         reason: Why the scene is not certified; empty if it is.
         start: The scene before the correction.
-        raw: The scene after the flow, before certification; None without a flow.
+        raw: The scene after the flow, before certification; None without a flow, or if its poses are not finite.
         certified: The corrected scene, which is clean unless the status is ``unclean`` or ``unknown``; None if infeasible.
         dropped: Objects for which no place was found.
         card_before: Metric card of the start; None if it could not be judged.

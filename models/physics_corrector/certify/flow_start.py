@@ -9,6 +9,7 @@ from models.physics_corrector.certify.options import CertificationResult, Certif
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.movement import movement
 from stable_data.metrics.relations_kept import DIRECTIONAL
+from stable_data.rotations import wrap_angle
 from stable_data.scene import FloatArray, IntArray, Scene
 from stable_data.scene_graph.relations import scene_graph
 from stable_data.scene_graph.support_tree import SupportTree
@@ -76,8 +77,8 @@ def choose_start(scene: Scene, raw: Scene | None, *, rearranges: bool = False) -
         return raw
     start, poses = scene.poses(), raw.poses()
     steps = poses - start
-    turns = np.arctan2(np.sin(steps[:, 3]), np.cos(steps[:, 3]))
-    if ((np.linalg.norm(steps[:, :2], axis=1) < _FLOW_ERROR) & (np.abs(turns) < _FLOW_TURN_ERROR)).all():
+    turns = np.abs(wrap_angle(steps[:, 3]))
+    if ((np.linalg.norm(steps[:, :2], axis=1) < _FLOW_ERROR) & (turns < _FLOW_TURN_ERROR)).all():
         return scene
     one, other, axis = _directional_pairs(scene, start)
     sign = np.sign(start[one, axis] - start[other, axis])

@@ -120,10 +120,10 @@ def test_weights_come_back_from_disk(tmp_path: Path, model: ReaderModel) -> None
 
 
 def test_files_that_are_no_reader_are_refused(tmp_path: Path, model: ReaderModel) -> None:
-    with pytest.raises(ConfigError, match="expected a safetensors file"):
+    with pytest.raises(ConfigError, match="cannot be read as safetensors"):
         load_reader(tmp_path / "nothing")
     (tmp_path / "text").write_text("no weights", "utf-8")
-    with pytest.raises(ConfigError, match="expected a safetensors file"):
+    with pytest.raises(ConfigError, match="cannot be read as safetensors"):
         load_reader(tmp_path / "text")
     save_reader(tmp_path / "other", replace(model, encoder="0123"), {})
     with pytest.raises(ConfigError, match="sentence encoder 0123"):

@@ -154,7 +154,7 @@ def test_a_layout_that_is_still_does_not_move() -> None:
 @pytest.mark.parametrize("sampler", ["ancestral", "ddim"])
 @pytest.mark.parametrize("steps", [0, 1, 4])
 def test_a_diffusion_that_knows_the_noise_gives_the_clean_poses(sampler: str, steps: int) -> None:
-    own = StructDiffusionSettings(times=20, sampler=sampler, steps=steps, limit=50.0)  # type: ignore[arg-type]
+    own = StructDiffusionSettings(times=20, sampler=sampler, steps=steps)  # type: ignore[arg-type]
     settings = replace(small("struct_diffusion"), struct_diffusion=own)
     clean, coarse = on_table(condition(2, 4)), on_table(condition(2, 4, seed=1))
     clean = replace(clean, sizes=coarse.sizes).standing()  # the same heights
@@ -162,6 +162,26 @@ def test_a_diffusion_that_knows_the_noise_gives_the_clean_poses(sampler: str, st
     lengths, turns = distances(found, clean.poses)
     assert lengths.max() < 1e-3
     assert turns.max() < 1e-3
+
+
+def test_a_diffusion_reaches_the_other_end_of_a_table_and_a_half_turn() -> None:
+    settings = replace(small("struct_diffusion"), struct_diffusion=StructDiffusionSettings(times=20))
+    clean = on_table(condition(1, 3))
+    start = clean.poses.clone()
+    start[..., 0] += 1.5
+    start[..., 3] += 3.0
+    found = moved(settings, Oracle(settings, clean.poses), replace(clean, poses=start))
+    lengths, turns = distances(found, clean.poses)
+    assert lengths.max() < 1e-3
+    assert turns.max() < 1e-3
+
+
+def test_a_diffusion_leaves_nothing_beyond_the_table_whatever_the_network_says() -> None:
+    settings, scenes = replace(small("struct_diffusion"), heights="learned"), on_table(condition(2, 4))
+    found = moved(settings, lambda y, *_: torch.full_like(y, -5.0), scenes)
+    assert (found[..., :2] >= -1e-5).all()
+    assert (found[..., :2] <= scenes.table[:, None] + 1e-5).all()
+    assert (found[..., 2] <= scenes.table.max() + 1e-5).all()
 
 
 def test_what_the_methods_cannot_use_is_refused() -> None:

@@ -6,9 +6,9 @@ import math
 import pytest
 import torch
 
-from models.rearrangement.noise_schedule import NoiseSchedule
+from models.rearrangement.noise_schedule import NoiseSchedule, Schedule
 
-KINDS = [("cosine", 200), ("linear", 200), ("cosine", 1), ("linear", 7)]
+KINDS: list[tuple[Schedule, int]] = [("cosine", 200), ("linear", 200), ("published", 1000), ("cosine", 1), ("linear", 7)]
 G = torch.Generator().manual_seed(0)
 Y0, NOISE, DRAWN = (torch.randn(3, 4, 4, generator=G, dtype=torch.float64) for _ in range(3))
 
@@ -28,6 +28,13 @@ def test_the_signal_falls_from_all_to_nearly_none(schedule: NoiseSchedule) -> No
     assert (schedule.signal.diff() < 0).all()
     assert 0 < schedule.signal[-1] < 0.01
     assert torch.equal(noised(schedule, 0), Y0)
+
+
+def test_the_published_rates_leave_signal_at_the_last_of_200_levels() -> None:
+    found = NoiseSchedule.of(200, "published").signal
+    assert float(1 - found[1]) == pytest.approx(1e-4)
+    assert float(1 - found[-1] / found[-2]) == pytest.approx(0.02)
+    assert float(found[-1]) == pytest.approx(0.13, abs=0.005)
 
 
 def test_the_estimates_are_inverse_to_each_other(schedule: NoiseSchedule) -> None:

@@ -8,6 +8,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from models.physics_corrector.certify.correction import KnownShapes, shapes_by_instance
+from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
 from models.physics_corrector.scene_reading import Encoders
 from models.point_encoder import save as save_encoder
@@ -39,6 +41,13 @@ def two_scenes() -> tuple[list[Scene], list[list[Shape]]]:
     first, shapes = laid(("a", CUP, 0.4, 0.3, 0.0), ("b", CUP, 0.46, 0.3, 0.0), ("c", BOOK, 0.2, 0.2, 0.0))
     second, others = laid(("d", BOOK, 0.3, 0.3, 0.0))
     return [first, replace(second, scene_id="another")], [list(shapes), list(others)]
+
+
+def moved(
+    mover: Rearranger, scenes: list[Scene], shapes: list[list[Shape]], fixed_of_first: frozenset[str] = FREE
+) -> list[Scene]:
+    found = mover(scenes, shapes, [fixed_of_first, *[FREE] * (len(scenes) - 1)])
+    return [scene for scene in found if scene is not None]
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -91,7 +100,9 @@ def test_encoders_of_another_training_are_refused(tmp_path: Path) -> None:
         open_rearranger(path)  # the encoder of the repository
     save_encoder(encoder, path.with_name("point_encoder.safetensors"))
     scenes, shapes = two_scenes()
-    assert open_rearranger(path)(scenes, shapes, [FREE, FREE])[0].poses().shape == (3, 4)
+    found = open_rearranger(path)(scenes, shapes, [FREE, FREE])[0]
+    assert found is not None
+    assert found.poses().shape == (3, 4)
     with pytest.raises(ConfigError, match="was trained on the features of encoder"):
         Rearranger(load_rearranger(path), Encoders())
 
@@ -100,14 +111,14 @@ def test_encoders_of_another_training_are_refused(tmp_path: Path) -> None:
 def test_what_is_fixed_stays_and_a_scene_comes_out_as_it_would_alone(method: Method, tmp_path: Path) -> None:
     rearranger = open_rearranger(weights_of(method, tmp_path))
     scenes, shapes = two_scenes()
-    first, second = rearranger(scenes, shapes, [frozenset({"b"}), FREE])
+    first, second = moved(rearranger, scenes, shapes, frozenset({"b"}))
     assert first["b"] == scenes[0]["b"]
     assert all(first[name].position != scenes[0][name].position for name in ("a", "c"))
-    alone = rearranger(scenes[1:], shapes[1:], [FREE])[0]
+    alone = moved(rearranger, scenes[1:], shapes[1:])[0]
     assert second.poses() == pytest.approx(alone.poses(), abs=1e-4)
-    other = open_rearranger(weights_of(method, tmp_path), seed=1)(scenes[1:], shapes[1:], [FREE])[0]
+    other = moved(open_rearranger(weights_of(method, tmp_path), seed=1), scenes[1:], shapes[1:])[0]
     assert not np.allclose(other.poses(), alone.poses(), atol=1e-4)
-    fewer = open_rearranger(weights_of(method, tmp_path), steps=1)(scenes[1:], shapes[1:], [FREE])[0]
+    fewer = moved(open_rearranger(weights_of(method, tmp_path), steps=1), scenes[1:], shapes[1:])[0]
     assert not np.allclose(fewer.poses(), alone.poses(), atol=1e-4)
     empty = replace(scenes[0], objects=())
     assert rearranger([empty], [[]], [FREE]) == [empty]
@@ -123,3 +134,19 @@ def test_the_sample_with_the_fewest_faults_is_taken_and_then_the_nearest() -> No
     assert [num_faults(scene, shapes) for scene in (start, beside, farther, over)] == [1, 0, 0, 1]
     assert choose_sample(start, shapes, [start, over, farther, beside]) is beside
     assert choose_sample(start, shapes, [over]) is over
+    assert choose_sample(start, shapes, [None, over, None]) is over  # poses that are not finite are no sample
+    assert choose_sample(start, shapes, [None]) is None
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_poses_that_are_not_finite_are_no_result(method: Method, tmp_path: Path) -> None:
+    rearranger = open_rearranger(weights_of(method, tmp_path))
+    scenes, shapes = two_scenes()
+    x, y, z = scenes[0]["a"].position
+    lost = replace(scenes[0], objects=(scenes[0]["a"].moved((x + 1e30, y, z), 0.0), *scenes[0].objects[1:]))
+    nothing, moved = rearranger([lost, scenes[1]], shapes, [FREE, FREE])
+    assert nothing is None
+    assert moved is not None
+    named = [shapes_by_instance(lost, shapes[0])]
+    parts = PhysicsCorrector(rearranger, polish="off").move([lost], KnownShapes(named[0]))
+    assert parts[0].raw is None

@@ -10,7 +10,7 @@ from models.physics_corrector.training.layout_settings import LayoutTrainingSett
 from models.physics_corrector.training.layout_trainer import train
 from models.physics_corrector.training.settings import training_preset as corrector_preset
 from models.physics_corrector.training.validation import ValidationScenes, validation_card
-from models.rearrangement.settings import METHODS, LegoNetSettings, Method, RearrangerSettings, StructDiffusionSettings
+from models.rearrangement.settings import METHODS, LegoNetSettings, Method, RearrangerSettings
 from models.rearrangement.training import RearrangerTrainer, RearrangerTrainingSettings, training_preset
 from models.rearrangement.weights import build_network, save_rearranger
 from stable_data.errors import ConfigError
@@ -65,6 +65,7 @@ def test_the_presets_cost_what_the_corrector_costs(method: Method) -> None:
         sizes = [sum(p.numel() for p in n.parameters()) for n in (ours.corrector.build()[0], build_network(theirs.rearranger))]
     assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
     assert theirs.rearranger.heights == ours.corrector.flow.heights
+    assert theirs.rearranger.coordinates == ours.corrector.flow.coordinates  # so that a turn weighs as much in the loss
 
 
 def test_an_unknown_method_is_refused() -> None:
@@ -74,9 +75,7 @@ def test_an_unknown_method_is_refused() -> None:
 
 LEARNS = {
     "lego_net": RearrangerSettings("lego_net", TINY.network, lego_net=LegoNetSettings(noise=0.0, noise_yaw=0.0, max_steps=60)),
-    "struct_diffusion": RearrangerSettings(
-        "struct_diffusion", TINY.network, struct_diffusion=StructDiffusionSettings(times=50)
-    ),
+    "struct_diffusion": RearrangerSettings("struct_diffusion", TINY.network),
 }
 
 

@@ -4,26 +4,31 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from benchmarks.rating import BAD, Change, turned_away, with_giant, with_task_object_under_table, without_task_object
+from benchmarks.rating import BAD, Change, with_all_turned_away, with_giant, with_task_object_under_table, without_task_object
 from models.scene_rating.fault import Fault, score_by
 from models.scene_rating.layout_rules import LayoutRules, turn_shows
 from models.scene_rating.placement_rules import PlacementRules
 from models.scene_rating.rating_case import AuditedScene, RatingCase
+from models.scene_rating.settings import RatingSettings
 from models.scene_rating.size_rules import SizeRules
-from models.scene_rating.symbolic_judge import SymbolicJudge
+from models.scene_rating.symbolic_judge import SymbolicJudge, _foundations, rules_version
 from models.scene_rating.usual_layouts import UsualLayouts
 from models.scene_rating.visibility_rules import VisibilityRules
 from stable_data.assets.store import AssetStore
 from stable_data.instructions.naming import shows_look
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.rating.criteria import KEYS
-from stable_data.rating.rating import Rating
-from stable_data.scene import Scene, SceneObject, TaskInfo
+from stable_data.rating.rating import CriterionScore, Rating
+from stable_data.scene import Scene, SceneObject, TaskInfo, Vec3
 from stable_data.simulation.scene_geometry import SceneGeometry
+
+TIPPED = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+"""A quarter turn about x."""
 
 
 class Rater:
@@ -116,7 +121,7 @@ def test_the_reasons_name_what_is_wrong(rater: Rater) -> None:
     said = {
         without_task_object: ("cwt", "missing: mirror"),
         with_giant: ("osr", "times too large"),
-        turned_away: ("lcr", "1_mirror_0 faces away"),
+        with_all_turned_away: ("lcr", "1_mirror_0 faces away"),
         with_task_object_under_table: ("ov", "1_mirror_0 is hidden"),
     }
     for change, (key, words) in said.items():
@@ -189,6 +194,82 @@ def test_unknown_categories_are_left_out_and_said(rater: Rater) -> None:
         assert words in score.rationale
 
 
+def sized(o: SceneObject, size: Vec3) -> SceneObject:
+    """An object of another size, on the table."""
+    assert o.scale is not None
+    x, y, z = (scale * new / old for scale, new, old in zip(o.scale, size, o.size, strict=True))
+    return replace(o, size=size, scale=(x, y, z), position=(*o.position[:2], size[2] / 2))
+
+
+def layout_score(rater: Rater, scene: Scene) -> CriterionScore:
+    return LayoutRules(UsualLayouts.load())(AuditedScene.of(rater.geometry(scene)))
+
+
+def test_a_layout_of_which_nothing_is_known_is_unknown_and_no_perfect_one(rater: Rater) -> None:
+    scene = rater.scene("dressing_table")
+    mirror = next(o for o in scene.objects if o.category == "mirror")
+    bare = replace(scene, task=None, objects=(replace(mirror, category="frobnicator"),))
+    found = layout_score(rater, bare)
+    assert found.score is None
+    assert "not known" in found.rationale
+    known = layout_score(rater, replace(bare, objects=(mirror,)))  # how a mirror is turned is known, its company is not
+    assert known.score is not None
+    checked, _, left_out = known.rationale.partition("left out: ")
+    assert "the turn of 1 of 1 standing objects" in checked
+    assert "company" not in checked
+    assert "the company of 1 objects" in left_out
+    assert "the spread of so few objects" in left_out
+    a, b, c = mirror.size
+    lying = replace(mirror, size=(a, c, b), tilt_quat_xyzw=TIPPED, position=(*mirror.position[:2], b / 2))
+    tilted = layout_score(rater, replace(bare, objects=(lying,)))  # its yaw says nothing about its front
+    assert (tilted.score, tilted.rationale) == (None, found.rationale)
+    task = TaskInfo("", "Pick up the frobnicator.", task_objects=(mirror.instance,))
+    assert "the reach of 1 task objects" in layout_score(rater, replace(bare, task=task)).rationale
+
+
+def test_what_takes_most_of_the_table_is_too_large_whatever_it_is(rater: Rater) -> None:
+    scene = rater.scene("dressing_table")
+    (width, depth), odd = scene.table.size_xy, each(scene, lambda o: replace(o, category="frobnicator"))
+    assert SizeRules()(AuditedScene.of(rater.geometry(odd))).score is None
+    huge = each(odd, lambda o: sized(o, (0.9 * width, 0.8 * depth, 0.05)) if o is odd.objects[0] else o)
+    huge = replace(huge, objects=tuple(replace(o, yaw=0.0) for o in huge.objects))
+    score = SizeRules()(AuditedScene.of(rater.geometry(huge)))
+    assert score.score == pytest.approx(1 + 9 * 0.5 / 0.72, abs=0.01)
+    assert "takes 72% of the table" in score.rationale
+
+
+def test_what_is_too_small_for_the_pictures_is_left_out_and_not_hidden(rater: Rater) -> None:
+    scene = rater.scene("dressing_table")
+    jar = next(o for o in scene.objects if o.category == "cream_jar")
+    tiny = each(scene, lambda o: sized(o, (0.002, 0.002, 0.002)) if o is jar else o)
+    score = VisibilityRules()(AuditedScene.of(rater.geometry(tiny)))
+    assert score.score is not None
+    assert f"too small for their silhouettes ({jar.instance})" in score.rationale
+    assert f"{jar.instance} is hidden" not in score.rationale
+    alone = replace(tiny, objects=tuple(o for o in tiny.objects if o.instance == jar.instance))
+    assert VisibilityRules()(AuditedScene.of(rater.geometry(alone))).score is None
+
+
+def test_the_version_of_the_rules_is_of_all_that_they_rest_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = rules_version()
+    assert rules_version(["mug", "mirror"]) == plain  # the embedded world has these
+    assert rules_version(["zarf", "mug"]) == rules_version(["mug", "zarf", "zarf"]) != plain
+    assert RatingSettings().shaping() == {"judge": "symbolic", "version": plain}
+    changes = {
+        "load_default": lambda: SimpleNamespace(fingerprint="another text encoder"),
+        "reader_fingerprint": lambda: "another reader",
+        "RULES_VERSION": 0,
+    }
+    places = {"load_default": "models.text_encoder.load_default"}
+    for name, change in changes.items():
+        with monkeypatch.context() as patch:
+            patch.setattr(places.get(name, f"models.scene_rating.symbolic_judge.{name}"), change)
+            _foundations.cache_clear()
+            assert rules_version() != plain, name
+    _foundations.cache_clear()
+    assert rules_version() == plain
+
+
 def test_a_thing_that_leans_is_as_large_as_it_is(rater: Rater) -> None:
     scene = rater.scene("dressing_table")  # brushes lean in a holder
     assert any(o.tilt_angle > 0.1 for o in scene.objects)
@@ -220,6 +301,11 @@ def test_placement_follows_the_audit(rater: Rater) -> None:
     rules = PlacementRules()
     assert "floats" in rules(AuditedScene.of(rater.geometry(lifted))).rationale
     assert "reaches over the edge" in rules(AuditedScene.of(rater.geometry(outside))).rationale
+    audited = AuditedScene.of(rater.geometry(lifted))
+    unmeasured = tuple(replace(o, gap=None) for o in audited.audit.objects)
+    open_ = rules(replace(audited, audit=replace(audited.audit, objects=unmeasured)))  # how far something floats is not known
+    assert open_.score is None
+    assert scene.objects[0].instance in open_.rationale
 
 
 def test_task_objects_weigh_more_when_they_are_hidden(rater: Rater) -> None:

@@ -250,8 +250,10 @@ def test_what_shapes_ratings_is_in_the_settings_and_the_address_is_not(monkeypat
         replace(base, tries=2),
         replace(base, binds=False),
         replace(base, sampling=replace(base.sampling, temperature=0.5)),
+        replace(base, http=replace(base.http, prompt_price=1.0)),  # prices are in the column of costs
+        replace(base, http=replace(base.http, reply_price=1.0)),
     ]
-    assert len({json.dumps(s.shaping(), sort_keys=True) for s in (base, *others)}) == 5
+    assert len({json.dumps(s.shaping(), sort_keys=True) for s in (base, *others)}) == 7
     assert replace(base, http=replace(base.http, base_url="http://elsewhere/v1", concurrency=2)).shaping() == base.shaping()
     assert base.shaping()["version"] == PROMPT_VERSION
     with pytest.raises(ConfigError, match="SOME_KEY is not set"):

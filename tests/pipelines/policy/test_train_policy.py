@@ -70,7 +70,7 @@ def test_a_damaged_file_is_refused(demonstrations: Path, tmp_path: Path) -> None
     (out / FILE).write_bytes(content[: len(content) // 2])
     with pytest.raises(ConfigError) as caught:
         open_policy(str(out))
-    assert caught.value.code == "weights_invalid"
+    assert caught.value.code == "checkpoint_invalid"
     shutil.rmtree(out / "weights")
     with pytest.raises(ConfigError, match="there is no"):
         open_policy(str(out))

@@ -36,6 +36,7 @@ pytestmark = pytest.mark.sim
 
 TABLE = Tabletop("dining_table", (1.0, 0.7))
 HERE = WorkerPool()
+CATEGORIES = ("can", "mug", "plate")
 
 
 def scene(name: str, **more: Any) -> Scene:
@@ -59,7 +60,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def by_model(server: Endpoint, **more: Any) -> RateSettings:
     rating = RatingSettings("openai:m", **{"http": server.settings(prompt_price=1.0, tries=1, rest_s=0.0), **more})
-    return RateSettings(rating, picture_size=64, scenes_per_shard=2)
+    return RateSettings(rating, picture_size=256, scenes_per_shard=2)
 
 
 def ratings(out: Path) -> dict[str, Mapping[str, Any]]:
@@ -76,7 +77,7 @@ def test_rules_rate_every_scene_and_what_is_unknown_has_its_reason(run: Path, tm
     manifest = rate(str(run), str(tmp_path / "out"), RateSettings(scenes_per_shard=2), HERE)
     rows = ratings(tmp_path / "out")
     assert sorted(rows) == list("abcde")
-    assert {row["judge_version"] for row in rows.values()} == {rules_version()}
+    assert {row["judge_version"] for row in rows.values()} == {rules_version(CATEGORIES)}
     assert (rows["a"]["clean"], rows["c"]["clean"]) == (True, False)
     assert rows["c"]["ppi"] < rows["a"]["ppi"] == 10.0
     assert rows["a"]["quality_pass"] is True
@@ -113,9 +114,9 @@ def test_a_model_sees_two_pictures_of_each_scene_and_gives_the_rows(run: Path, t
     assert (manifest["counts"]["average"], manifest["counts"]["prompt_tokens"]) == (9.2, 80)
     urls = [part["image_url"]["url"] for part in body["messages"][1]["content"][1:]]
     front, perspective = (np.asarray(Image.open(io.BytesIO(base64.b64decode(url.partition("base64,")[2])))) for url in urls)
-    assert front.shape == perspective.shape == (64 + 24, 64, 3)
-    assert front[:64].std() > 5
-    assert (front[:64] != perspective[:64]).mean() > 0.2
+    assert front.shape == perspective.shape == (256 + 24, 256, 3)
+    assert front[:256].std() > 5
+    assert (front[:256] != perspective[:256]).mean() > 0.2
 
 
 def test_a_stopped_run_goes_on_and_asks_nothing_twice(run: Path, tmp_path: Path) -> None:
@@ -205,6 +206,7 @@ def test_the_command_rates_counts_and_refuses(run: Path, tmp_path: Path) -> None
         (["--judge", "gpt-4o"], "expected symbolic, openai:MODEL or scripted:FILE"),
         (["--judge", "openai:m", "--set", "rating.http.key_variable=NO_SUCH_KEY"], "NO_SUCH_KEY is not set"),
         (["--set", "rating.picture=1"], "did you mean"),
+        (["--set", "picture_size=64"], "picture_size is 64, expected at least 256"),
         (["--scenes", str(tmp_path / "absent")], "absent"),
     ):
         done = CliRunner().invoke(app, [*shared, *options])
@@ -214,7 +216,7 @@ def test_the_command_rates_counts_and_refuses(run: Path, tmp_path: Path) -> None
 
 def test_a_script_can_stand_for_a_model(run: Path, tmp_path: Path) -> None:
     (tmp_path / "script.json").write_text(json.dumps({f"Rate {name}.": json.loads(reply_for(name)) for name in "acde"}))
-    settings = RateSettings(RatingSettings(f"scripted:{tmp_path / 'script.json'}"), picture_size=48)
+    settings = RateSettings(RatingSettings(f"scripted:{tmp_path / 'script.json'}"), picture_size=256)
     manifest = rate(str(run), str(tmp_path / "out"), settings, HERE, report=False)
     assert (manifest["counts"]["rated"], manifest["counts"]["judge"]) == (4, "scripted")
 

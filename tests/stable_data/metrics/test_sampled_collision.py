@@ -27,6 +27,14 @@ def test_the_papers_rule_agrees_with_the_exact_one_where_objects_overlap_clearly
     assert num_sampled_collisions(scene, list(shapes)) == 1
 
 
+def test_pairs_of_fixed_objects_count_in_no_share() -> None:
+    scene, shapes = laid(("a", CUBE, 0.3, 0.3, 0.0), ("b", CUBE, 0.36, 0.3, 0.0), ("c", CUBE, 0.7, 0.5, 0.0))
+    scene = replace(scene, fixed=frozenset({"b", "c"}))
+    assert audit_scene(scene, shapes).num_pairs == 2
+    card = card_of(scene, list(shapes))
+    assert card.oc == card.oc_sdf == 0.5
+
+
 def test_objects_that_are_apart_do_not_collide_and_unknown_is_no_pass() -> None:
     scene, shapes = laid(("a", CUBE, 0.3, 0.3, 0.0), ("b", CUBE, 0.5, 0.3, 0.0))
     assert card_of(scene, list(shapes)).oc_sdf == 0

@@ -37,6 +37,12 @@ def test_objects_beside_each_other_are_seen_whole_and_one_in_a_box_or_below_the_
         assert visible_shares(geometry, view).tolist() == [1.0, 1.0, 0.0, 0.0]
 
 
+def test_what_has_hardly_a_pixel_is_unknown_and_not_hidden() -> None:
+    geometry = geometry_of((box(0.1, 0.1, 0.1), (0.3, 0.4, 0.05), 0.0), (box(0.002, 0.002, 0.002), (0.7, 0.4, 0.001), 0.0))
+    assert visible_shares(geometry, "front").tolist() == pytest.approx([1.0, float("nan")], nan_ok=True)
+    assert visible_shares(geometry, "front", (4096, 4096))[1] == 1.0
+
+
 def test_from_above_a_plate_shows_what_the_box_on_it_leaves() -> None:
     geometry = geometry_of((box(0.4, 0.4, 0.01), (0.5, 0.4, 0.005), 0.0), (box(0.2, 0.2, 0.01), (0.5, 0.4, 0.015), 0.0))
     plate, on_it = visible_shares(geometry, "top", (512, 512))
