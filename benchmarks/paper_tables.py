@@ -37,7 +37,6 @@ _UNKNOWN = "unknown"
 _LABELS = {figure.key: figure for figure in FIGURES}
 _TABLE_1 = ("frechet", *(c.key for c in CRITERIA), "average", "oc", "awt", "aws")
 _ARMS = {"no support": "without L_sup", "no table": "without L_obj-table", "no objects": "without L_obj-obj", "full": "full"}
-_METHODS = {"lego_net": "LEGO-Net", "struct_diffusion": "StructDiffusion", "flow + refine + certify": "Ours"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,6 +49,7 @@ from models.physics_corrector.learned_flow import AUTO, NONE
 from models.rearrangement.rearranger import Rearranger, open_rearranger
 from models.rearrangement.settings import METHODS as REARRANGERS
 from models.training.weights_file import read_notes
+from pipelines.evaluate.published import REARRANGEMENT
 from pipelines.reports.text_table import align_columns
 from pipelines.sources.scenes import scene_source
 from stable_data.errors import ConfigError, StableDataError
@@ -62,12 +63,14 @@ REPAIR = " + refine + certify"
 
 METHODS = (*(name + end for name in REARRANGERS for end in ("", REPAIR)), *PARTS)
 
-PUBLISHED: Mapping[str, tuple[float, float, float]] = {
-    "lego_net": (0.28, 0.43, 0.32),
-    "struct_diffusion": (0.21, 0.23, 0.25),
-    "flow + refine + certify": (0.14, 0.08, 0.0),
-}
-"""Distance moved, EMD and OC of the STABLE paper's table "Quantitative comparisons on the task of Rearrangement"."""
+PUBLISHED: Mapping[str, tuple[float, float, float]] = MappingProxyType(
+    {
+        "lego_net": REARRANGEMENT["LEGO-Net"],
+        "struct_diffusion": REARRANGEMENT["StructDiffusion"],
+        "flow + refine + certify": REARRANGEMENT["Ours"],
+    }
+)
+"""Distance moved, EMD and OC of the paper's table, by the methods that they belong to."""
 
 NO_STEPS: Mapping[str, int] = MappingProxyType({})
 """The rearrangers take the steps of their weights."""
