@@ -300,16 +300,12 @@ def test_all_systems_get_the_same_tasks_whatever_libraries_their_layouts_have(
     theirs = tmp_path / "theirs"
     shutil.copytree(dataset, theirs)  # has all assets of the library that is named
     drawn = [
-        GenerateJob(sample_tasks(6, 3), settings_of(name, chatty, *more), [str(dataset)])
+        GenerateJob(sample_tasks(4, 3), settings_of(name, chatty, *more), [str(dataset)])
         for name, more in (("holodeck", ()), ("files", (f"layout_files={json.dumps(str(theirs))}",)))
     ]
     first, second = ([(t.scene_id, t.instruction) for t in job.layout_tasks()] for job in drawn)
     assert first
     assert first == second
-    bare = GenerateJob(sample_tasks(6, 3), settings_of("files", chatty, f"layout_files={json.dumps(str(theirs))}"))
-    assert [(t.scene_id, t.instruction) for t in bare.layout_tasks()] == [
-        (t.scene_id, t.instruction) for t in GenerateJob(sample_tasks(6, 3), settings_of("holodeck", chatty)).layout_tasks()
-    ]
 
 
 @pytest.mark.parametrize("place", ["nowhere", "empty"])
