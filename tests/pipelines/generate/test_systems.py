@@ -300,7 +300,7 @@ def test_all_systems_get_the_same_tasks_whatever_libraries_their_layouts_have(
     theirs = tmp_path / "theirs"
     shutil.copytree(dataset, theirs)  # has all assets of the library that is named
     drawn = [
-        GenerateJob(sample_tasks(4, 3), settings_of(name, chatty, *more), [str(dataset)])
+        GenerateJob(sample_tasks(4, 3, ["office_table"]), settings_of(name, chatty, *more), [str(dataset)])
         for name, more in (("holodeck", ()), ("files", (f"layout_files={json.dumps(str(theirs))}",)))
     ]
     first, second = ([(t.scene_id, t.instruction) for t in job.layout_tasks()] for job in drawn)
