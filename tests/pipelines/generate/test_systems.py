@@ -295,17 +295,17 @@ def test_scenes_of_a_folder_are_judged_against_the_tasks(real_data: Path, datase
 
 
 def test_all_systems_get_the_same_tasks_whatever_libraries_their_layouts_have(
-    dataset: Path, chatty: str, tmp_path: Path
+    dataset: Path, shelf: AssetLibraries, chatty: str, tmp_path: Path
 ) -> None:
     theirs = tmp_path / "theirs"
     shutil.copytree(dataset, theirs)  # has all assets of the library that is named
-    drawn = [
-        GenerateJob(sample_tasks(4, 3, ["office_table"]), settings_of(name, chatty, *more), [str(dataset)])
-        for name, more in (("holodeck", ()), ("files", (f"layout_files={json.dumps(str(theirs))}",)))
-    ]
-    first, second = ([(t.scene_id, t.instruction) for t in job.layout_tasks()] for job in drawn)
-    assert first
-    assert first == second
+    settings = settings_of("files", chatty, f"layout_files={json.dumps(str(theirs))}")
+    hidden = AssetLibraries([str(dataset)], scenes=str(theirs), offers_scenes=False).serves(settings.retrieval)
+    categories = {asset.category for library in shelf.libraries for asset in library.assets}
+    assert {c: hidden(c) for c in categories} == {c: shelf.serves(settings.retrieval)(c) for c in categories}
+    assert any(map(hidden, categories))
+    asked = sample_tasks(2, 3)
+    assert GenerateJob(asked, settings).tasks.tasks == asked.tasks  # without --assets, tasks are drawn for the embedded library
 
 
 @pytest.mark.parametrize("place", ["nowhere", "empty"])
