@@ -86,8 +86,8 @@ policy: $(READY) ## COUNT=<training scenes> ROBOT=<panda, simple, …> OUT=<fold
 # On other data than the embedded set, the tasks are those of its test scenes, and its library serves them.
 evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The paper's tables: DATA=<MesaTask-10K folder> LAYOUTS=<file of start layouts> OPTIONS=<more of "pipelines evaluate", such as --system or --repetitions>
 	$(BIN)/python -m pipelines preprocess --data $(DATA) --out runs/evaluate/data || [ $$? -eq 1 ]
-	$(BIN)/python -m pipelines evaluate $(if $(filter data/embedded,$(DATA)),--count 12,--scenes runs/evaluate/data --where "split == 'test'" --assets $(DATA)) --reference runs/evaluate/data --out runs/evaluate/systems $(OPTIONS) || [ $$? -eq 1 ]
-	OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 $(BIN)/python -m benchmarks.correction $(DATA) $(if $(LAYOUTS),--layouts $(LAYOUTS)) --per-bucket 2 --settle --json runs/evaluate/correction.json
+	$(BIN)/python -m pipelines evaluate $(if $(filter data/embedded,$(DATA)),--count 8 --set generate.scenes_per_shard=4,--scenes runs/evaluate/data --where "split == 'test'" --assets $(DATA)) --reference runs/evaluate/data --out runs/evaluate/systems $(OPTIONS) || [ $$? -eq 1 ]
+	OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 $(BIN)/python -m benchmarks.correction $(DATA) $(if $(LAYOUTS),--layouts $(LAYOUTS)) --per-bucket 1 --settle --json runs/evaluate/correction.json
 	$(BIN)/python -m benchmarks.paper_tables runs/evaluate
 
 bench: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
