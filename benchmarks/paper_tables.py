@@ -103,6 +103,7 @@ def stages_lines(found: Mapping[str, Any]) -> Iterable[str]:
 def collision_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     """Yields Table 2: layouts that end without a collision, of all with so many at the start."""
     buckets, methods = (list(dict.fromkeys(row[key] for row in found)) for key in ("bucket", "method"))
+    buckets.sort(key=lambda bucket: int(bucket.partition("-")[0]))
     rows = [["method", *buckets]]
     for method in methods:
         own = {bucket: [r for r in found if (r["method"], r["bucket"]) == (method, bucket)] for bucket in buckets}

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from models.baselines.systems import SYSTEMS
 from models.settings import Count, PositiveCount, Settings
 from pipelines.generate.settings import GenerateSettings
 from pipelines.rate.settings import RateSettings
@@ -15,7 +16,7 @@ class EvaluateSettings(Settings):
 
     section: ClassVar[str] = "evaluate"
 
-    systems: tuple[str, ...] = ("stable", "one_shot", "uncorrected", "steerable", "holodeck", "idesign")
+    systems: tuple[str, ...] = tuple(SYSTEMS)
     """The systems, as ``NAME``, ``NAME=ENGINE``, ``files=PLACE`` or ``LABEL:NAME=…``. In PLACE, ``{seed}`` is the seed of a repetition."""
 
     repetitions: PositiveCount = 1
