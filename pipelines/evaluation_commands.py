@@ -124,7 +124,7 @@ def evaluate(
         typer.Option(
             metavar="NAME[=ENGINE]",
             help="A system (docs/systems.md), with its own engine if it needs one: mesatask=transformers:FOLDER; files=PLACE for "
-            "layouts of another system; LABEL:NAME=… to have one twice. May be repeated. Default: all, of which those that lack their model are left out with a note.",
+            "layouts of another system; LABEL:NAME=… to have one twice. May be repeated. Default: all; what lacks its model is not run.",
         ),
     ] = None,
     engine: Annotated[
