@@ -172,6 +172,7 @@ def test_hidden_tokens_are_of_words_alone(model: ReaderModel) -> None:
     assert torch.equal(hidden.word, batch.word)
 
 
+@pytest.mark.slow
 def test_a_training_continues_from_weights_that_are_there(tmp_path: Path, model: ReaderModel) -> None:
     path = tmp_path / "first.safetensors"
     save_reader(path, model, {"steps": "0", "frames": "none"})
