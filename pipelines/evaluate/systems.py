@@ -75,11 +75,12 @@ class EvaluatedSystem:
 
     def lacks(self, shared: GenerateSettings) -> str:
         """Returns what has to be given for it to run; empty if nothing is missing."""
+        if self.given:
+            return ""
+        if self.name == "files":
+            return "--system files=PLACE: a run, or a folder in the MesaTask-10K format (docs/systems.md)"
         is_own_model = self.name in ("mesatask", "mesatask_refined", "zero_shot")
-        has_model = bool(self.given) or shared.chats
-        if (self.name == "files" and not self.given) or (is_own_model and not has_model):
-            return self.compared.needs
-        return ""
+        return f"{self.compared.needs}, or --system {self.name}=ENGINE" if is_own_model and not shared.chats else ""
 
 
 def parse_systems(texts: Iterable[str]) -> list[EvaluatedSystem]:

@@ -103,7 +103,7 @@ def test_all_systems_are_judged_on_all_tasks(evaluated: tuple[Path, dict[str, An
 def test_what_is_missing_is_unknown_with_what_to_do(evaluated: tuple[Path, dict[str, Any]]) -> None:
     out, found = evaluated
     systems = found["systems"]
-    for label, says in (("zero_shot", "/nowhere.json"), ("files", "needs --set layout_files=PLACE")):
+    for label, says in (("zero_shot", "/nowhere.json"), ("files", "needs --system files=PLACE")):
         assert all(figure["value"] is None for figure in systems[label]["figures"].values())
         assert any(says in note for note in systems[label]["notes"]), systems[label]["notes"]
     assert systems["holodeck"]["figures"]["frechet"]["value"] is None
