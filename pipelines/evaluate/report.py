@@ -134,15 +134,17 @@ def _ablation_table(evaluation: Evaluation) -> Iterable[str]:
 
 
 def _all_figures(evaluation: Evaluation) -> str:
+    """A row for each figure, a column for each system that was run."""
+    run = [result for result in evaluation.results if result.repetitions]
     rows = [
         [
             _label(figure, evaluation),
             {"higher": "↑", "lower": "↓", "": ""}[figure.better],
-            *(_text(r, evaluation.estimates[r.system.label][figure.key], figure) for r in evaluation.results),
+            *(evaluation.estimates[r.system.label][figure.key].text(figure.digits) for r in run),
         ]
         for figure in FIGURES
     ]
-    return table(("", "better", *(result.system.label for result in evaluation.results)), rows)
+    return table(("", "better", *(result.system.label for result in run)), rows)
 
 
 def _pictures(evaluation: Evaluation, count: int) -> Iterable[str]:
