@@ -23,7 +23,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.cli import with_clear_errors
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import Scene
-from stable_data.scores.taste import POOLED, STATISTICS, Comparison, Training, compare_scenes, read_scenes
+from stable_data.scores.taste import POOLED, STATISTICS, StatisticComparison, TrainingScenes, compare_scenes, read_scenes
 from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.render import contact_sheet, object_colour, render_scene
 from stable_data.storage.row_groups import SPLITS
@@ -32,7 +32,7 @@ from stable_data.storage.run_folder import RunFolder
 _SHOWN, _SHEET_COLUMNS, _PICTURE = 12, 6, (384, 320)  # scenes of each set, and pixels
 
 
-def figures_table(comparisons: Mapping[str, Comparison]) -> str:
+def figures_table(comparisons: Mapping[str, StatisticComparison]) -> str:
     """The figures of one kind of table as text."""
     rows = [("", "generated", "held out", "distance", "floor", "ratio")]
     for key, c in comparisons.items():
@@ -42,7 +42,7 @@ def figures_table(comparisons: Mapping[str, Comparison]) -> str:
     return align_columns(rows, 1)
 
 
-def kinds_table(comparisons: Mapping[str, Mapping[str, Comparison]]) -> str:
+def kinds_table(comparisons: Mapping[str, Mapping[str, StatisticComparison]]) -> str:
     """The distances of all kinds of table as text, each with its ratio to the floor in brackets."""
     kinds = [kind for kind in comparisons if kind != POOLED]
     rows = [["", *kinds]]
@@ -52,7 +52,7 @@ def kinds_table(comparisons: Mapping[str, Mapping[str, Comparison]]) -> str:
     return align_columns(rows, 1)
 
 
-def _distance_and_ratio(c: Comparison) -> str:
+def _distance_and_ratio(c: StatisticComparison) -> str:
     return f"{_shown(c.distance, 3)} ({_shown(c.ratio, 1)})"
 
 
@@ -106,7 +106,7 @@ def main(
         sets.append((name, run, list(read_scenes(run, splits))))
         if not sets[-1][2]:
             raise typer.BadParameter(f"{run}: no scenes{f' of the splits {text}' if splits else ''}, expected some")
-    training = Training(read_scenes(held_out, ["train"]))
+    training = TrainingScenes(read_scenes(held_out, ["train"]))
     scenes, others = (found for _, _, found in sets)
     comparisons = compare_scenes(scenes, others, training)
     print(f"{len(scenes)} generated scenes, {len(others)} held-out ones ({split}), {training.num_scenes} of training\n")

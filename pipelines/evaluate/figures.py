@@ -111,6 +111,11 @@ class Repetition:
     rows: Mapping[str, Mapping[str, Any]]
     values: Mapping[str, float | None]
 
+    def __post_init__(self) -> None:
+        """Refuses scenes of other tasks, whose tasks would count as without a scene (ValueError)."""
+        if strange := sorted(self.rows.keys() - set(self.tasks)):
+            raise ValueError(f"{strange[0]} is no task of the repetition, expected scenes of its tasks alone")
+
 
 def estimate(samples: Sequence[Sequence[float | None]], factor: float = 1.0, *, are_verdicts: bool = False) -> Estimate:
     """Returns the mean of values and its interval.

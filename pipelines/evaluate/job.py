@@ -157,7 +157,8 @@ def _run_system(
             if codes := manifest["counts"].get("unknown_by_code"):
                 told = ", ".join(f"{code} {n}" for code, n in codes.items())
                 result.note(f"seed {seed}: some averages of ratings are unknown: {told} (docs/scene_rating.md)")
-    ids = [*(task.scene_id for task in source.tasks), *(notice.item_id for notice in source.lost)]
+    made_of = job.tasks  # drawn tasks get other names where they are limited to what the libraries serve
+    ids = [*(task.scene_id for task in made_of.tasks), *(notice.item_id for notice in made_of.lost)]
     repetition, found = read_repetition(place, ids, reference)
     for text in found:
         result.note(text)

@@ -56,7 +56,7 @@ Values: TypeAlias = Sequence[float]
 """The values of one scene: one, or one for each object, or none if the scene has no such value."""
 
 
-class Training:
+class TrainingScenes:
     """What the statistics know of the training scenes.
 
     Args:
@@ -91,7 +91,7 @@ class SceneTaste:
         training: The training scenes.
     """
 
-    def __init__(self, scene: Scene, training: Training) -> None:
+    def __init__(self, scene: Scene, training: TrainingScenes) -> None:
         self.scene, self.training = scene, training
         self.objects = {o.instance: o for o in scene.objects}
         self.carried = {
@@ -232,7 +232,7 @@ PLACEMENT = ("covered", "gap", "edge", "cells", "yaw", "straight", "in_line")
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class StatisticComparison:
     """A statistic of two sets of scenes; None is unknown.
 
     Attributes:
@@ -254,7 +254,7 @@ class Comparison:
     num_held_out: int
 
 
-def compare(statistic: Statistic, generated: Sequence[Values], held_out: Sequence[Values]) -> Comparison:
+def compare(statistic: Statistic, generated: Sequence[Values], held_out: Sequence[Values]) -> StatisticComparison:
     """Compares the values of generated scenes with those of held-out ones.
 
     Args:
@@ -276,7 +276,7 @@ def compare(statistic: Statistic, generated: Sequence[Values], held_out: Sequenc
             found = [_distance(statistic, a, b, unit) for a, b in parts]
             floor = float(np.mean([d for d in found if d is not None]))  # with equal held-out values all are 0
     ratio = distance / floor if distance is not None and floor else None
-    return Comparison(means[0], means[1], distance, floor, ratio, len(one), len(other))
+    return StatisticComparison(means[0], means[1], distance, floor, ratio, len(one), len(other))
 
 
 def _distance(statistic: Statistic, one: Sequence[FloatArray], other: Sequence[FloatArray], unit: float) -> float | None:
@@ -289,8 +289,8 @@ def _distance(statistic: Statistic, one: Sequence[FloatArray], other: Sequence[F
 
 
 def compare_scenes(
-    generated: Sequence[Scene], held_out: Sequence[Scene], training: Training
-) -> dict[str, dict[str, Comparison]]:
+    generated: Sequence[Scene], held_out: Sequence[Scene], training: TrainingScenes
+) -> dict[str, dict[str, StatisticComparison]]:
     """Returns the comparison of each statistic, by kind of table, first of all tables together."""
     values = [
         [(scene.table.table_type, {k: s.measure(taste) for k, s in STATISTICS.items()}) for scene, taste in tastes]
@@ -298,14 +298,14 @@ def compare_scenes(
     ]
     kinds = sorted({kind for scenes in values for kind, _ in scenes})
 
-    def of(key: str, chosen: str) -> Comparison:
+    def of(key: str, chosen: str) -> StatisticComparison:
         one, other = ([found[key] for kind, found in scenes if chosen in (kind, POOLED)] for scenes in values)
         return compare(STATISTICS[key], one, other)
 
     return {kind: {key: of(key, kind) for key in STATISTICS} for kind in (POOLED, *kinds)}
 
 
-def placement_ratio(comparisons: Mapping[str, Comparison]) -> float | None:
+def placement_ratio(comparisons: Mapping[str, StatisticComparison]) -> float | None:
     """Returns how much farther from held-out scenes the placement is than held-out scenes are from each other.
 
     Args:

@@ -103,7 +103,7 @@ RELATIONS_FORM = JsonForm.of(
 
 
 @dataclass(frozen=True, slots=True)
-class StatedRelation:
+class RelationText:
     """A relation as a language model wrote it; nothing is checked.
 
     Attributes:
@@ -221,7 +221,7 @@ def _is_side(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= LONGEST_CM
 
 
-def read_relations(document: Any) -> tuple[StatedRelation, ...]:
+def read_relations(document: Any) -> tuple[RelationText, ...]:
     """Reads a list of relations, which may be empty; what they name is not checked.
 
     Raises:
@@ -240,7 +240,7 @@ def read_relations(document: Any) -> tuple[StatedRelation, ...]:
                 f'relation {k} is {quote_value(entry)}, expected {{"subject":...,"relation":...,"target":...}}',
                 "reply_malformed",
             )
-        found.append(StatedRelation(*map(sanitise_words, words)))
+        found.append(RelationText(*map(sanitise_words, words)))
     return tuple(dict.fromkeys(found))
 
 

@@ -8,7 +8,7 @@ from typing import TypeAlias, TypeVar
 from models.baselines.layout.draft import (
     OBJECTS_FORM,
     RELATIONS_FORM,
-    StatedRelation,
+    RelationText,
     read_objects,
     read_relations,
 )
@@ -86,7 +86,7 @@ class Exchanges:
         assert found is None or isinstance(found, tuple)
         return found
 
-    def relations(self, system: str, objects: Sequence[LayoutObject]) -> Asking[tuple[StatedRelation, ...] | None]:
+    def relations(self, system: str, objects: Sequence[LayoutObject]) -> Asking[tuple[RelationText, ...] | None]:
         """Asks for the relations between objects."""
         found = yield from self.ask(
             lambda: ChatQuestion(relations_chat(system, self.task, objects), RELATIONS_FORM, read_relations)

@@ -8,7 +8,7 @@ for the finished layout, as in the original. The original stretches assets to th
 
 from collections.abc import Sequence
 
-from models.baselines.layout.draft import RELATIONS_FORM, StatedRelation, read_relations
+from models.baselines.layout.draft import RELATIONS_FORM, RelationText, read_relations
 from models.baselines.layout.drafting import UNUSABLE, Asking, Draft, Drafting, Exchanges
 from models.baselines.layout.placed_layout import PlacingSystem, placed_layout
 from models.baselines.layout.prompts import ARCHITECT, DESIGNER, correction_chat
@@ -65,8 +65,8 @@ def draft(exchanges: Exchanges) -> Asking[Draft | None]:
 
 
 def _corrected(
-    exchanges: Exchanges, objects: Sequence[LayoutObject], stated: Sequence[StatedRelation], conflicts: Sequence[str]
-) -> Asking[tuple[StatedRelation, ...] | None]:
+    exchanges: Exchanges, objects: Sequence[LayoutObject], stated: Sequence[RelationText], conflicts: Sequence[str]
+) -> Asking[tuple[RelationText, ...] | None]:
     found = yield from exchanges.ask(
         lambda: ChatQuestion(correction_chat(exchanges.task, objects, stated, conflicts), RELATIONS_FORM, read_relations)
     )

@@ -7,7 +7,7 @@ it. Both are adapted to tables: what concerns rooms, walls and doors is left out
 
 from collections.abc import Sequence
 
-from models.baselines.layout.draft import FACINGS, OBJECTS_FORM, RELATIONS_FORM, StatedRelation
+from models.baselines.layout.draft import FACINGS, OBJECTS_FORM, RELATIONS_FORM, RelationText
 from models.baselines.placement.problem import PlacementRelation
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import ANY_TABLE, Message, check_instruction
@@ -89,7 +89,7 @@ def relations_chat(system: str, task: LayoutTask, objects: Sequence[LayoutObject
 
 
 def correction_chat(
-    task: LayoutTask, objects: Sequence[LayoutObject], relations: Sequence[StatedRelation], conflicts: Sequence[str]
+    task: LayoutTask, objects: Sequence[LayoutObject], relations: Sequence[RelationText], conflicts: Sequence[str]
 ) -> tuple[Message, ...]:
     """Returns the chat that asks for relations without conflicts.
 
@@ -130,7 +130,7 @@ def _fingerprint() -> str:
     task = LayoutTask("scene", "Do it.", Tabletop("table", (1.0, 1.0), (0.0, 0.1, 0.0, 0.1)))
     objects, stated = (
         [LayoutObject("mug_0", "a mug", (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), 0)],
-        [StatedRelation("mug_0", "on", "tray_0")],
+        [RelationText("mug_0", "on", "tray_0")],
     )
     systems = (HOLODECK_OBJECTS, HOLODECK_RELATIONS, DESIGNER, ARCHITECT)
     chats = objects_chat("", task), relations_chat("", task, objects), correction_chat(task, objects, stated, ["conflict"])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import networkx as nx
 
-from models.baselines.layout.draft import StatedRelation
+from models.baselines.layout.draft import RelationText
 from models.baselines.placement.problem import CARRYING, DIRECTIONS, UNARY, Constraint, PlacementRelation
 from models.semantic_reasoner.replies.checks import ReplyFault
 from models.semantic_reasoner.text.reply_json import LayoutObject
@@ -36,7 +36,7 @@ class CheckedRelations:
     num_related: int
 
 
-def check_relations(stated: Sequence[StatedRelation | Constraint], objects: Sequence[LayoutObject]) -> CheckedRelations:
+def check_relations(stated: Sequence[RelationText | Constraint], objects: Sequence[LayoutObject]) -> CheckedRelations:
     """Checks relations one after the other; of two that exclude each other, the first one stays.
 
     Args:
@@ -74,7 +74,7 @@ class _Checks:
         self._single: set[tuple[str, bool]] = set()
         self.on_table: set[str] = set()
 
-    def add(self, relation: StatedRelation | Constraint) -> tuple[str, str] | None:
+    def add(self, relation: RelationText | Constraint) -> tuple[str, str] | None:
         """Accepts a relation, or returns the code and the reason why not."""
         c = relation if isinstance(relation, Constraint) else relation.constraint
         if c is None:

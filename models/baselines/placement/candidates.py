@@ -30,7 +30,7 @@ _DIRECTION_OF = {facing_of(math.radians(45 * k)): math.radians(45 * k) for k in 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class PlaceCandidates:
     """C poses of one box.
 
     Attributes:
@@ -44,7 +44,7 @@ class Candidates:
     yaw: FloatArray
 
     @classmethod
-    def of(cls, size: Sequence[float], points: FloatArray, bottom: float) -> "Candidates":
+    def of(cls, size: Sequence[float], points: FloatArray, bottom: float) -> "PlaceCandidates":
         """Returns the poses of a box of a size at points (P, 2), metres, at all yaws, with its underside at a height."""
         width, depth, height = (s / 2 for s in size)
         turned = np.array([[width, depth, height], [depth, width, height]])
@@ -53,7 +53,7 @@ class Candidates:
         return cls(centre, half, np.tile(YAWS, len(points)))
 
     @classmethod
-    def at(cls, o: SceneObject) -> "Candidates":
+    def at(cls, o: SceneObject) -> "PlaceCandidates":
         """Returns the one pose of an object that is placed; if it is turned otherwise, the box around it."""
         corners = yawed_rectangle(o)
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -64,9 +64,9 @@ class Candidates:
         """Number of poses."""
         return len(self.yaw)
 
-    def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> "Candidates":
+    def take(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> "PlaceCandidates":
         """Returns some of the poses, by mask or index."""
-        return Candidates(self.centre[rows], self.half[rows], self.yaw[rows])
+        return PlaceCandidates(self.centre[rows], self.half[rows], self.yaw[rows])
 
     def placed(self, k: int, o: SceneObject, support: str) -> SceneObject:
         """Returns an object at one of the poses."""
@@ -76,7 +76,7 @@ class Candidates:
 
 def candidates_of(
     o: SceneObject, problem: PlacementProblem, placed: Mapping[str, SceneObject], points: FloatArray, shares: FloatArray
-) -> Candidates:
+) -> PlaceCandidates:
     """Returns the free poses of an object: on the table, or on or in the object that carries it.
 
     Args:
@@ -88,7 +88,7 @@ def candidates_of(
     """
     link = problem.carriers.get(o.instance)
     if link is None:
-        found = _on_table(Candidates.of(o.size, points, 0.0), problem.table)
+        found = _on_table(PlaceCandidates.of(o.size, points, 0.0), problem.table)
         return found.take(is_free(found, [*problem.obstacles, *placed.values()], _GAP_ON_TABLE))
     carrier = placed[link.target]
     found = _carried(o, carrier, shares, is_inside=link.kind is PlacementRelation.IN)
@@ -103,17 +103,17 @@ def floor_of(container: SceneObject) -> float:
     return container.bottom + min(_FLOOR, _THIN * container.size[2])
 
 
-def is_free(candidates: Candidates, others: Sequence[SceneObject], gap: float) -> npt.NDArray[np.bool_]:
+def is_free(candidates: PlaceCandidates, others: Sequence[SceneObject], gap: float) -> npt.NDArray[np.bool_]:
     """Returns which poses keep a gap, metres, from the boxes of other objects, (C,) bool; boxes above one another may touch."""
     free = np.ones(len(candidates), np.bool_)
     for other in others:
-        box = Candidates.at(other)
+        box = PlaceCandidates.at(other)
         apart = np.abs(candidates.centre - box.centre) - candidates.half - box.half
         free &= (apart[:, :2] >= gap - _TOUCH).any(axis=1) | (apart[:, 2] >= -_TOUCH)
     return free
 
 
-def _on_table(candidates: Candidates, table: Tabletop) -> Candidates:
+def _on_table(candidates: PlaceCandidates, table: Tabletop) -> PlaceCandidates:
     """The poses whose box is over the table, outside the restricted zone, and below what is above the table."""
     low, high = candidates.centre - candidates.half, candidates.centre + candidates.half
     inside = [low[:, :2].min(axis=1) >= -_TOUCH, (high[:, :2] - np.array(table.size_xy)).max(axis=1) <= _TOUCH]
@@ -125,11 +125,11 @@ def _on_table(candidates: Candidates, table: Tabletop) -> Candidates:
     return candidates.take(np.logical_and.reduce(inside))
 
 
-def _carried(o: SceneObject, carrier: SceneObject, shares: FloatArray, *, is_inside: bool) -> Candidates:
+def _carried(o: SceneObject, carrier: SceneObject, shares: FloatArray, *, is_inside: bool) -> PlaceCandidates:
     """The poses of an object on or in another one; none if it is too large for that."""
-    base = Candidates.at(carrier)
+    base = PlaceCandidates.at(carrier)
     bottom = floor_of(carrier) if is_inside else carrier.top
-    found = Candidates.of(o.size, shares, bottom)
+    found = PlaceCandidates.of(o.size, shares, bottom)
     room = (_WALLS if is_inside else 1.0) * base.half[:, :2] - found.half[:, :2]
     found.centre[:, :2] = base.centre[:, :2] + found.centre[:, :2] * np.maximum(room, 0.0)
     if is_inside:
@@ -139,7 +139,7 @@ def _carried(o: SceneObject, carrier: SceneObject, shares: FloatArray, *, is_ins
 
 
 def degrees(
-    name: str, candidates: Candidates, problem: PlacementProblem, placed: Mapping[str, SceneObject]
+    name: str, candidates: PlaceCandidates, problem: PlacementProblem, placed: Mapping[str, SceneObject]
 ) -> list[tuple[Constraint, FloatArray]]:
     """Returns how well poses of an object meet each of its relations to what is placed.
 
@@ -161,8 +161,8 @@ def degrees(
         elif c.kind is PlacementRelation.IS_AT:
             found.append((c, _degree_of_cell(candidates, c.target, problem.table)))
         elif c.target in placed or c.subject in placed:
-            subject = candidates if c.subject == name else Candidates.at(placed[c.subject])
-            target = candidates if c.target == name else Candidates.at(placed[c.target])
+            subject = candidates if c.subject == name else PlaceCandidates.at(placed[c.subject])
+            target = candidates if c.target == name else PlaceCandidates.at(placed[c.target])
             found.append((c, np.broadcast_to(_degree(c.kind, subject, target), len(candidates))))
     return found
 
@@ -173,7 +173,7 @@ def broken_constraints(problem: PlacementProblem, placed: Mapping[str, SceneObje
     for name, o in placed.items():
         of_subject = [c for c in problem.constraints if c.subject == name and set(c.members) <= placed.keys()]
         own = replace(problem, constraints=tuple(of_subject))
-        broken += [c for c, degree in degrees(name, Candidates.at(o), own, placed) if not holds(degree)[0]]
+        broken += [c for c, degree in degrees(name, PlaceCandidates.at(o), own, placed) if not holds(degree)[0]]
     return tuple(c for c in problem.constraints if c in broken)
 
 
@@ -182,7 +182,7 @@ def holds(degree: FloatArray) -> npt.NDArray[np.bool_]:
     return degree >= 1.0 - 1e-9
 
 
-def _degree(kind: PlacementRelation, subject: Candidates, target: Candidates) -> FloatArray:
+def _degree(kind: PlacementRelation, subject: PlaceCandidates, target: PlaceCandidates) -> FloatArray:
     apart = subject.centre[:, :2] - target.centre[:, :2]
     if kind in DIRECTIONS:
         axis, sign = DIRECTIONS[kind]
@@ -209,7 +209,7 @@ def _degree_of_angle(difference: FloatArray) -> FloatArray:
     return _falling(angle, math.pi / 4 + 1e-6, 0.75 * math.pi)
 
 
-def _degree_of_cell(candidates: Candidates, cell: str, table: Tabletop) -> FloatArray:
+def _degree_of_cell(candidates: PlaceCandidates, cell: str, table: Tabletop) -> FloatArray:
     """A half for the row of the cell, and a half for its column."""
     row, column = cell.split("_")
     cells = [cell_of(tuple(xy), table.size_xy).split("_") for xy in candidates.centre[:, :2].tolist()]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from models.baselines.placement.candidates import (
-    Candidates,
+    PlaceCandidates,
     broken_constraints,
     candidates_of,
     degrees,
@@ -113,12 +113,12 @@ class _Run:
             if self.best.is_complete or self.num_tried >= self.until:
                 return
 
-    def _poses(self, o: SceneObject, placed: dict[str, SceneObject]) -> tuple[Candidates, FloatArray]:
+    def _poses(self, o: SceneObject, placed: dict[str, SceneObject]) -> tuple[PlaceCandidates, FloatArray]:
         """The free poses of an object with their scores; none if what carries it has no place."""
         self.num_tried += 1
         link = self.problem.carriers.get(o.instance)
         if link is not None and link.target not in placed:
-            return Candidates(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)), np.empty(0)
+            return PlaceCandidates(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)), np.empty(0)
         poses = candidates_of(o, self.problem, placed, self._points(), _carrier_points())
         score = self.rng.uniform(0.0, _NOISE, len(poses))
         faces = False
@@ -132,7 +132,7 @@ class _Run:
             margin = np.minimum(poses.centre[:, :2], size - poses.centre[:, :2]) - poses.half[:, :2]
             score += _EDGE_SCORE * (margin.min(axis=1, initial=np.inf) < _EDGE)
         else:
-            base = Candidates.at(placed[link.target])
+            base = PlaceCandidates.at(placed[link.target])
             offset = np.abs(poses.centre[:, :2] - base.centre[:, :2]) / base.half[:, :2]
             score += _CENTRE_SCORE * offset.max(axis=1, initial=0.0)
         return poses, score
@@ -151,7 +151,7 @@ def _carrier_points() -> FloatArray:
     return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _distinct(poses: Candidates, scores: FloatArray, count: int) -> list[int]:
+def _distinct(poses: PlaceCandidates, scores: FloatArray, count: int) -> list[int]:
     """The best poses that differ from each other."""
     chosen: list[int] = []
     for k in np.argsort(-scores, kind="stable").tolist():

@@ -109,6 +109,11 @@ def test_figures_of_sets_are_means_over_repetitions() -> None:
     assert figures_of(Repetition(("a",), {"a": row()}, {}))["frechet"].value is None
 
 
+def test_scenes_of_other_tasks_are_refused_and_do_not_look_like_failures() -> None:
+    with pytest.raises(ValueError, match="b is no task"):
+        Repetition(("a",), {"b": row()}, {})
+
+
 def test_a_system_that_was_not_run_has_no_figure() -> None:
     assert all(found.value is None for found in figures_of().values())
 

@@ -9,7 +9,7 @@ from models.baselines.layout.draft import (
     MOST_RELATIONS,
     OBJECTS_FORM,
     RELATIONS_FORM,
-    StatedRelation,
+    RelationText,
     read_objects,
     read_relations,
     stacked,
@@ -105,7 +105,7 @@ def test_an_empty_list_of_relations_is_one() -> None:
     ],
 )
 def test_the_words_of_a_relation_are_read(relation: str, target: str, found: str | None) -> None:
-    constraint = StatedRelation("mug_0", relation, target).constraint
+    constraint = RelationText("mug_0", relation, target).constraint
     assert (None if constraint is None else str(constraint)) == found
 
 
@@ -126,7 +126,7 @@ def checked(*relations: str) -> tuple[list[str], list[str]]:
     for text in relations:
         subject, _, rest = text.partition(" ")
         relation, _, target = rest.rpartition(" ")
-        stated.append(StatedRelation(subject, relation, target))
+        stated.append(RelationText(subject, relation, target))
     found = check_relations(stated, THINGS)
     return [str(c) for c in found.constraints], [f.code for f in found.faults if f.code != "unrelated"]
 
@@ -164,20 +164,20 @@ def test_of_relations_that_exclude_each_other_the_first_stays(second: str, code:
 def test_what_is_said_of_the_table_or_twice_is_no_fault() -> None:
     assert checked("mug_0 on table", "pen_0 near cup_0", "pen_0 near cup_0") == (["pen_0 near cup_0"], [])
     assert checked("Tray_0 on Table") == ([], [])
-    found = check_relations([StatedRelation("mug_0", "on", "the table")], THINGS)
+    found = check_relations([RelationText("mug_0", "on", "the table")], THINGS)
     assert (found.num_related, "mug_0" in found.faults[0].message) == (1, False)
     assert checked("spoon_0 on table") == ([], ["object_unknown"])
 
 
 def test_objects_that_no_relation_names_are_told() -> None:
-    found = check_relations([StatedRelation("mug_0", "on", "plate_0")], THINGS)
+    found = check_relations([RelationText("mug_0", "on", "plate_0")], THINGS)
     (fault,) = found.faults
     assert (fault.code, fault.message) == ("unrelated", "no relation says where tray_0, pen_0, cup_0 are")
 
 
 def test_a_long_chain_of_carriers_with_a_circle_ends() -> None:
     boxes = [LayoutObject(f"box_{k}", "a box", (10.0, 10.0, 5.0), (0.0, 0.0, 0.0), 0) for k in range(60)]
-    stated = [StatedRelation(f"box_{k}", "on", f"box_{(k + 1) % 60}") for k in range(60)]
+    stated = [RelationText(f"box_{k}", "on", f"box_{(k + 1) % 60}") for k in range(60)]
     found = check_relations(stated, boxes)
     assert len(found.constraints) == 59
     assert [f.code for f in found.faults] == ["relation_circle"]

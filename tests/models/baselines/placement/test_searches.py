@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.baselines.placement.backtracking import Backtracking
-from models.baselines.placement.candidates import Candidates, broken_constraints
+from models.baselines.placement.candidates import PlaceCandidates, broken_constraints
 from models.baselines.placement.grid_search import GridSearch
 from models.baselines.placement.problem import Constraint, Placement, PlacementProblem, PlacementRelation, Search
 from stable_data.scene import TABLE, SceneObject, Tabletop
@@ -36,7 +36,7 @@ def placed(search: Search, objects: Sequence[SceneObject], *constraints: Constra
 
 def depth_of(one: SceneObject, other: SceneObject) -> float:
     """How deep two boxes are in each other, metres; negative if they are apart."""
-    a, b = Candidates.at(one), Candidates.at(other)
+    a, b = PlaceCandidates.at(one), PlaceCandidates.at(other)
     return float(-(np.abs(a.centre - b.centre) - a.half - b.half).max())
 
 
@@ -44,7 +44,7 @@ def assert_tidy(found: Placement, table: Tabletop = DESK) -> None:
     """Boxes are on the table, and apart unless one carries the other."""
     support = {o.instance: o.support for o in found.objects}
     for o in found.objects:
-        box = Candidates.at(o)
+        box = PlaceCandidates.at(o)
         assert (box.centre - box.half)[0, :2].min() >= -1e-5
         assert ((box.centre + box.half)[0, :2] <= np.array(table.size_xy) + 1e-5).all()
         assert math.isclose(math.remainder(o.yaw, math.pi / 2), 0.0, abs_tol=1e-9)
