@@ -18,7 +18,7 @@ from pipelines.evaluate.report import write_evaluation_report
 from pipelines.evaluate.settings import EvaluateSettings
 from pipelines.evaluate.systems import parse_systems
 from pipelines.execution.ray_executor import WorkerPool, connection
-from pipelines.generate.job import GenerateJob, generate
+from pipelines.generate.job import GenerateJob, run_generation
 from pipelines.rate.job import rate
 from pipelines.sources.generation_tasks import TaskSource
 from pipelines.views.job import draw_views
@@ -135,7 +135,7 @@ def _run_system(
         job = GenerateJob(source, own, assets)
         for notice in job.odd():
             result.note(notice.message)
-        generate(source, f"{place}/scenes", own, workers, assets)
+        run_generation(job, f"{place}/scenes", workers)
     except ConfigError as error:
         result.has_failed = True
         result.note(f"seed {seed} was not run: {error}")

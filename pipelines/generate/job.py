@@ -41,9 +41,17 @@ def generate(
     report: bool = True,
 ) -> dict[str, Any]:
     """Runs the job, or its missing shards; see :func:`pipelines.execution.shard_job.run_job`."""
+    return run_generation(GenerateJob(tasks, settings, assets), out, workers, report=report)
+
+
+def run_generation(job: "GenerateJob", out: str, workers: WorkerPool, *, report: bool = True) -> dict[str, Any]:
+    """Runs a job that is made already, and says on stderr what is odd about its input; see :func:`generate`.
+
+    Raises:
+        ConfigError: The run cannot start or continue; finished shards are kept.
+    """
     for name in ("engines", "correctors"):
-        refuse_without_workers(name, getattr(settings, name), workers)
-    job = GenerateJob(tasks, settings, assets)
+        refuse_without_workers(name, getattr(job.settings, name), workers)
     for notice in job.odd():
         sys.stderr.write(f"{notice.message}\n")
     return run_job(job, out, workers, report=report)
