@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from pipelines.evaluate_policy.settings import EvaluatePolicySettings
 from pipelines.execution.resume import read_manifest
 from pipelines.reports.text_table import align_columns
 from stable_data.atomic_files import write_file_atomically
@@ -93,7 +94,8 @@ def line_of(run: str, name: str = "", scenes: str = "") -> Line:
     if not counts["attempts"]:
         raise ConfigError(f"{run}: no episode began, expected at least one", "set_empty")
     low, high = wilson_interval(counts["successes"], counts["attempts"])
-    of_episodes = {key: value for key, value in settings.items() if key not in ("scenes_per_shard", "seconds_per_item")}
+    aside = {"scenes_per_shard", *EvaluatePolicySettings.ASIDE}  # which change no episode
+    of_episodes = {key: value for key, value in settings.items() if key not in aside}
     inputs = {key: value for key, value in manifest["inputs"].items() if key != "policy"}
     return Line(
         policy=name or manifest["policy"],

@@ -122,6 +122,8 @@ class Experiment:
     def __init__(self, data: Path, work: Path, options: argparse.Namespace) -> None:
         self._data, self._work, self._options = data, work, options
         self._file = work / "results.csv"
+        if not (data / ANNOTATION_FILE).is_file():
+            raise SystemExit(f"{data}: has no {ANNOTATION_FILE}, expected a dataset in the MesaTask-10K format")
         self._refuse_other_options()
         self.results: dict[Cell, Result] = {}
         if self._file.exists():
@@ -368,6 +370,16 @@ def show(results: Mapping[Cell, Result]) -> Iterator[str]:
     yield align_columns([head, *((name, f"{mean(v):+.1f}", _interval(v)) for name, v in differences.items())], 1)
 
 
+def cost(work: Path) -> Iterator[str]:
+    """Yields the wall time of the runs in a folder of the experiment, by job."""
+    seconds: dict[str, float] = {}
+    for file in sorted(work.rglob("manifest.json")):
+        manifest = json.loads(file.read_text("utf-8"))
+        spent = [part["seconds"] for part in manifest.get("work", ())]
+        seconds[manifest["job"]] = seconds.get(manifest["job"], 0.0) + sum(spent)
+    yield "minutes, as far as manifests have them: " + ", ".join(f"{job} {value / 60:.0f}" for job, value in seconds.items())
+
+
 def _interval(values: Sequence[float]) -> str:
     _, low, high = mean_interval(values)
     return "unknown" if math.isinf(low) else f"{low:+.1f} to {high:+.1f}"
@@ -396,7 +408,7 @@ def main() -> None:
             f"({low:.0%} to {high:.0%}) after {result.demonstrations} demonstrations",
             flush=True,
         )
-    print("\n".join(show(found)))
+    print("\n".join([*show(found), "", *cost(options.out)]))
     if options.json is not None:
         rows = [asdict(cell) | asdict(result) for cell, result in found.items()]
         options.json.write_text(json.dumps({"cells": rows, "effects": effects(found)}, indent=2) + "\n", "utf-8")

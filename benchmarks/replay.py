@@ -63,8 +63,10 @@ class Outcome:
 def outcomes(scenes: str, episodes: str, vary: float, limit: int) -> Iterator[Outcome]:
     """Yields the outcome of each episode, of which at most ``limit`` successful ones are carried out again."""
     manifest = read_manifest(RunFolder(episodes))
-    if manifest is None:
-        raise SystemExit(f"{episodes} has no manifest, expected a run of demonstrate")
+    if manifest is None or manifest.get("job") != "demonstrate":
+        raise SystemExit(
+            f"{episodes} is {'no run' if manifest is None else 'a run of ' + str(manifest.get('job'))}, expected one of demonstrate"
+        )
     settings: DemonstrateSettings = fill_settings(DemonstrateSettings, manifest["settings"], "demonstrate")
     settings = replace(settings, variation=replace(settings.variation, friction=vary, mass=vary), cameras=frozenset())
     columns = ["scene_id", "clean", "stable", *NUMBERS]

@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from stable_data.errors import StableDataError
 from stable_data.robot.arm.assembly import CAMERAS
+from stable_data.robot.env import RobotOptions
 from stable_data.robot.vector import make_vector_env, scenes_by_task
 
 _SIDE_BY_SIDE = 8
@@ -31,9 +33,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--scenes", type=int, default=8)
     parser.add_argument("--json", type=Path, help="file for the figures")
     given = parser.parse_args(arguments)
-    ids = [scene_id for found in scenes_by_task(given.run).values() for scene_id in found][: given.scenes]
+    try:
+        found = scenes_by_task(given.run, options=RobotOptions(robot=given.robot))
+    except StableDataError as error:
+        parser.exit(2, f"{error}\n")
+    ids = [scene_id for names in found.values() for scene_id in names][: given.scenes]
     if not ids:
-        parser.exit(2, f"{given.run}: no scene has a goal that can be checked\n")
+        parser.exit(2, f"{given.run}: no scene has a goal that can be checked and a place for {given.robot}\n")
     print(f"{len(ids)} scenes, robot {given.robot}, pictures 128 x 128 without shadows")
     print("| environments | cameras | steps a second |\n|---|---|---|")
     rows = []

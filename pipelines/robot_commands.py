@@ -65,7 +65,9 @@ def demonstrate(
     for kind, (done, total) in counts["by_task"].items():
         typer.echo(f"  {kind:<14} {done} of {total}")
     dataset = Path(out) / "lerobot"
-    if lerobot and counts["successes"] and not dataset.exists():
+    if lerobot and not counts["successes"]:
+        typer.echo(f"{dataset}: not written, because no episode fulfils its goal", err=True)
+    elif lerobot and not dataset.exists():
         made = write_lerobot(RunFolder(out), dataset)
         typer.echo(f"{dataset}: {made.num_episodes} episodes as a LeRobotDataset v3.0")
     if counts["failures"]:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 
 from models.instruction_reader.reading import InstructionReading, MentionedRelation
 from stable_data.condition import HAND_OVER_REGION, NAME_SEPARATOR, ConditionKind, GoalCondition
+from stable_data.tasks.unseen_actions import unseen_action
 
 K = ConditionKind
 
@@ -35,15 +36,14 @@ _SHOW = re.compile(
 )
 """Words that ask to hold something up."""
 
-_UNSEEN = re.compile(
+_UNSTATED = re.compile(
     r"\b(?:hand|pass|give|bring|fetch|show|get|let|throw|toss|serve)\s+(?:it |them |that |this )?(?:to )?(?:me|us|him|her|them|mum|dad)\b"
     r"|\bhand(?:ing)? (?:over|.{1,40} over\b)|\b(?:hand|pass|give) .{1,40} to (?:me|us|him|her)\b"
-    r"|\b(?:pour|refill|press|switch (?:on|off)|wipe|clean|rinse|wash|slice|chop|peel|cut|stir|shake|rotate|unplug|plug|light|water"
-    r"|write|draw|fold|unfold|flip|tilt|wind up|straighten|separate|line up|space|sort|tidy)\b"
-    r"|(?:^|[.;,:]|\band|\bthen|\bto|\byou|\bplease)\s*(?:please )?(?:open|close|shut|turn|fill|use|stack|show)\b"
+    r"|\b(?:separate|line up|space|sort|tidy)\b"
+    r"|(?:^|[.;,:]|\band|\bthen|\bto|\byou|\bplease)\s*(?:please )?(?:stack|show)\b"
     r"|\bup to the camera\b|\bcloser look\b|\bhold .{1,30} (?:steady|still)\b"
 )
-"""Words that ask for what no condition of this module states."""
+"""Further words that ask for what no condition of this module states."""
 
 _PICK = re.compile(r"\b(?:pick|lift|grab|grasp|raise|hold)\b")
 _REMOVE = re.compile(
@@ -70,7 +70,8 @@ def conditions_of_reading(reading: InstructionReading, instruction: str, names: 
     """
     text = " ".join(instruction.lower().replace("’", "'").split())
     is_handed, is_shown = _HAND_OVER.search(text) is not None, _SHOW.search(text) is not None
-    if _UNSEEN.search(_SHOW.sub(" ", _HAND_OVER.sub(" ", text))):
+    rest = _SHOW.sub(" ", _HAND_OVER.sub(" ", text))
+    if unseen_action(rest) is not None or _UNSTATED.search(rest):
         return ()
     goal = _Goal(reading, text, instruction, names)
     if is_handed and is_shown:  # one thing is handed over, and another one shown

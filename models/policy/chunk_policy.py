@@ -14,7 +14,7 @@ from models.policy.task_frame import TaskFrame
 from models.policy.weights import FILE, PolicyWeights, load_policy
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
-from stable_data.robot.acting.policies import ActingPolicy, import_policy, policy_source
+from stable_data.robot.acting.policies import ActingPolicy, import_policy, policy_identity
 from stable_data.robot.env import AGENT, ENVIRONMENT, PIXELS, Observation
 from stable_data.robot.episodes import EpisodeFeatures, FloatArray32
 from stable_data.robot.grasps import PRESHAPE
@@ -116,4 +116,4 @@ def open_policy(name: str) -> OpenedPolicy:
             "policy_missing",
         )
     policy = import_policy(name)
-    return OpenedPolicy(name, content_id(name, policy_source(policy)), policy, getattr(policy, "features", None))
+    return OpenedPolicy(name, content_id(name, *policy_identity(name, policy)), policy, getattr(policy, "features", None))

@@ -99,9 +99,16 @@ def _opened(run: str, scene_id: str, settings: EpisodeSettings) -> RobotEnv | St
     """The environment of a scene with its own task, kept for its next episode."""
     geometry, row = _geometry(run, scene_id, settings.settled)
     try:
-        return RobotEnv(geometry, options=options_for(row, settings.options()))
+        env = RobotEnv(geometry, options=options_for(row, settings.options()))
     except StableDataError as error:
         return error
+    names = dict.fromkeys(step.subject for step in env.goal.steps)
+    reasons = {name: _out_of_reach(env, name) for name in names}
+    if None in reasons.values() or not names:
+        return env
+    why = "; ".join(str(reason) for reason in reasons.values())
+    message = f"{scene_id}: the robot can grasp nothing that the task moves ({why}); choose another scene, mount or robot"
+    return SceneError(message, "nothing_reachable")
 
 
 def _pick_env(run: str, scene_id: str, seed: int, settings: EpisodeSettings) -> RobotEnv:
@@ -139,7 +146,12 @@ def _opened_pick(geometry: SceneGeometry, name: str, settings: EpisodeSettings) 
         env = RobotEnv(with_pick_task(geometry, name), options=settings.options())
     except SceneError as error:
         return error.code
+    return _out_of_reach(env, name) or env
+
+
+def _out_of_reach(env: RobotEnv, name: str) -> str | None:
+    """Why the robot can grasp an object nowhere at the start; None if it can."""
     finder = GraspFinder(env.built, env.arm, env.clearance)
     if next(finder.reachable(env.world, name), None) is not None:
-        return env
+        return None
     return f"{name} {finder.survey(env.world, name).reason}"

@@ -68,6 +68,11 @@ def check_resume(
                 "manifest_missing",
             )
         return
+    if was.get("job") != manifest["job"]:
+        raise ConfigError(
+            f"{folder.uri}: is a run of {was.get('job')}, expected a new folder or a run of {manifest['job']}; choose another folder",
+            "config_changed",
+        )
     keys = (*_COMPARED, *(key for key in may_be_added if was.get(key) is not None))
 
     def compared(found: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,13 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.errors import GoalError, MeshError
 from stable_data.robot.arm.assembly import assemble
+from stable_data.robot.arm.clearance import HeldObject
 from stable_data.robot.arm.kinematics import arm_of
 from stable_data.robot.arm.mounting import AUTO, CHOSEN_EDGES, Mount, mount_of, mount_setting
 from stable_data.robot.arm.robots import Robot
 from stable_data.robot.arm.world import RobotWorld
 from stable_data.robot.grasp_trial import GraspFinder, GraspOutcome, ReachableGrasp
 from stable_data.robot.task_progress import scene_state, target_places
-from stable_data.rotations import quat_of, wxyz
+from stable_data.rotations import quat_of, rotation_matrix, wxyz
 from stable_data.scene import FloatArray, QuatXyzw, Scene, Vec3
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.tasks.checking import SceneState, start_state
@@ -42,6 +43,8 @@ _OVER = 0.05  # height of the tool above the top of a target, metres
 _TOOL_YAWS = 4  # that are tried there
 _SETTLE_SECONDS = 0.3  # after an object was put at its place
 _MOST_PLACES = 24  # of a step
+_MOST_GRIPS = 4  # grasps with which an arm of few joints is tried at a place
+_OBJECT_YAWS = 8  # headings of the object there
 
 
 class ReachRole(StrEnum):
@@ -317,6 +320,7 @@ class _Survey:
         self._task, self._finder, self._tries = task, finder, tries
         self._world = RobotWorld(finder.built)
         self._start = self._world.snapshot()
+        self._grips: dict[str, list[HeldObject]] = {}  # objects in the hand by their best grasps
         self.found: dict[str, ObjectReach] = {}
         self.tried: list[TriedGrasp] = []
 
@@ -346,6 +350,7 @@ class _Survey:
         if name in self.found:
             return
         survey = self._finder.survey(self._world, name)
+        self._grips[name] = [self._in_hand(name, grasp) for grasp in survey.reachable[:_MOST_GRIPS]]
         outcomes = []
         for number, (grasp, outcome) in enumerate(self._finder.trials(self._world, survey.reachable, self._tries)):
             outcomes.append(outcome)
@@ -379,9 +384,36 @@ class _Survey:
         self.found[name] = ObjectReach(name, ReachRole.TARGET, index is not None, reason=reason)
 
     def _reached(self, name: str, poses: Sequence[TargetPose]) -> int | None:
-        """The first pose of an object that the hand comes above; None if it comes above none."""
+        """The first pose of an object that the hand comes above; None if it comes above none.
+
+        An arm with few joints hardly ever points straight down: it may also come there with the object in one of its grasps.
+        """
         positions = np.array([(*p.position[:2], p.release_height) for p in poses])
-        return self._above(self._tops(name, positions, np.array([p.quat_xyzw for p in poses])), frozenset({name}))[0]
+        index = self._above(self._tops(name, positions, np.array([p.quat_xyzw for p in poses])), frozenset({name}))[0]
+        if index is not None or self._finder.arm.is_full:
+            return index
+        return next(
+            (k for k, pose in enumerate(poses) if any(self._comes_with(grip, pose) for grip in self._grips[name])), None
+        )
+
+    def _comes_with(self, held: HeldObject, pose: TargetPose) -> bool:
+        """Whether the hand comes to a pose of an object that it holds, at some heading of the object."""
+        mount, height = self._finder.built.mount, np.array([*pose.position[:2], pose.release_height])
+        yaws = Rotation.from_euler("z", 2 * np.pi * np.arange(_OBJECT_YAWS)[:, None] / _OBJECT_YAWS).as_matrix()
+        turns = mount.rotation.T @ yaws @ rotation_matrix(pose.quat_xyzw) @ held.rotation.T
+        solved = self._finder.arm.solve(mount.to_base(height) - turns @ held.position, turns)
+        self._finder.clearance.look(self._world)
+        self._finder.clearance.hold(None)
+        opening, allowed = self._finder.built.robot.hand.max_opening, frozenset({held.instance})
+        joints = solved.joints[solved.can_place]
+        return any(self._finder.clearance.hits(one, opening, allowed=allowed) is None for one in joints)
+
+    def _in_hand(self, name: str, grasp: ReachableGrasp) -> HeldObject:
+        """Where an object is in the hand that grasps it."""
+        pose, mount = self._world.object_poses[self._task.rows[name]], self._finder.built.mount
+        x, y, z, w = pose[3:].tolist()
+        turn = mount.rotation.T @ rotation_matrix((x, y, z, w))
+        return HeldObject(name, grasp.rotation.T @ (mount.to_base(pose[:3]) - grasp.position), grasp.rotation.T @ turn)
 
     def _tops(self, name: str, positions: FloatArray, quats_xyzw: FloatArray) -> FloatArray:
         """Points above an object at poses, (K, 3), metres, frame of the scene."""

@@ -12,6 +12,7 @@ constants, are one level.
 import ast
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import reduce
 from operator import and_, eq, ge, gt, le, lt, ne, or_
 from typing import Any
@@ -173,7 +174,10 @@ class _Reader:
 
     def _column(self, node: ast.Name) -> str:
         if node.id not in self._names:
-            raise _invalid(self._text, f"names {_quoted(node)[1:-1]}, expected one of {', '.join(self._names)}")
+            name = _quoted(node)[1:-1]
+            near = get_close_matches(name, self._names, 3, 0.5)
+            expected = " or ".join(near) if near else f"one of {', '.join(self._names)}"
+            raise _invalid(self._text, f"names {name}, expected {expected}")
         self.columns[node.id] = None
         return node.id
 

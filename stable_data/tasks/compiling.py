@@ -16,6 +16,7 @@ from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal
 from stable_data.tasks.planning import StepPlanner, kind_of
 from stable_data.tasks.sentences import GoalSentences, ObjectResolver, not_checkable
+from stable_data.tasks.unseen_actions import unseen_action
 
 
 def compile_goal(geometry: TaskGeometry) -> Goal:
@@ -61,9 +62,11 @@ def stated_conditions(scene: Scene, containers: Mapping[str, bool | None]) -> tu
     """
     task = scene.task
     if task is None or not (task.goal or task.action_sequence):
+        if task is not None and (words := unseen_action(task.task)) is not None:
+            raise not_checkable(words, "no state of the objects shows that it is done")
         raise GoalError(
-            f"{scene.scene_id}: the task info states no goal, expected conditions, goal sentences or actions; an instruction that also "
-            "asks for what cannot be checked has none",
+            f"{scene.scene_id}: the task info states no goal, expected conditions, goal sentences or actions; an instruction that is not "
+            "understood as a whole has none",
             "no_goal" if task is not None else "no_task",
         )
     graph = scene_graph(scene, contacts_of(scene), containers=containers)

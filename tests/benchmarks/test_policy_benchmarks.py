@@ -12,6 +12,7 @@ from benchmarks.replay import area_under_curve, figures, outcomes
 from pipelines.demonstrate.job import demonstrate
 from pipelines.demonstrate.settings import DemonstrateSettings
 from pipelines.execution.ray_executor import WorkerPool
+from stable_data.mesatask.library import ANNOTATION_FILE
 from tests.stable_data.export.runs import write_run
 from tests.stable_data.robot.tables import laid_table
 
@@ -45,6 +46,8 @@ def test_the_tables_have_a_line_for_each_cell_and_each_effect() -> None:
 
 
 def experiment(work: Path, **changes: object) -> Experiment:
+    (work / "data").mkdir(exist_ok=True)
+    (work / "data" / ANNOTATION_FILE).write_text("{}")
     options = {"scenes": [2, 1], "demonstrations": 4, "tests": 5, "robot": "simple"} | changes
     return Experiment(work / "data", work / "out", Namespace(**options))
 
@@ -83,3 +86,16 @@ def test_episodes_are_carried_out_again_and_grouped_by_the_verdicts_of_their_sce
     assert everything["groups"]["all"] == {"expert": [sum(o.expert for o in found), 2], "replayed": [1, 1]}
     unknown = sum(everything["groups"][name]["expert"][1] for name in ("clean", "not clean"))
     assert unknown == (0 if found[0].verdicts["clean"] is None else 2)
+
+
+def test_a_path_that_is_no_dataset_leaves_nothing_behind(tmp_path: Path) -> None:
+    options = Namespace(scenes=[1], demonstrations=4, tests=5, robot="simple")
+    with pytest.raises(SystemExit, match=ANNOTATION_FILE):
+        Experiment(tmp_path / "nowhere", tmp_path / "out", options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_of_another_job_is_no_run_of_demonstrate(tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text('{"job": "generate", "settings": {}}')
+    with pytest.raises(SystemExit, match="a run of generate, expected one of demonstrate"):
+        next(outcomes(str(tmp_path), str(tmp_path), 0.0, 1))

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -62,7 +63,8 @@ def import_policy(name: str) -> ActingPolicy:
     The module is looked for in the current folder too.
 
     Raises:
-        ConfigError: There is no such module or name, or what it gives has no ``reset`` and ``act`` (``policy_invalid``).
+        ConfigError: There is no such module or name, it raises an error, or what it gives has no ``reset`` and ``act``
+            (``policy_invalid``).
     """
     module, _, attribute = name.partition(":")
     here = str(Path.cwd())
@@ -72,7 +74,13 @@ def import_policy(name: str) -> ActingPolicy:
         maker: Any = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(f"policy {name}: {error}, expected module:function of a policy", "policy_invalid") from error
-    policy = maker() if callable(maker) else maker
+    try:
+        policy = maker() if callable(maker) else maker
+    except Exception as error:  # a program of the user's
+        raise ConfigError(
+            f"policy {name}: {attribute}() raised {type(error).__name__}: {' '.join(str(error).split())}; run it alone to see where",
+            "policy_invalid",
+        ) from error
     if not isinstance(policy, ActingPolicy):
         raise ConfigError(
             f"policy {name}: gives {type(policy).__name__}, expected an object with the methods reset() and act(observation)",
@@ -81,9 +89,22 @@ def import_policy(name: str) -> ActingPolicy:
     return policy
 
 
-def policy_source(policy: ActingPolicy) -> str:
-    """Returns the source text of the module of a policy's class, by which two policies of one name differ; empty if it has none."""
+def policy_identity(name: str, policy: ActingPolicy) -> list[str]:
+    """Returns texts by which two policies of one name differ.
+
+    Args:
+        name: Its ``module:function``.
+        policy: The policy. Its attribute ``fingerprint``, if it has one, says what the source does not, such as a hash of weights.
+
+    Returns:
+        The sources of the modules of the function and of the policy's class, empty where there is none, and the fingerprint.
+    """
+    modules = (import_module(name.partition(":")[0]), inspect.getmodule(type(policy)))
+    return [*map(_source, modules), str(getattr(policy, "fingerprint", ""))]
+
+
+def _source(module: ModuleType | None) -> str:
     try:
-        return inspect.getsource(inspect.getmodule(type(policy)) or type(policy))
+        return "" if module is None else inspect.getsource(module)
     except (OSError, TypeError):
         return ""

@@ -113,7 +113,7 @@ def write_lerobot(
 
     Raises:
         ConfigError: The run has no episodes, the selection is not valid or empty, the folder has content or cannot be written, or
-            there is no encoder of videos.
+            there is no encoder of videos, or there are no pictures for them.
         EpisodeError: The episodes have different features (``episodes_mixed``), or an episode cannot be used.
     """
     if choice.where is not None:
@@ -130,6 +130,10 @@ def write_lerobot(
     try:
         for episode in episodes:
             if writer is None:
+                if is_video and episode.features.image_size is None:
+                    raise ConfigError(
+                        f"{run.uri}: its episodes have no pictures, expected some for a video; leave --video out", "no_pictures"
+                    )
                 writer = LeRobotWriter(aside, episode.features, is_video=is_video)
             writer.add(episode)
             if progress is not None:

@@ -61,14 +61,15 @@ def made(scenes: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_each_episode_is_a_row_or_a_failure(made: Path) -> None:
-    rows = {row["id"]: row["reason"] for row in rows_of(made)}
-    assert rows["laid/0"] is None
-    assert rows["far/0"] is not None
-    assert rows["far/0"].startswith("no_grasp")
-    [failure] = RunFolder(str(made)).table("failures").to_pylist()
-    assert (failure["id"], failure["step"], failure["code"]) == ("untold/0", "scene", "no_goal")
+    assert {row["id"]: row["reason"] for row in rows_of(made)} == {"laid/0": None}
+    failures = {row["id"]: row for row in RunFolder(str(made)).table("failures").to_pylist()}
+    assert {name: (row["step"], row["code"]) for name, row in failures.items()} == {
+        "untold/0": ("scene", "no_goal"),
+        "far/0": ("scene", "nothing_reachable"),
+    }
+    assert f"({CAN} out_of_reach)" in failures["far/0"]["message"]
     counts = json.loads((made / "manifest.json").read_text("utf-8"))["counts"]
-    assert (counts["successes"], counts["episodes"], counts["failed_episodes"]) == (1, 2, 1)
+    assert (counts["successes"], counts["episodes"], counts["failed_episodes"]) == (1, 1, 2)
     page = (made / "report" / "index.html").read_text("utf-8")
     assert "episodes that fulfil their goal" in page
 

@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 
 from benchmarks import leaderboard
+from models.policy.chunk_policy import open_policy
 from models.policy.network import PolicyShape
 from models.policy.training import PolicyTrainingSettings
 from pipelines.demonstrate.job import demonstrate
@@ -17,6 +18,7 @@ from pipelines.execution.ray_executor import WorkerPool
 from stable_data.errors import ConfigError
 from stable_data.simulation.offscreen import can_render
 from stable_data.storage.run_folder import RunFolder
+from tests.pipelines.policy import policies
 from tests.pipelines.policy.test_train_policy import train
 
 POLICIES = "tests.pipelines.policy.policies"
@@ -71,6 +73,7 @@ def test_the_expert_is_a_line_of_reference(two_scenes: Path, tmp_path: Path) -> 
         ("BrokenPolicy", "policy_failed", "act.. raised RuntimeError: no idea"),
         ("ShortPolicy", "policy_invalid", "gave shape .3,., expected finite numbers of shape .7,."),
         ("nothing", "policy_invalid", "expected module:function"),
+        ("lost", "policy_invalid", "lost.. raised FileNotFoundError: no weights here"),
     ],
 )
 def test_a_policy_that_fails_ends_the_run(name: str, code: str, words: str, two_scenes: Path, tmp_path: Path) -> None:
@@ -98,6 +101,23 @@ def test_with_ray_the_same(two_scenes: Path, demonstrations: Path, tmp_path: Pat
         evaluate_policy(str(out), str(two_scenes), str(tmp_path / name), SIMPLE, workers, report=False)
         tables.append(pl.read_parquet(f"{tmp_path}/{name}/episodes/*.parquet").sort("episode_id"))
     assert tables[0].equals(tables[1])
+
+
+def test_a_policy_may_say_what_its_source_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = open_policy(f"{POLICIES}:weighed").fingerprint
+    assert open_policy(f"{POLICIES}:weighed").fingerprint == first
+    monkeypatch.setattr(policies, "WEIGHTS", ["second"])
+    assert open_policy(f"{POLICIES}:weighed").fingerprint != first
+
+
+def test_settings_that_change_no_episode_make_no_other_block(two_scenes: Path, tmp_path: Path) -> None:
+    found = []
+    for name, settings in (("a", SIMPLE), ("b", replace(SIMPLE, num_pictures=0, seconds_per_item=60.0, scenes_per_shard=1))):
+        evaluate_policy(
+            f"{POLICIES}:StayingPolicy", str(two_scenes), str(tmp_path / name), settings, WorkerPool(), report=False
+        )
+        found.append(leaderboard.line_of(str(tmp_path / name)).episodes_fingerprint)
+    assert found[0] == found[1]
 
 
 def test_the_leaderboard_keeps_the_newest_line_of_a_policy(

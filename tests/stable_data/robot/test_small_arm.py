@@ -1,5 +1,7 @@
 """The small arm SO-101, which stands on the table, has five joints, and moves one jaw: what it reaches and holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -74,3 +76,12 @@ def test_the_standing_jaw_is_beside_the_object_and_the_space_between_the_jaws_is
     assert finder.clearance.hits(best.approach[-1], best.opening) is None  # not even the cube itself
     path, _ = finder.arm.poses(finder.lift(best))
     assert path[-1, 2] - path[0, 2] > 0.09  # the tool turns where it cannot be lifted straight
+
+
+def test_a_place_counts_where_the_arm_comes_only_with_the_hand_inclined(geometry: SceneGeometry) -> None:
+    """Five joints hardly ever bring the hand straight down over a place."""
+    laid = scene_of(geometry, box(CUBE, 0.5, 0.3, (0.03, 0.03, 0.035)), box("plate_0", 0.62, 0.3, (0.1, 0.1, 0.02)))
+    task = TaskInfo("", "Put it there.", task_objects=(CUBE,), conditions=(GoalCondition(CUBE, ConditionKind.ON, "plate_0"),))
+    found = survey_reach(replace(laid, scene=replace(laid.scene, task=task)), ROBOT, ReachOptions("front", 1))
+    assert found.task_reason is None
+    assert found.task_reachable is True

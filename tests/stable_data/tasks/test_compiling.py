@@ -125,6 +125,22 @@ def test_a_scene_without_a_task_has_no_goal() -> None:
     assert refused.value.code == "no_task"
 
 
+@pytest.mark.parametrize(
+    ("instruction", "code", "words"),
+    [
+        ("Pour the water from the bottle into the cup.", "goal_not_checkable", "'pour' cannot be checked"),
+        ("Put the mug in the bin, then switch off the lamp.", "goal_not_checkable", "'switch off'"),
+        ("Please open the box.", "goal_not_checkable", "'open'"),
+        ("Put the mug in the open box.", "no_goal", "the task info states no goal"),
+        ("Do something nice.", "no_goal", "the task info states no goal"),
+    ],
+)
+def test_an_instruction_without_a_stated_goal_says_why_it_has_none(instruction: str, code: str, words: str) -> None:
+    with pytest.raises(GoalError) as refused:
+        compile_goal(geometry(TaskInfo("", instruction)))
+    assert (refused.value.code, words in str(refused.value)) == (code, True)
+
+
 def test_task_objects_tell_which_of_several_is_meant() -> None:
     assert compiled(("The block is in the bin.",), task_objects=("block_2", "bin_0")).conditions == (
         of("block_2", "in", "bin_0"),
