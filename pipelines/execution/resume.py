@@ -16,6 +16,9 @@ from stable_data.storage.run_folder import RunFolder
 OF_DATASET = content_id("dataset")
 """The shard of rows that belong to no other shard: failures and warnings about the input as a whole."""
 
+REPLACED = "replaced_shards"
+"""The key of the shards that are deleted when a grown run is complete, by table: later steps replace them."""
+
 _COMPARED = ("job", "code_version", "table_version", "dataset")
 
 
@@ -45,7 +48,12 @@ def read_manifest(folder: RunFolder) -> dict[str, Any] | None:
 
 
 def check_resume(
-    folder: RunFolder, manifest: dict[str, Any], shaping: Mapping[str, Any], *, may_be_added: Sequence[str] = ()
+    folder: RunFolder,
+    manifest: dict[str, Any],
+    shaping: Mapping[str, Any],
+    *,
+    may_be_added: Sequence[str] = (),
+    grown: Set[str] = frozenset(),
 ) -> None:
     """Refuses to mix rows of two configurations, inputs or versions in one folder.
 
@@ -53,9 +61,10 @@ def check_resume(
         folder: The run.
         manifest: The manifest of this run; its ``inputs`` are compared one by one. Changed source code of the same version is
             not refused but recorded, see :func:`pipelines.execution.code_history.record_code`. The list ``work`` of the former
-            run is copied into it.
+            run is copied into it, and the shards that its growth replaces.
         shaping: The settings that shape rows.
         may_be_added: Further keys of the manifest to compare if the former run has them.
+        grown: Keys that may differ because the run grows, such as ``inputs.tasks``.
 
     Raises:
         ConfigError: The folder belongs to another run; the message lists ``key: was -> now``.
@@ -77,11 +86,12 @@ def check_resume(
 
     def compared(found: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         inputs = {f"inputs.{kind}": content for kind, content in found["inputs"].items()}
-        return {key: with_release(found).get(key) for key in keys} | inputs | {key: settings.get(key) for key in shaping}
+        every = {key: with_release(found).get(key) for key in keys} | inputs | {key: settings.get(key) for key in shaping}
+        return {key: value for key, value in every.items() if key not in grown}
 
     refuse_changed(folder.uri, compared(was, was["settings"]), compared(manifest, shaping))
     take_over_code(was, manifest)
-    manifest |= {"work": list(was.get("work", []))}
+    manifest |= {key: was[key] for key in ("work", REPLACED) if key in was}
 
 
 def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> None:

@@ -12,16 +12,19 @@ from pipelines.execution.progress_bar import ProgressBar
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.resume import (
     OF_DATASET,
+    REPLACED,
     check_resume,
     check_shards,
     count_items,
     count_rows,
     new_manifest,
+    read_manifest,
     write_manifest,
 )
 from pipelines.execution.shard_step import ShardTask, ShardWriter, StepShards, add_schemas
 from stable_data.content_id import content_id
 from stable_data.errors import Notice
+from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
 
@@ -71,18 +74,30 @@ class ShardJob(ABC):
         name: The job's verb.
         dataset: Name of its input as a whole.
         settings: Its settings, fully resolved.
+        growth: The numbers of items with which the run began and by which it grew; empty if it never grew.
         ADDED: Keys of :meth:`about` that must not change on a resume, if the former run has them.
+        GROWS: What may differ from the former run if this job continues it with further items, as keys of the manifest.
     """
 
     ADDED: ClassVar[tuple[str, ...]] = ()
+    GROWS: ClassVar[frozenset[str]] = frozenset()
 
     name: str
     dataset: str
     settings: JobSettings = NoSettings()
+    growth: Sequence[int] = ()
 
     @abstractmethod
     def inputs(self) -> dict[str, Any]:
         """Hashes of all inputs by kind. An input that cannot be used is refused here, before anything is written."""
+
+    def continuing(self, was: Mapping[str, Any]) -> "ShardJob":
+        """The job as it continues a former run in its folder; a job that can grow keeps the shards of the former run.
+
+        Args:
+            was: The manifest of the former run.
+        """
+        return self
 
     @abstractmethod
     def plan(self) -> Sequence[StepShards[Any]]:
@@ -137,16 +152,25 @@ def run_job(job: ShardJob, out: str, workers: WorkerPool, *, report: bool = True
     """
     folder, inputs = RunFolder(out), job.inputs()  # bad inputs are refused before anything is written
     with folder.locked():
+        was = read_manifest(folder)
+        job = job if was is None else job.continuing(was)
         manifest = new_manifest(job.name, job.dataset, inputs, settings=_settings(job), work=[], **job.about())
-        check_resume(folder, manifest, job.settings.shaping(), may_be_added=job.ADDED)
+        if job.growth:
+            manifest["growth"] = list(job.growth)
+        grown = job.GROWS if job.growth else frozenset[str]()
+        check_resume(folder, manifest, job.settings.shaping(), may_be_added=job.ADDED, grown=grown)
+        steps = list(job.plan())
+        if was is not None and list(job.growth) != was.get("growth", []):
+            _note_replaced(folder, manifest, _planned(steps))
         write_manifest(folder, manifest)
         _write_notices(folder, job)
-        steps = list(job.plan())
         work = _run_missing(folder, manifest, steps, workers, job.name)
         for later in job.later_plans(folder):
             _run_missing(folder, manifest, later, workers, job.name)
             steps += later
         planned = _planned(steps)
+        for table, shard_ids in manifest.pop(REPLACED, {}).items():
+            folder.remove_shards(table, set(shard_ids) - planned.get(table, set()))
         check_shards(folder, planned, job.carried())
         counts = {
             **count_rows(folder, [table for table, shard_ids in planned.items() if shard_ids]),
@@ -184,6 +208,13 @@ def _write_notices(folder: RunFolder, job: ShardJob) -> None:
     for table, found in (("failures", job.lost()), ("warnings", job.odd())):
         if OF_DATASET not in folder.shard_ids(table):
             folder.write_shard(table, OF_DATASET, [notice_row(n) for n in found])
+
+
+def _note_replaced(folder: RunFolder, manifest: dict[str, Any], planned: Mapping[str, set[str]]) -> None:
+    """Notes in the manifest the shards of later steps: those steps are planned anew from the tables of the grown run."""
+    was = manifest.get(REPLACED, {})
+    found = {table: folder.shard_ids(table) - planned.get(table, set()) for table in schemas.SCHEMAS}
+    manifest[REPLACED] = {table: sorted({*ids, *was.get(table, ())}) for table, ids in found.items() if ids or table in was}
 
 
 def _planned(steps: Sequence[StepShards[Any]]) -> dict[str, set[str]]:

@@ -1,11 +1,13 @@
 """The generate job: Algorithm 1 turns tasks into simulation-ready scenes, in this process or on a Ray cluster."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import asdict, replace
 from functools import cached_property
-from typing import Any
+from itertools import accumulate, pairwise
+from typing import Any, ClassVar
 
 from models.baselines.layout.prompts import FINGERPRINT as PROMPTS_FINGERPRINT
 from models.physics_corrector.learned_flow import load_flow, weights_fingerprint
@@ -21,7 +23,7 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
 from pipelines.sources.asset_copies import CopyAssets, asset_shards
 from pipelines.sources.assets import AssetLibraries, absolute_places
-from pipelines.sources.generation_tasks import SampledTask, TaskSource, fingerprints_of_tasks, served_tasks
+from pipelines.sources.generation_tasks import SampledTask, Task, TaskSource, fingerprints_of_tasks, served_tasks
 from pipelines.sources.layout_files import LayoutFiles
 from pipelines.sources.scene_variants import SceneVariant
 from pipelines.sources.scenes import TableSource
@@ -69,9 +71,10 @@ class GenerateJob(ShardJob):
 
     name = "generate"
     settings: GenerateSettings
+    GROWS: ClassVar = frozenset({"dataset", "inputs.tasks"})
 
     def __init__(self, tasks: TaskSource, settings: GenerateSettings, assets: Sequence[str] = ()) -> None:
-        settings = settings.of_tasks(len(tasks.tasks))
+        self._may_choose_size, settings = settings.scenes_per_shard == 0, settings.of_tasks(len(tasks.tasks))
         self._supports, places = tasks.supports, absolute_places(assets)
         places = places or (EMBEDDED,) * (tasks.supports is not None)
         self._asked_places = places  # tasks are drawn for these: the same tasks for each system
@@ -124,7 +127,7 @@ class GenerateJob(ShardJob):
         if settings.layout_files:
             found["layouts"] = LayoutFiles(settings.layout_files, self._libraries).fingerprint
         return found | {
-            "tasks": content_id(fingerprints_of_tasks(tasks.tasks), [asdict(notice) for notice in tasks.lost]),
+            "tasks": self._hash_of_tasks(tasks.tasks),
             "reasoner": content_id(proposal_config(settings.engine, settings.reasoner)),
             **self._asked.inputs,
             **{f"assets.{library}": found for library, found in self._libraries.fingerprints.items()},
@@ -138,12 +141,32 @@ class GenerateJob(ShardJob):
         """The name of the engine and the number of tasks."""
         return {"engine": self.settings.engine.engine, "num_tasks": len(self.tasks.tasks) + len(self.tasks.lost)}
 
+    def continuing(self, was: Mapping[str, Any]) -> "GenerateJob":
+        """The job that adds its further tasks to a former run, whose tasks are the first of its own."""
+        former = was.get("growth", [was.get("num_tasks", 0) - len(self.tasks.lost)])
+        tasks, count = self.tasks.tasks, sum(former)
+        grown = copy(self)
+        if self._may_choose_size:  # the default size is that of the former number of tasks
+            size = was["settings"].get("scenes_per_shard")
+            grown.settings = replace(self.settings, scenes_per_shard=size or self.settings.scenes_per_shard)
+        if not 0 < count <= len(tasks) or self._hash_of_tasks(tasks[:count]) != was["inputs"].get("tasks"):
+            return self  # other tasks, which are refused
+        added = [len(tasks) - count] * (count < len(tasks))
+        grown.growth = [*former, *added] if added or "growth" in was else ()
+        return grown
+
+    def _hash_of_tasks(self, tasks: Sequence[Task]) -> str:
+        return content_id(fingerprints_of_tasks(tasks), [asdict(notice) for notice in self.tasks.lost])
+
     def plan(self) -> Sequence[StepShards[Any]]:
         """One step over the tasks. The id of a shard is a hash of its own tasks and of the settings, not of other tasks."""
         shaping = self.settings.shaping(), {key: value for key, value in self._inputs.items() if key != "tasks"}
+        ends = [*accumulate(self.growth or [len(self.tasks.tasks)])]
+        parts = [self.tasks.tasks[start:end] for start, end in pairwise([0, *ends])]
         shards = [
             Shard(content_id("generate", *shaping, fingerprints_of_tasks(part)), tuple(part))
-            for part in split_groups(self.tasks.tasks, self.settings.scenes_per_shard)
+            for grown in parts
+            for part in split_groups(grown, self.settings.scenes_per_shard)
         ]
         return [StepShards(GenerateWork(self.places, self.settings, content_id(self._inputs), self._supports), shards)]
 

@@ -189,6 +189,20 @@ class RunFolder:
             suffix = f"-{number}" if number else ""
             self.write_bytes(f"{table}/part-{shard_id}{suffix}.parquet", sink.getvalue().to_pybytes())
 
+    def remove_shards(self, table: str, shard_ids: Set[str]) -> None:
+        """Deletes shards of a table; shards that are not there are left out.
+
+        The first file of a shard is deleted first: without it, no other file of the shard is read.
+
+        Raises:
+            ConfigError: A file cannot be deleted.
+        """
+        for path in [path for path in self.files(table) if _shard_of(path) in shard_ids]:
+            try:
+                self.filesystem.delete_file(path)
+            except OSError as error:
+                raise cannot_write(path, error) from error
+
     def shard_ids(self, table: str) -> set[str]:
         """Returns the ids of the complete shards of a table; see :meth:`files`."""
         names = (Path(path).name for path in self.files(table))

@@ -1,7 +1,7 @@
-"""Copies the scenes of a run that pass a condition to another run, with their assets and rows of other tables."""
+"""Copies the scenes of runs that pass a condition to another run, with their assets and rows of other tables."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,32 +36,39 @@ def count_selected(run: RunFolder, where: str) -> tuple[int, int]:
     return TableScan(run, "scenes", where).count()
 
 
-def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
+def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFolder] = ()) -> dict[str, int]:
     """Writes the scenes that pass a condition to another folder, with their rows of other tables and their assets.
 
-    Rows are written as they are read: the memory does not grow with the number of scenes, but for 16 bytes a selected scene.
-    Columns that the run lacks are null in the target; a warning names those of ``scenes``. The table ``failures`` is not
-    copied. A repeated call writes only missing shards, and leaves a complete selection of another code version unchanged.
+    Rows are written as they are read: the memory does not grow with the number of scenes, but for 16 bytes a selected scene, and about
+    200 bytes for one that is in several runs. Columns that the run lacks are null in the target; a warning names those of ``scenes``.
+    The table ``failures`` is not copied. A scene that is in several runs is taken once, from the first of them, and so are assets and
+    textures; ``doubles`` in the manifest counts those that were left out. A repeated call writes only missing shards, and leaves a
+    complete selection of another code version unchanged.
 
     Args:
         run: The run.
         where: The condition, see :mod:`stable_data.storage.filter_expression`.
         target: The folder to write.
+        joined: Further runs; their scenes follow those of ``run``.
 
     Returns:
         Number of rows by table.
 
     Raises:
-        ConfigError: The condition is not valid for ``scenes``, the run has no such table, or the target has other content.
+        ConfigError: The condition is not valid for ``scenes``, a run has no such table, or the target has other content; or an asset has
+            different meshes in two runs (``asset_differs``).
     """
-    scan = TableScan(run, "scenes", where)
-    read = {table: sorted(run.shard_ids(table)) for table in SCHEMAS if run.files(table) and table != "failures"}
+    runs = [run, *joined]
+    scans = [TableScan(one, "scenes", where) for one in runs]
+    read = [
+        {table: sorted(one.shard_ids(table)) for table in SCHEMAS if one.files(table) and table != "failures"} for one in runs
+    ]
     manifest = {
         "job": "query",
         "code_version": code_version(),
         "table_version": TABLE_VERSION,
-        "input_fingerprint": content_id(read),
-        "inputs": {"run": run.uri},
+        "input_fingerprint": content_id(*read),
+        "inputs": {"run": run.uri} | ({"joined": [one.uri for one in joined]} if joined else {}),
         "settings": {"where": where},
     }
     previous = _previous_manifest(target, manifest)
@@ -69,20 +76,100 @@ def select(run: RunFolder, where: str, target: RunFolder) -> dict[str, int]:
         return dict(previous["counts"])
     if not previous:
         _write_manifest(target, manifest | {"status": "running"})
-    chosen = _Chosen()
-    _write("scenes", map(chosen.noted, scan.tables()), target)
-    chosen.close()
-    for table in read:
-        if table in _ASSET_TABLES:
-            _write(table, _rows(run, table, pc.field("asset_id").isin(_texts(chosen.asset_ids))), target)
-        elif table == "textures":
-            _write(table, _rows(run, table, pc.field("sha256").isin(_texts(_images_of(run, chosen.asset_ids)))), target)
-        elif table != "scenes":
-            name = "scene_id" if "scene_id" in SCHEMAS[table].names else "id"
-            _write(table, (part.filter(chosen.has(part[name])) for part in _rows(run, table)), target)
-    counts = {table: target.num_rows(table) for table in read}
-    _write_manifest(target, manifest | {"status": "complete", "counts": counts})
+    chosen, doubles = [_Chosen() for _ in runs], _Doubles(runs)
+    found = zip(chosen, scans, strict=True)
+    _write("scenes", (one.noted(doubles.without(part)) for one, scan in found for part in scan.tables()), target)
+    _share_assets(runs, chosen)
+    tables = [table for table in SCHEMAS if any(table in names for names in read)]
+    for table in tables:
+        if table != "scenes":
+            parts = (part for one, source in zip(chosen, runs, strict=True) for part in _rows_of_chosen(source, table, one))
+            _write(table, _without_doubles(parts, "sha256") if table == "textures" else parts, target)
+    counts = {table: target.num_rows(table) for table in tables}
+    left_out = {"doubles": {"scenes": doubles.count, "different": doubles.num_different}} if joined else {}
+    _write_manifest(target, manifest | {"status": "complete", "counts": counts} | left_out)
     return counts
+
+
+def _rows_of_chosen(run: RunFolder, table: str, chosen: "_Chosen") -> Iterator[pa.Table]:
+    """The rows of a table that belong to the chosen scenes of a run, or to the assets that it gives."""
+    if not run.files(table):
+        return
+    if table in _ASSET_TABLES:
+        yield from _rows(run, table, pc.field("asset_id").isin(_texts(chosen.asset_ids)))
+    elif table == "textures":
+        yield from _rows(run, table, pc.field("sha256").isin(_texts(_images_of(run, chosen.asset_ids))))
+    else:
+        name = "scene_id" if "scene_id" in SCHEMAS[table].names else "id"
+        yield from (part.filter(chosen.has(part[name])) for part in _rows(run, table))
+
+
+def _without_doubles(parts: Iterable[pa.Table], column: str) -> Iterator[pa.Table]:
+    """The rows of parts of a table without those whose value in a column was there before."""
+    there = set[str]()
+    for part in parts:
+        names = part[column].to_pylist()
+        first = {name: number for number, name in reversed(list(enumerate(names))) if name not in there}
+        there.update(first)
+        yield part.take(pa.array(sorted(first.values()), pa.int64()))
+
+
+def _share_assets(runs: Sequence[RunFolder], chosen: Sequence["_Chosen"]) -> None:
+    """Makes the scenes known, and lets each asset be given by one run: the first one that uses it and has its mesh.
+
+    Raises:
+        ConfigError: An asset has different meshes in two runs (``asset_differs``).
+    """
+    giving: dict[str, _Chosen] = {}
+    meshes: dict[str, tuple[str | None, str]] = {}
+    for run, one in zip(runs, chosen, strict=True) if len(runs) > 1 else ():
+        for batch in run.batches("meshes", ["asset_id", "sha256"]) if run.files("meshes") else ():
+            for name, sha256 in zip(batch["asset_id"].to_pylist(), batch["sha256"].to_pylist(), strict=True):
+                if name in one.asset_ids:
+                    there, where = meshes.setdefault(name, (sha256, run.uri))
+                    if there != sha256:
+                        raise ConfigError(
+                            f"asset {name}: its mesh in {run.uri} is not that in {where}, expected one mesh of an asset; make the scenes "
+                            "of one run again with the library of the other",
+                            "asset_differs",
+                        )
+                    giving.setdefault(name, one)
+    for one in chosen:
+        one.asset_ids = {name for name in one.asset_ids if giving.setdefault(name, one) is one}
+        one.close()
+
+
+class _Doubles:
+    """The scenes whose ids are in several of some runs; of these, the one of the first run is taken.
+
+    Args:
+        runs: The runs.
+
+    Attributes:
+        count: Number of scenes that were left out because they were taken before.
+        num_different: Number of these whose rows differ from the taken ones, for example because other settings made them.
+    """
+
+    def __init__(self, runs: Sequence[RunFolder]) -> None:
+        self.count = self.num_different = 0
+        self._repeated: dict[bytes, str | None] = {}  # hash of the id -> hash of the row, None before it was read
+        if len(runs) > 1:
+            parts = [id_hashes(batch["scene_id"]) for run in runs for batch in run.batches("scenes", ["scene_id"])]
+            found, counts = np.unique(np.concatenate(parts), axis=0, return_counts=True)
+            self._repeated = dict.fromkeys(row.tobytes() for row in found[counts > 1])
+
+    def without(self, part: pa.Table) -> pa.Table:
+        """A part of the table ``scenes`` of a run without the scenes that were taken before."""
+        if not self._repeated:
+            return part
+        is_new = np.ones(len(part), bool)
+        for number, key in enumerate(map(np.ndarray.tobytes, id_hashes(part["scene_id"]))):
+            if key in self._repeated:
+                content, there = content_id(part.slice(number, 1).to_pylist()), self._repeated[key]
+                self.count += there is not None
+                self.num_different += there is not None and there != content
+                is_new[number], self._repeated[key] = there is None, there or content
+        return part.filter(pa.array(is_new))
 
 
 class _Chosen:

@@ -108,3 +108,65 @@ def test_the_command_counts_writes_and_refuses(clean_run: Path, selected: Path, 
     assert refused.exit_code == 2
     assert "cannot be read" in refused.stderr
     assert not (tmp_path / "other").exists()
+
+
+def parts_of(run: Path, folder: Path, *conditions: str) -> list[RunFolder]:
+    found = [RunFolder(str(folder / str(number))) for number, _ in enumerate(conditions)]
+    for condition, part in zip(conditions, found, strict=True):
+        select(RunFolder(str(run)), condition, part)
+    return found
+
+
+def rows_by_id(run: RunFolder, table: str) -> dict[str, str]:
+    rows = run.table(table).to_pylist()
+    found = {json.dumps([row.get(k) for k in ("scene_id", "asset_id", "id", "stage", "code")]): str(row) for row in rows}
+    assert len(found) == len(rows)
+    return found
+
+
+def test_runs_that_overlap_are_joined_without_doubles(clean_run: Path, tmp_path: Path) -> None:
+    ids = sorted(RunFolder(str(clean_run)).table("scenes", ["scene_id"])["scene_id"].to_pylist())
+    first, second = parts_of(clean_run, tmp_path, f"scene_id in {ids[:3]}", f"scene_id in {ids[1:]}")
+    whole, joined = RunFolder(str(tmp_path / "whole")), RunFolder(str(tmp_path / "joined"))
+    select(RunFolder(str(clean_run)), "scene_id is not None", whole)
+    counts = select(first, "scene_id is not None", joined, [second])
+    manifest = json.loads((tmp_path / "joined" / "manifest.json").read_bytes())
+    assert manifest["doubles"] == {"scenes": 2, "different": 0}
+    assert counts == {table: whole.num_rows(table) for table in counts}
+    for table in ("scenes", "assets", "meshes", "sdf", "samples"):
+        assert rows_by_id(joined, table) == rows_by_id(whole, table), table
+    hashes = joined.table("textures", ["sha256"])["sha256"].to_pylist()
+    assert len(hashes) == len(set(hashes))
+    assert list(TableStream(joined.uri))  # every reader of runs reads it
+    before = content(tmp_path / "joined")
+    select(first, "scene_id is not None", joined, [second])
+    assert content(tmp_path / "joined") == before
+
+
+def test_a_scene_that_differs_is_that_of_the_first_run_and_is_counted(clean_run: Path, tmp_path: Path) -> None:
+    first, second = parts_of(clean_run, tmp_path, "scene_id is not None", "scene_id is not None")
+    rows = second.table("scenes")
+    changed = rows.set_column(rows.schema.get_field_index("num_stacked"), "num_stacked", pc.add(rows["num_stacked"], 1))
+    for shard_id in second.shard_ids("scenes"):
+        second.write_table("scenes", shard_id, changed.cast(rows.schema))
+    select(first, "scene_id is not None", RunFolder(str(tmp_path / "joined")), [second])
+    manifest = json.loads((tmp_path / "joined" / "manifest.json").read_bytes())
+    assert manifest["doubles"] == {"scenes": 4, "different": 4}
+    assert rows_by_id(RunFolder(str(tmp_path / "joined")), "scenes") == rows_by_id(first, "scenes")
+
+
+def test_an_asset_with_two_meshes_is_refused(clean_run: Path, tmp_path: Path) -> None:
+    first, second = parts_of(clean_run, tmp_path, "scene_id is not None", "scene_id is not None")
+    for table, column, prefix in (("scenes", "scene_id", "other_"), ("meshes", "sha256", "0")):
+        rows = second.table(table)
+        place = rows.schema.get_field_index(column)
+        other = rows.set_column(place, rows.schema.field(place), pc.binary_join_element_wise(prefix, rows[column], ""))
+        for number, shard_id in enumerate(sorted(second.shard_ids(table))):
+            second.write_table(table, shard_id, other if number == 0 else other.slice(0, 0))
+        if table == "scenes":
+            joined = RunFolder(str(tmp_path / "joined"))
+            assert select(first, "scene_id is not None", joined, [second])["scenes"] == 8
+            assert joined.num_rows("meshes") == first.num_rows("meshes")
+    with pytest.raises(ConfigError, match="is not that in") as caught:
+        select(first, "scene_id is not None", RunFolder(str(tmp_path / "again")), [second])
+    assert caught.value.code == "asset_differs"
