@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.evaluate_policy.settings import EvaluatePolicySettings
-from pipelines.execution.resume import read_manifest
 from pipelines.reports.text_table import align_columns
 from stable_data.atomic_files import write_file_atomically
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.scores.intervals import wilson_interval
+from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_folder import RunFolder
 
 FILE = Path(__file__).with_name("leaderboard.csv")

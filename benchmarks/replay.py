@@ -22,12 +22,12 @@ from scipy.stats import mannwhitneyu
 from models.settings import fill_settings
 from pipelines.demonstrate.environments import EpisodeRef, open_episode
 from pipelines.demonstrate.settings import DemonstrateSettings
-from pipelines.execution.resume import read_manifest
 from pipelines.reports.text_table import align_columns
 from stable_data.errors import StableDataError
 from stable_data.robot.acting.recording import replay
 from stable_data.robot.episodes import read_episodes
 from stable_data.scores.intervals import wilson_interval
+from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_folder import RunFolder
 
 NUMBERS = ("max_penetration_mm", "table_penetration_mm", "max_gap_mm", "settle_move_max_mm")

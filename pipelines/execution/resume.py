@@ -1,6 +1,5 @@
 """The manifest of a run: what is compared when a run resumes, and what is checked when it ends."""
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any
@@ -11,6 +10,7 @@ from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.storage import schemas
+from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_folder import RunFolder
 
 OF_DATASET = content_id("dataset")
@@ -27,24 +27,6 @@ def new_manifest(job: str, dataset: str, inputs: Mapping[str, Any], **more: Any)
     code = {"code_version": code_version(), "code_versions": [code_version()]}
     head = {"job": job, "status": "running", **code, "table_version": schemas.TABLE_VERSION}
     return {**head, "dataset": dataset, "inputs": dict(inputs), "input_fingerprint": content_id(dict(inputs)), **more}
-
-
-def read_manifest(folder: RunFolder) -> dict[str, Any] | None:
-    """The manifest in a folder, or None if there is none.
-
-    Raises:
-        ConfigError: The file is not a manifest (``manifest_invalid``).
-    """
-    content = folder.read_bytes("manifest.json")
-    if content is None:
-        return None
-    try:
-        found = dict(json.loads(content))
-        return found | {key: dict(found.get(key, {})) for key in ("settings", "inputs")}
-    except (ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"
-        ) from error
 
 
 def check_resume(
@@ -92,12 +74,6 @@ def check_resume(
     refuse_changed(folder.uri, compared(was, was["settings"]), compared(manifest, shaping))
     take_over_code(was, manifest)
     manifest |= {key: was[key] for key in ("work", REPLACED) if key in was}
-
-
-def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> None:
-    """Writes ``manifest.json``."""
-    text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
-    folder.write_bytes("manifest.json", text.encode())
 
 
 def check_shards(folder: RunFolder, planned: Mapping[str, set[str]], carried: Mapping[str, Set[str]]) -> None:

@@ -18,13 +18,13 @@ from pipelines.execution.resume import (
     count_items,
     count_rows,
     new_manifest,
-    read_manifest,
-    write_manifest,
 )
 from pipelines.execution.shard_step import ShardTask, ShardWriter, StepShards, add_schemas
 from stable_data.content_id import content_id
 from stable_data.errors import Notice
 from stable_data.storage import schemas
+from stable_data.storage.manifest import read_manifest, write_manifest
+from stable_data.storage.run_changes import PRUNED
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
 
@@ -160,7 +160,7 @@ def run_job(job: ShardJob, out: str, workers: WorkerPool, *, report: bool = True
         grown = job.GROWS if job.growth else frozenset[str]()
         check_resume(folder, manifest, job.settings.shaping(), may_be_added=job.ADDED, grown=grown)
         steps = list(job.plan())
-        if was is not None and list(job.growth) != was.get("growth", []):
+        if was is not None and (list(job.growth) != was.get("growth", []) or PRUNED in was):
             _note_replaced(folder, manifest, _planned(steps))
         write_manifest(folder, manifest)
         _write_notices(folder, job)

@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import IsolatedProcess
-from pipelines.execution.resume import check_resume, new_manifest, write_manifest
+from pipelines.execution.resume import check_resume, new_manifest
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.preprocess.plan import AssetUseCount, file_digest
 from pipelines.scene_files.folder import call_for_file
@@ -24,6 +24,7 @@ from stable_data.importers.scenes.lint import no_scene_error, scene_candidates
 from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.metrics.audit import audit_scene
+from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row
 from stable_data.storage.table_rows import card_row, notice_row, scene_row

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 from tqdm import tqdm
 
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.resume import check_resume, new_manifest, write_manifest
+from pipelines.execution.resume import check_resume, new_manifest
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.preprocess.plan import file_digest
 from pipelines.sources.asset_copies import CopyAssets
@@ -25,6 +25,7 @@ from stable_data.importers.scenes.layouts import ImportedScene, fixed_scene
 from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import UPRIGHT
+from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import card_row, notice_row, scene_row

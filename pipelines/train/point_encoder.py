@@ -6,7 +6,6 @@ from tqdm import tqdm
 
 from models.physics_corrector.scene_reading import ENCODER_FILE
 from models.point_encoder import PUBLISHED, PointCloud, PointEncoder, load_published, one_thread, save
-from pipelines.execution.resume import read_manifest
 from pipelines.preprocess.features import AUTO, NONE, encoder_named
 from stable_data.assets.point_features import FeatureKey, feature_key
 from stable_data.assets.run_assets import RunAssets
@@ -14,6 +13,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape
 from stable_data.scene import SceneObject
+from stable_data.storage.manifest import read_manifest
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table

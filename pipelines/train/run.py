@@ -16,10 +16,10 @@ from tqdm import tqdm
 
 from models.training.distributed import ProcessContext
 from pipelines.execution.code_history import record_code, take_over_code, with_release
-from pipelines.execution.resume import read_manifest
 from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
 from stable_data.errors import ConfigError
+from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_folder import RunFolder, absolute_uri
 
 STATE = "checkpoint/state.pt"

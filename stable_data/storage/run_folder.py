@@ -182,12 +182,16 @@ class RunFolder:
         """Writes one shard of a table from an Arrow table; see :meth:`write_shard`."""
         pieces = list(_pieces(rows))
         for number, piece in reversed(list(enumerate(pieces))):
-            sink = pa.BufferOutputStream()
-            with pq.ParquetWriter(sink, piece.schema, **_format_of(table, piece.schema)) as writer:
-                if piece.num_rows:  # Hugging Face datasets fails on a row group without rows
-                    writer.write_table(piece, row_group_size=_rows_of_group(table, piece))
             suffix = f"-{number}" if number else ""
-            self.write_bytes(f"{table}/part-{shard_id}{suffix}.parquet", sink.getvalue().to_pybytes())
+            self.write_file(table, f"part-{shard_id}{suffix}.parquet", piece)
+
+    def write_file(self, table: str, name: str, rows: pa.Table) -> None:
+        """Writes one file of a table, or replaces it at once."""
+        sink = pa.BufferOutputStream()
+        with pq.ParquetWriter(sink, rows.schema, **_format_of(table, rows.schema)) as writer:
+            if rows.num_rows:  # Hugging Face datasets fails on a row group without rows
+                writer.write_table(rows, row_group_size=_rows_of_group(table, rows))
+        self.write_bytes(f"{table}/{name}", sink.getvalue().to_pybytes())
 
     def remove_shards(self, table: str, shard_ids: Set[str]) -> None:
         """Deletes shards of a table; shards that are not there are left out.

@@ -8,6 +8,19 @@ import pyarrow as pa
 from stable_data.errors import ConfigError, MissingColumnsWarning
 from stable_data.storage.schemas import NONE_IF_NULL, REQUIRED, TABLE_VERSION
 
+OLDEST_VERSION = 1
+"""The oldest version of tables that can be brought up to date: its tables differ from those of today by columns that were added."""
+
+
+def version_of(schema: pa.Schema) -> str:
+    """The version of the tables with which a file was written, as text; ``none`` if the file does not say."""
+    return str((schema.metadata or {}).get(b"stable_data.version", b"none").decode(errors="replace"))
+
+
+def is_older_version(version: str) -> bool:
+    """Whether tables of a version can be brought up to date."""
+    return version in map(str, range(OLDEST_VERSION, TABLE_VERSION))
+
 
 def check_schema(schema: pa.Schema, table: str, where: str) -> None:
     """Checks that a file of a table can be read as the current version.
@@ -20,14 +33,25 @@ def check_schema(schema: pa.Schema, table: str, where: str) -> None:
     Raises:
         ConfigError: The version is not TABLE_VERSION (``table_version``), or a REQUIRED column is missing (``column_missing``).
     """
-    found = (schema.metadata or {}).get(b"stable_data.version", b"none").decode()
+    found = version_of(schema)
     if found != str(TABLE_VERSION):
         remedy = (
-            "install the version of stable-data that wrote it, or a newer one"
+            "bring the run up to date with: stable-data upgrade RUN"
+            if is_older_version(found)
+            else "install the version of stable-data that wrote it, or a newer one"
             if found.isdigit() and int(found) > TABLE_VERSION
-            else "run the job again into a new folder, or read it with the version of stable-data that wrote it"
+            else "run the job again into a new folder"
         )
         raise ConfigError(f"{where}: written as table version {found}, expected {TABLE_VERSION}; {remedy}", "table_version")
+    check_required(schema, table, where)
+
+
+def check_required(schema: pa.Schema, table: str, where: str) -> None:
+    """Checks that a file of a table has the columns without which its rows cannot be used.
+
+    Raises:
+        ConfigError: A REQUIRED column is missing (``column_missing``).
+    """
     if missing := set(REQUIRED[table]).difference(schema.names):
         raise ConfigError(
             f"{where}: column {', '.join(sorted(missing))} is missing, expected in every table {table}; "

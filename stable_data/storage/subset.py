@@ -14,13 +14,14 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import texture_addresses
 from stable_data.storage.id_hashes import Hashes, id_hashes
+from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.storage.table_scan import TableScan
 
 _SHARD_BYTES = 64 * 10**6
 _SHARD_BYTES_OF = {"scenes": 16 * 10**6}  # a reader of one scene reads the footer of its file
-_ASSET_TABLES = ("assets", "meshes", "sdf", "features")
+ASSET_TABLES = ("assets", "meshes", "sdf", "features")
 
 
 def count_selected(run: RunFolder, where: str) -> tuple[int, int]:
@@ -75,7 +76,7 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
     if previous and previous["code_version"] != manifest["code_version"]:
         return dict(previous["counts"])
     if not previous:
-        _write_manifest(target, manifest | {"status": "running"})
+        write_manifest(target, manifest | {"status": "running"})
     chosen, doubles = [_Chosen() for _ in runs], _Doubles(runs)
     found = zip(chosen, scans, strict=True)
     _write("scenes", (one.noted(doubles.without(part)) for one, scan in found for part in scan.tables()), target)
@@ -87,7 +88,7 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
             _write(table, _without_doubles(parts, "sha256") if table == "textures" else parts, target)
     counts = {table: target.num_rows(table) for table in tables}
     left_out = {"doubles": {"scenes": doubles.count, "different": doubles.num_different}} if joined else {}
-    _write_manifest(target, manifest | {"status": "complete", "counts": counts} | left_out)
+    write_manifest(target, manifest | {"status": "complete", "counts": counts} | left_out)
     return counts
 
 
@@ -95,10 +96,10 @@ def _rows_of_chosen(run: RunFolder, table: str, chosen: "_Chosen") -> Iterator[p
     """The rows of a table that belong to the chosen scenes of a run, or to the assets that it gives."""
     if not run.files(table):
         return
-    if table in _ASSET_TABLES:
+    if table in ASSET_TABLES:
         yield from _rows(run, table, pc.field("asset_id").isin(_texts(chosen.asset_ids)))
     elif table == "textures":
-        yield from _rows(run, table, pc.field("sha256").isin(_texts(_images_of(run, chosen.asset_ids))))
+        yield from _rows(run, table, pc.field("sha256").isin(_texts(images_of(run, chosen.asset_ids))))
     else:
         name = "scene_id" if "scene_id" in SCHEMAS[table].names else "id"
         yield from (part.filter(chosen.has(part[name])) for part in _rows(run, table))
@@ -186,9 +187,7 @@ class _Chosen:
     def noted(self, part: pa.Table) -> pa.Table:
         """Notes the scenes of a part of the table ``scenes``, and returns the part."""
         self._parts.append(id_hashes(part["scene_id"]))
-        objects = pc.list_flatten(part["objects"])
-        for holder in (objects, part["surface"]):
-            self.asset_ids.update(pc.unique(pc.struct_field(holder, "asset_id")).drop_null().to_pylist())
+        self.asset_ids |= used_assets(part)
         return part
 
     def close(self) -> None:
@@ -212,8 +211,14 @@ class _Chosen:
         return pa.array(found)
 
 
-def _images_of(run: RunFolder, asset_ids: set[str]) -> set[str]:
-    """The images that the looks of some assets name."""
+def used_assets(scenes: pa.Table | pa.RecordBatch) -> set[str]:
+    """The ids of the assets of rows of the table ``scenes``: of their objects, and of what they stand on."""
+    holders = (pc.list_flatten(scenes["objects"]), scenes["surface"])
+    return {name for holder in holders for name in pc.unique(pc.struct_field(holder, "asset_id")).drop_null().to_pylist()}
+
+
+def images_of(run: RunFolder, asset_ids: set[str]) -> set[str]:
+    """The hashes of the images that the looks of some assets name."""
     found = set[str]()
     if not run.files("meshes"):
         return found
@@ -296,7 +301,3 @@ def _is_complete(target: RunFolder, previous: Mapping[str, Any]) -> bool:
         and isinstance(counts, dict)
         and counts == {table: target.num_rows(table) for table in counts if target.files(table)}
     )
-
-
-def _write_manifest(target: RunFolder, manifest: dict[str, object]) -> None:
-    target.write_bytes("manifest.json", (json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False) + "\n").encode())

@@ -18,6 +18,7 @@ from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
 from stable_data.errors import ConfigError, Notice
 from stable_data.scene import Stage, Tabletop
+from stable_data.storage.run_changes import prune
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import entry
@@ -132,3 +133,16 @@ def test_the_default_size_of_shards_is_that_of_the_first_tasks(
     first = {shard.shard_id for shard in grown.plan()[0].shards}
     assert RunFolder(str(tmp_path)).shard_ids("scenes") <= first
     assert OF_DATASET not in first
+
+
+def test_a_run_without_its_rejected_scenes_can_grow(
+    dataset: Path, settings: GenerateSettings, whole: Path, tmp_path: Path
+) -> None:
+    picky = replace(settings, accept="scene_id != 'task_3'")
+    generate(tasks(*WORDS[:4]), str(tmp_path), picky, ALONE, [str(dataset)], report=False)
+    assert prune(RunFolder(str(tmp_path)))["rejected"] == 1
+    for _ in range(2):
+        manifest = generate(tasks(*WORDS), str(tmp_path), picky, ALONE, [str(dataset)], report=False)
+        assert manifest["counts"]["scenes"] == 5
+    assert rows(tmp_path, "scenes").equals(rows(whole, "scenes").filter(pl.col("scene_id") != "task_3"))
+    assert rows(tmp_path, "meshes").equals(rows(whole, "meshes"))  # task_5 uses what task_3 used

@@ -192,7 +192,9 @@ def test_a_field_of_a_struct_may_be_missing(tmp_path: Path) -> None:
         assert rows["card_after"].to_pylist() == [None if card is None else card | {"stable": None} for card in expected]
 
 
-@pytest.mark.parametrize(("version", "remedy"), [(-1, "run the job again into a new folder"), (1, "install the version")])
+@pytest.mark.parametrize(
+    ("version", "remedy"), [(-1, "bring the run up to date with: stable-data upgrade RUN"), (1, "install the version")]
+)
 def test_a_run_of_another_version_is_refused_in_one_line(version: int, remedy: str, tmp_path: Path) -> None:
     found = str(TABLE_VERSION + version)
     uri = rewritten(

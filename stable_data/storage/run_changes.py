@@ -1,0 +1,130 @@
+"""Changes of a run in its own folder: an older one is brought up to date, or what was rejected is deleted from it.
+
+Both replace one file after another, each at once. A change that was stopped is completed by the same call.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from stable_data.errors import ConfigError, cannot_read
+from stable_data.storage.manifest import read_manifest, write_manifest
+from stable_data.storage.run_folder import RunFolder, read_row_groups
+from stable_data.storage.schema_checks import check_required, check_schema, conform_to_schema, is_older_version, version_of
+from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
+from stable_data.storage.subset import ASSET_TABLES, images_of, used_assets
+
+PRUNED = "pruned"
+"""The key of a manifest which says that rejected scenes were deleted, with the numbers of rows by table."""
+
+_OF_SCENES = ("settled", "grasps", "rejected")
+
+
+def upgrade(run: RunFolder) -> int:
+    """Brings the tables of a run to the present version; columns that did not exist are null, unknown.
+
+    The job that wrote the run does not continue it afterwards; its manifest keeps the version with which it was written.
+
+    Args:
+        run: The run.
+
+    Returns:
+        The number of files that were of an older version.
+
+    Raises:
+        ConfigError: It is no run, a file cannot be read, or its version is unknown or newer (``table_version``); files that were
+            brought up to date before stay so.
+    """
+    count = 0
+    with run.locked():
+        manifest = _manifest_of(run)
+        for table in SCHEMAS:
+            count += _change(run, table, partial(_to_present_version, table, f"{run.uri}/{table}"))
+        if manifest.get("table_version") != TABLE_VERSION:
+            write_manifest(run, manifest | {"upgraded_to": TABLE_VERSION})
+    return count
+
+
+def prune(run: RunFolder) -> dict[str, int]:
+    """Deletes the rejected scenes of a run, and the assets and textures that no accepted scene uses.
+
+    What was asked and answered for the rejected scenes, in ``turns`` and ``failures``, is kept.
+
+    Args:
+        run: The run, complete.
+
+    Returns:
+        The number of deleted rows by table.
+
+    Raises:
+        ConfigError: It is no run, it is not complete (``run_incomplete``), or it has no table ``rejected`` (``table_missing``).
+    """
+    with run.locked():
+        manifest = _manifest_of(run)
+        if manifest.get("status") != "complete":
+            raise ConfigError(f"{run.uri}: is not complete, expected a complete run; run its job again first", "run_incomplete")
+        run.dataset("rejected")
+        tables = [table for table in (*ASSET_TABLES, "textures", *_OF_SCENES) if run.files(table)]
+        before = {table: run.num_rows(table) for table in tables}
+        write_manifest(run, manifest | {PRUNED: dict(manifest.get(PRUNED, {}))})  # from now on, shards do not contain all rows
+        scenes, asset_ids = _in_use(run)
+        kept = pa.array(sorted(asset_ids), pa.string())
+        for table in ASSET_TABLES:
+            _change(run, table, lambda rows: rows.filter(pc.is_in(rows["asset_id"], kept)))
+        if "textures" in tables:
+            images = pa.array(sorted(images_of(run, asset_ids)), pa.string())
+            _change(run, "textures", lambda rows: rows.filter(pc.is_in(rows["sha256"], images)))
+        for table in _OF_SCENES:  # rejected last: as long as its rows are there, a repeated call deletes the rest
+            _change(run, table, lambda rows: rows.filter(pc.is_in(rows["scene_id"], scenes)))
+        deleted = {table: count - run.num_rows(table) for table, count in before.items()}
+        was = manifest.get(PRUNED, {})
+        counts = manifest["counts"] | {table: count - deleted[table] for table, count in before.items()}
+        pruned = {table: deleted[table] + was.get(table, 0) for table in tables}
+        write_manifest(run, manifest | {"counts": counts, PRUNED: pruned})
+    return deleted
+
+
+def _manifest_of(run: RunFolder) -> dict[str, Any]:
+    found = read_manifest(run)
+    if found is None:
+        raise ConfigError(f"{run.uri}: has no manifest.json, expected the folder of a run", "not_a_run")
+    return found
+
+
+def _change(run: RunFolder, table: str, change: Callable[[pa.Table], pa.Table]) -> int:
+    """Replaces the files of a table of which a function changes the rows or the schema; returns their number."""
+    count = 0
+    for path in run.files(table):
+        try:
+            file = pq.ParquetFile(path, filesystem=run.filesystem)
+            rows = read_row_groups(file, path, range(file.num_row_groups)).replace_schema_metadata(file.schema_arrow.metadata)
+        except (pa.ArrowException, OSError) as error:
+            raise cannot_read(run.uri, path, error) from error
+        changed = change(rows)
+        if changed.num_rows != rows.num_rows or not changed.schema.equals(rows.schema, check_metadata=True):
+            run.write_file(table, Path(path).name, changed)
+            count += 1
+    return count
+
+
+def _to_present_version(table: str, where: str, rows: pa.Table) -> pa.Table:
+    """A table with the present version; unchanged if it has it."""
+    if is_older_version(version_of(rows.schema)):
+        check_required(rows.schema, table, where)
+        return conform_to_schema(rows, SCHEMAS[table])
+    check_schema(rows.schema, table, where)
+    return rows
+
+
+def _in_use(run: RunFolder) -> tuple[pa.Array, set[str]]:
+    """The ids of the scenes of a run, and of the assets that they use."""
+    scenes, asset_ids = list[str](), set[str]()
+    for batch in run.batches("scenes", ["scene_id", "objects", "surface"]):
+        scenes += batch["scene_id"].to_pylist()
+        asset_ids |= used_assets(batch)
+    return pa.array(sorted(scenes), pa.string()), asset_ids

@@ -1,0 +1,124 @@
+"""Runs that change in their folder: older ones are brought up to date, and what was rejected is deleted."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from stable_data.errors import ConfigError
+from stable_data.storage.manifest import read_manifest
+from stable_data.storage.run_changes import PRUNED, prune, upgrade
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
+from stable_data.storage.subset import used_assets
+from stable_data.storage.torch_dataset import TableStream
+from tests.pipelines.runs import content
+
+STORED = Path(__file__).parents[2] / "data"
+
+
+def copy_of(name: str, tmp_path: Path) -> RunFolder:
+    return RunFolder(shutil.copytree(STORED / name, tmp_path / "run"))
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.filterwarnings("error")
+def test_a_run_of_an_older_version_is_read_after_one_call(version: int, tmp_path: Path) -> None:
+    run = copy_of(f"run_v{version}", tmp_path)
+    with pytest.raises(ConfigError, match=rf"written as table version {version}, .* stable-data upgrade RUN"):
+        run.table("scenes")
+    stored = pq.read_table(run.files("scenes")[0]).to_pylist()
+    num_files = sum(len(run.files(table)) for table in SCHEMAS)
+    assert upgrade(run) == num_files > 7
+    for table in filter(run.files, SCHEMAS):
+        assert run.table(table).schema.equals(SCHEMAS[table], check_metadata=True)
+    for was, row in zip(stored, run.table("scenes").to_pylist(), strict=True):
+        assert {key: row[key] for key in was if key not in ("objects", "task")} == {
+            key: value for key, value in was.items() if key not in ("objects", "task")
+        }
+        assert row["stable"] is None
+        for before, now in zip(was["objects"], row["objects"], strict=True):
+            assert before.items() <= now.items()
+    assert len(list(TableStream(run.uri))) == 2
+    manifest = read_manifest(run)
+    assert manifest is not None
+    assert (manifest["table_version"], manifest["upgraded_to"]) == (version, TABLE_VERSION)
+    before = content(Path(run.uri))
+    assert upgrade(run) == 0
+    assert content(Path(run.uri)) == before
+
+
+def test_an_upgrade_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = copy_of("run_v1", tmp_path)
+    num_files, written = sum(len(run.files(table)) for table in SCHEMAS), RunFolder.write_file
+    left = iter(range(3))
+
+    def stopping(self: RunFolder, *arguments: object) -> None:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        written(self, *arguments)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunFolder, "write_file", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            upgrade(run)
+    assert upgrade(run) == num_files - 3
+    assert len(list(TableStream(run.uri))) == 2
+
+
+def test_versions_that_nobody_knows_are_left_alone(tmp_path: Path) -> None:
+    run = copy_of("run_v1", tmp_path)
+    path = Path(run.files("scenes")[0])
+    rows = pq.read_table(path)
+    for version in ("0", "99", "\xff"):
+        pq.write_table(rows.replace_schema_metadata({"stable_data.version": version.encode("latin-1")}), path)
+        before = content(Path(run.uri))
+        with pytest.raises(ConfigError, match="written as table version"):
+            upgrade(run)
+        assert content(Path(run.uri)) == before
+    with pytest.raises(ConfigError, match=r"no manifest\.json"):
+        upgrade(RunFolder(tmp_path / "nothing"))
+
+
+def test_what_was_rejected_is_deleted_with_what_only_it_used(tmp_path: Path) -> None:
+    run = copy_of("run_v3/generate", tmp_path)
+    every = run.table("scenes")
+    assert len(every) > 1
+    for table, rows in (("scenes", every.slice(1)), ("rejected", every.slice(0, 1))):  # as if one had been rejected
+        for number, shard_id in enumerate(sorted(run.shard_ids(table))):
+            own = rows if number == 0 else rows.slice(0, 0)
+            run.write_table(table, shard_id, own.replace_schema_metadata(SCHEMAS[table].metadata))
+    scenes, turns, failures = (run.table(name) for name in ("scenes", "turns", "failures"))
+    used, rejected = used_assets(scenes), run.table("rejected")
+    ids = set(run.table("assets", ["asset_id"])["asset_id"].to_pylist())
+    assert rejected.num_rows
+    assert used < ids == used | used_assets(rejected)
+    deleted = prune(run)
+    assert deleted["rejected"] == rejected.num_rows
+    assert deleted["assets"] == deleted["meshes"] == len(ids - used)
+    assert not run.num_rows("rejected")
+    for table in ("assets", "meshes"):
+        assert set(run.table(table, ["asset_id"])["asset_id"].to_pylist()) == used
+    assert set(run.table("settled", ["scene_id"])["scene_id"].to_pylist()) <= set(scenes["scene_id"].to_pylist())
+    assert (run.table("scenes"), run.table("turns"), run.table("failures")) == (scenes, turns, failures)
+    manifest = read_manifest(run)
+    assert manifest is not None
+    assert manifest["counts"]["assets"] == len(used)
+    assert manifest[PRUNED] == deleted
+    assert list(TableStream(run.uri))
+    assert set(prune(run).values()) == {0}
+    assert (read_manifest(run) or {})[PRUNED] == deleted
+
+
+def test_runs_that_cannot_be_pruned(tmp_path: Path) -> None:
+    run = copy_of("run_v3/generate", tmp_path)
+    (tmp_path / "run" / "manifest.json").write_text(json.dumps((read_manifest(run) or {}) | {"status": "running"}))
+    before = content(tmp_path / "run")
+    with pytest.raises(ConfigError, match="is not complete"):
+        prune(run)
+    assert content(tmp_path / "run") == before
+    other = RunFolder(shutil.copytree(STORED / "run_v3" / "preprocess", tmp_path / "other"))
+    with pytest.raises(ConfigError, match="no table rejected"):
+        prune(other)
