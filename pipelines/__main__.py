@@ -331,7 +331,10 @@ def generate(
     limit: Annotated[int | None, typer.Option(help="Scenes that are varied, at most, with --vary. Default: all.")] = None,
     count: Annotated[
         int | None,
-        typer.Option(help="Sample this many tasks of the embedded world, for things that the libraries have (only_served)."),
+        typer.Option(
+            help="Sample this many tasks of the embedded world, for things that the libraries have (only_served). A larger number makes "
+            "further scenes in the same folder."
+        ),
     ] = None,
     instruction: Annotated[str | None, typer.Option(help="One task: its instruction, with --table and --size.")] = None,
     table: Annotated[

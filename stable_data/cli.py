@@ -298,6 +298,54 @@ def query(
     typer.echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
 
 
+@app.command()
+@with_clear_errors
+def join(
+    runs: Annotated[list[str], typer.Argument(metavar="RUN...", help="Runs with the table scenes: folders or URIs.")],
+    to: Annotated[str, typer.Option(metavar="OUT", help="Folder or URI of the joined run.")],
+    where: Annotated[str, typer.Option(help='Only scenes that satisfy this, for example "clean".')] = "scene_id is not None",
+) -> None:
+    """Join runs to one run: each scene, asset and texture once. A scene that is in several runs is that of the first one."""
+    from stable_data.storage.manifest import read_manifest
+    from stable_data.storage.run_folder import RunFolder
+    from stable_data.storage.subset import select
+
+    first, *others = map(RunFolder, runs)
+    target = RunFolder(to)
+    if target.root in {first.root, *(other.root for other in others)}:
+        raise ConfigError(f"--to is {to}, which is one of the runs; name a new folder", "usage")
+    with target.locked():
+        counts = select(first, where, target, others)
+    doubles = (read_manifest(target) or {}).get("doubles", {"scenes": 0, "different": 0})
+    typer.echo(
+        f"{to}: {counts['scenes']} scenes, {counts.get('assets', 0)} assets; {doubles['scenes']} scenes were in several runs"
+    )
+    if doubles["different"]:
+        typer.echo(f"{doubles['different']} of these differ between the runs; those of the first run were taken", err=True)
+
+
+@app.command()
+@with_clear_errors
+def prune(run: Annotated[str, typer.Argument(metavar="RUN", help="A complete run of generate: folder or URI.")]) -> None:
+    """Delete the rejected scenes of a run, and the assets and textures that no accepted scene uses. This cannot be undone."""
+    from stable_data.storage import run_changes
+    from stable_data.storage.run_folder import RunFolder
+
+    deleted = run_changes.prune(RunFolder(run))
+    typer.echo(f"{run}: deleted " + ", ".join(f"{count} rows of {table}" for table, count in deleted.items()))
+
+
+@app.command()
+@with_clear_errors
+def upgrade(run: Annotated[str, typer.Argument(metavar="RUN", help="A run of an older version: folder or URI.")]) -> None:
+    """Bring the tables of a run of an older version up to date, in its folder. What did not exist then is null: unknown."""
+    from stable_data.storage import run_changes
+    from stable_data.storage.run_folder import RunFolder
+
+    count = run_changes.upgrade(RunFolder(run))
+    typer.echo(f"{run}: {count} files were of an older version" if count else f"{run}: is up to date")
+
+
 @app.command("diversity")
 @with_clear_errors
 def compare_diversity(

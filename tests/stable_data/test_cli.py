@@ -1,6 +1,7 @@
 """The command line: every end that was not meant is one line and status 2."""
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -124,3 +125,21 @@ def test_inspect_counts_rows_and_names_a_shard_that_broke(tmp_path: Path) -> Non
     assert result.exit_code == NOT_STARTED
     assert f"{path} cannot be read" in result.stderr
     assert result.stderr.count("\n") == 1
+
+
+def test_runs_are_joined_pruned_and_upgraded_on_the_command_line(tmp_path: Path) -> None:
+    stored = Path(__file__).parents[1] / "data"
+    made = Path(shutil.copytree(stored / "run_v3" / "generate", tmp_path / "made"))
+    result = run("join", made, stored / "run_v3" / "preprocess", "--to", tmp_path / "joined")
+    assert result.exit_code == 0
+    count = RunFolder(tmp_path / "joined").num_rows("scenes")
+    assert f"{count} scenes, " in result.stdout
+    assert run("join", made, made, "--to", tmp_path / "twice").stdout.endswith(" scenes were in several runs\n")
+    refused = run("join", made, "--to", made)
+    assert refused.exit_code == 2
+    assert "is one of the runs" in refused.stderr
+    assert "deleted 0 rows of assets" in run("prune", made).stdout
+    old = shutil.copytree(stored / "run_v1", tmp_path / "old")
+    assert "files were of an older version" in run("upgrade", old).stdout
+    assert "is up to date" in run("upgrade", old).stdout
+    assert run("upgrade", tmp_path / "none").exit_code == 2
