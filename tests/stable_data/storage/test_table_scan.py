@@ -75,7 +75,7 @@ def test_what_cannot_be_scanned_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no table scenes"):
         TableScan(RunFolder(str(tmp_path / "none")), "scenes", "stable")
     run = RunFolder(write_run(tmp_path / "run"))
-    with pytest.raises(ConfigError, match="expected one of"):
+    with pytest.raises(ConfigError, match="expected stable or stable_share"):
         TableScan(run, "scenes", "stabel")
     Path(run.files("scenes")[2]).write_bytes(b"PAR1 damaged")
     for scan in (lambda: count_selected(run, "stable"), lambda: select(run, "stable", RunFolder(str(tmp_path / "out")))):
