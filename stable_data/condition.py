@@ -79,6 +79,9 @@ class GoalCondition:
         target: Instance, ``table``, region, direction or measure, see above; for ``between`` two instances, joined likewise.
         distance: Metres, for ``apart`` and ``moved``; None: the least that counts.
         is_negated: Whether it must not hold.
+
+    Raises:
+        GoalError: ``goal_invalid``: the distance is not above zero.
     """
 
     subject: str
@@ -86,6 +89,10 @@ class GoalCondition:
     target: str = ""
     distance: float | None = None
     is_negated: bool = False
+
+    def __post_init__(self) -> None:
+        if self.distance is not None and not 0 < self.distance < float("inf"):
+            raise GoalError(f"{self}: distance is {self.distance:g}, expected metres above zero", "goal_invalid")
 
     def __str__(self) -> str:
         """Returns the condition in words."""
@@ -124,7 +131,7 @@ def condition_of(document: object) -> GoalCondition:
     if isinstance(document, Mapping):
         subject, kind, target = (document.get(key) for key in ("subject", "kind", "target"))
         distance, is_negated = document.get("distance"), document.get("is_negated")
-        is_length = distance is None or (isinstance(distance, (int, float)) and 0 < distance < float("inf"))
+        is_length = distance is None or isinstance(distance, (int, float))
         if (
             isinstance(subject, str)
             and subject

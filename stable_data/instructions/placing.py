@@ -72,14 +72,18 @@ def _too_close(s: TaskContext) -> Iterator[Roles]:
 
 
 def _in_the_way(s: TaskContext) -> Iterator[Roles]:
-    """The only object close in front of another object."""
+    """The only object close in front of another object, which covers a part of it as the person sees it."""
     for y in s.shuffled(s.standing):
         before = [n for n in s.standing if n != y and s.is_beside(n, y, RelationKind.IN_FRONT_OF, 0.2)]
         if len(before) == 1 and before[0] in s.loose and holds_relation(s.graph, before[0], RelationKind.IN_FRONT_OF, y):
-            for side in s.shuffled((RelationKind.LEFT_OF, RelationKind.RIGHT_OF)):
-                cm = int(np.ceil(100 * s.clearing_distance(before[0], y, side))) + 1
-                if s.can_slide(before[0], side, cm / 100):
-                    yield {"x": before[0], "y": y, "direction": DIRECTION[side], "cm": str(cm)}
+            x = before[0]
+            distances = {side: s.clearing_distance(x, y, side) for side in (RelationKind.LEFT_OF, RelationKind.RIGHT_OF)}
+            if min(distances.values()) <= 0:
+                continue  # it stands in front, but not in the way
+            for side in s.shuffled(tuple(distances)):
+                cm = int(np.ceil(100 * distances[side])) + 1
+                if s.can_slide(x, side, cm / 100):
+                    yield {"x": x, "y": y, "direction": DIRECTION[side], "cm": str(cm)}
 
 
 def _crossings(s: TaskContext) -> Iterator[Roles]:

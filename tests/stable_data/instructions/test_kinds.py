@@ -13,7 +13,7 @@ from stable_data.instructions.naming import mentions
 from stable_data.instructions.situation import TaskContext
 from stable_data.scene import RelationKind
 from stable_data.scene_graph.relations import relations_of
-from tests.stable_data.instructions.tables import DESK, DINING, SHELF, STACKS, TABLES, Table, Thing, table, told_somewhere
+from tests.stable_data.instructions.tables import BOX, DESK, DINING, MUG, SHELF, STACKS, TABLES, Table, Thing, table, told_somewhere
 
 PRIMITIVES = {"Pick", "PlaceOn", "PlaceAt", "Push", "RevoluteJointOpen", "RevoluteJointClose", "Press"}
 
@@ -128,3 +128,17 @@ def test_pushes_stay_on_the_table_and_meet_nothing() -> None:
     for x in situation.loose:
         for side in (RelationKind.LEFT_OF, RelationKind.RIGHT_OF):
             assert not situation.can_slide(x, side, situation.margin(x, side))
+
+
+def test_only_what_covers_an_object_is_in_its_way() -> None:
+    kind = next(k for k in SIMPLE_KINDS if k.name == "make_room")
+
+    def pushes(x: float) -> list[float]:
+        """The lengths of the pushes, metres, where the mug stands in front of the box at this place."""
+        laid = table("office_table", [Thing("box_0", 0.7, 0.5, BOX), Thing("mug_0", x, 0.2, MUG)])
+        return [float(roles["cm"]) / 100 for roles in kind.find(laid.situation(np.random.default_rng(0)))]  # type: ignore[arg-type]
+
+    half = (BOX[0] + MUG[0]) / 2
+    assert pushes(0.7 - half - 0.005) == pushes(0.7 + half + 0.005) == []
+    assert sorted(pushes(0.7 - half + 0.005)) == pytest.approx([0.02, 2 * half + 0.01], abs=0.011)
+    assert len(pushes(0.7)) == 2

@@ -105,6 +105,7 @@ def test_a_push_takes_its_length_from_the_action() -> None:
         (("The mug is filled from the bin.",), (), "goal_not_checkable"),
         (("The switch has been pressed.",), ("Press(Mug)",), "goal_not_checkable"),
         (("The mug is in the book.",), (), "goal_not_checkable"),
+        (("The mug is further to the left than before.",), ("Push(Mug,left,0)",), "goal_invalid"),
         (("The cat is in the bin.",), (), "goal_unresolved"),
         (("The block is in the bin.",), (), "goal_unresolved"),
         (("The pen is in the bin.",), (), "goal_true_at_start"),
