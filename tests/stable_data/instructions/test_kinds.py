@@ -13,7 +13,19 @@ from stable_data.instructions.naming import mentions
 from stable_data.instructions.situation import TaskContext
 from stable_data.scene import RelationKind
 from stable_data.scene_graph.relations import relations_of
-from tests.stable_data.instructions.tables import BOX, DESK, DINING, MUG, SHELF, STACKS, TABLES, Table, Thing, table, told_somewhere
+from tests.stable_data.instructions.tables import (
+    BOX,
+    DESK,
+    DINING,
+    MUG,
+    SHELF,
+    STACKS,
+    TABLES,
+    Table,
+    Thing,
+    table,
+    told_somewhere,
+)
 
 PRIMITIVES = {"Pick", "PlaceOn", "PlaceAt", "Push", "RevoluteJointOpen", "RevoluteJointClose", "Press"}
 
