@@ -10,21 +10,26 @@ OUT ?= runs/preprocess
 COUNT ?= 100
 TEST_WORKERS ?= 2
 ROBOT ?= panda
+LOCKED ?=
+EXTRAS := geometry,sim,sapien,import,view,torch,models,pipelines,pysdf,bench,dev
+TOOLS := build/tools
+COMMA := ,
 EIGEN := $(VENV)/lib/python3.11/site-packages/cmeel.prefix/include/eigen3
 
-.PHONY: help env demo test test-all lint format schemas preprocess correct edit generate train policy evaluate bench consumers docs wheel clean
+.PHONY: help env demo test test-all lint format schemas preprocess correct edit generate train policy evaluate bench consumers docs lock wheel test-wheel sbom clean
 
 help: ## Show this page
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 	@echo "  DATA=$(DATA)  OUT=$(OUT)"
 
-env: $(READY) ## Make the environment in .venv with the pinned versions
+env: $(READY) ## Make the environment in .venv with the pinned versions; LOCKED=1 also fixes what these need, with hashes
 
 # pysdf ships as source and needs Eigen's headers, which cmeel-eigen carries: no system package is needed.
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
+	$(if $(LOCKED),$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock)
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch cmeel-eigen
-	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[geometry,sim,sapien,import,view,torch,models,pipelines,pysdf,bench,dev]'
+	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
 	touch $@
 
 demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a contact sheet: embedded set, preprocess, generate
@@ -106,8 +111,31 @@ docs: $(VENV)/.docs ## Build the documentation site in build/docs; a broken link
 	$(BIN)/python -m sphinx -q -W --keep-going -d build/doctrees docs build/docs
 	@echo "open build/docs/index.html"
 
-wheel: $(READY) ## Build the wheel of the light library in build/dist
-	$(BIN)/python -m build --outdir build/dist
+# Programs of a release, in an environment of their own.
+$(TOOLS)/.ready: constraints.txt
+	$(PYTHON) -m venv $(TOOLS)
+	$(TOOLS)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt build cyclonedx-bom twine
+	touch $@
+
+wheel: $(TOOLS)/.ready ## Build the wheel and the sdist of the light library in build/dist, and check what they say of themselves
+	rm -rf build/dist
+	$(TOOLS)/bin/python -m build --outdir build/dist
+	$(TOOLS)/bin/twine check --strict build/dist/*
+
+test-wheel: $(READY) ## Install the wheel in an empty environment without a compiler: load a run, lint, export (what CI runs)
+	$(BIN)/python -m pytest -m slow -k library_alone tests/test_wheel.py
+
+# What constraints.txt does not pin has the version of .venv, as the tests ran with it; pysdf has no wheel and stays out.
+LOCKED_EXTRAS := $(filter-out pysdf,$(subst $(COMMA), ,$(EXTRAS))) cluster docs
+lock: $(READY) ## Write requirements.lock from constraints.txt: the version and the hashes of every package of make env
+	mkdir -p build
+	$(BIN)/python -m pip freeze --exclude-editable | sed 's/+cpu$$//' > build/installed.txt
+	$(BIN)/uv pip compile pyproject.toml $(addprefix --extra ,$(LOCKED_EXTRAS)) --universal --python-version 3.11 --generate-hashes \
+	  --no-annotate -c constraints.txt -c build/installed.txt --custom-compile-command 'make lock' --quiet -o requirements.lock
+
+sbom: $(READY) $(TOOLS)/.ready ## Write the software bill of materials of .venv to build/sbom.cdx.json (CycloneDX)
+	$(TOOLS)/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible --validate \
+	  --output-file build/sbom.cdx.json $(BIN)/python
 
 clean: ## Remove the environment and what was generated
 	rm -rf $(VENV) .consumers build docs/api *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis data/embedded runs

@@ -275,16 +275,16 @@ def query(
             raise ConfigError("--format needs a folder for the files; name it with --to", "usage")
         if "://" in to:
             raise ConfigError(f"--to is {to}, but --format writes to a local folder; name a folder", "usage")
-        from stable_data.simulation.run_reader import SceneSelection
-
         TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
         if format_name == "lance":
-            _export_lance(folder, Path(to), SceneSelection(where))
+            _export_lance(folder, Path(to), where)
             return
         if format_name == "lerobot":
             raise ConfigError(
                 "--format lerobot writes episodes, not scenes: stable-data export RUN OUT --format lerobot", "usage"
             )
+        from stable_data.simulation.run_reader import SceneSelection
+
         _export_scenes(folder, Path(to), format_name, SceneSelection(where), is_cached=True)
         return
     if to is None:
@@ -543,7 +543,6 @@ def export(
 
     Status 0: done. 1: some scenes could not be exported; they are listed. 2: could not start.
     """
-    from stable_data.simulation.run_reader import SceneSelection
     from stable_data.storage.run_folder import RunFolder
 
     if flavour is not None:
@@ -565,15 +564,19 @@ def export(
         raise ConfigError("--robot and --camera are options of --format envhub; leave them out", "usage")
     if failures or video:
         raise ConfigError("--failures and --video are options of --format lerobot; leave them out", "usage")
+    if format_name == "lance":  # needs neither geometry nor simulation
+        if settled or join:
+            raise ConfigError("--format lance writes the rows as they are; leave out --settled and --join", "usage")
+        _export_lance(RunFolder(run), out, where, scene or (), limit)
+        return
+    from stable_data.simulation.run_reader import SceneSelection
+
     if format_name == "original":
         if join:
             raise ConfigError("--join makes new scenes, which original does not know; leave it out", "usage")
         _export_originals(run, out, SceneSelection(where, tuple(scene or ()), limit), originals)
         return
     chosen = SceneSelection(where, tuple(scene or ()), limit, settled, join)
-    if format_name == "lance":
-        _export_lance(RunFolder(run), out, chosen)
-        return
     _export_scenes(RunFolder(run), out, format_name, chosen, is_cached=cached)
 
 
@@ -604,12 +607,12 @@ def _export_scenes(run: "RunFolder", out: Path, format_name: str, choice: "Scene
         raise typer.Exit(SOME_FAILED)
 
 
-def _export_lance(run: "RunFolder", out: Path, choice: "SceneSelection") -> None:
+def _export_lance(
+    run: "RunFolder", out: Path, where: str | None, scene_ids: Sequence[str] = (), limit: int | None = None
+) -> None:
     from stable_data.storage.lance_table import LANCE_FOLDER, write_lance
 
-    if choice.settled or choice.joined:
-        raise ConfigError("--format lance writes the rows as they are; leave out --settled and --join", "usage")
-    count = write_lance(run, out, choice.where, choice.scene_ids, choice.limit)
+    count = write_lance(run, out, where, scene_ids, limit)
     typer.echo(f"{out}: {count} scenes in {LANCE_FOLDER}")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md"), ROOT / "models/weights/README.md"])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "models" / "weights").rglob("*.md")])
 GLOSSARY = (ROOT / "docs" / "glossary.md").read_text("utf-8")
 NAMED = sorted(set(re.findall(r"\| `((?:stable_data|models)\.[\w.]+)` \|$", GLOSSARY, re.MULTILINE)))
 

@@ -21,7 +21,7 @@ from models.training.weights_file import read_weights, save_weights
 from stable_data.errors import ConfigError
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "instruction_reader.safetensors"
-"""The reader of this repository; models/weights/README.md describes its training and its results."""
+"""The reader of this repository; models/weights/instruction_reader.md describes its training and its results."""
 
 FORMAT = "stable-data instruction reader 1"
 

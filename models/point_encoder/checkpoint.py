@@ -26,7 +26,7 @@ from stable_data.errors import ConfigError
 FORMAT = "stable-data point encoder 1"
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "point_encoder.safetensors"
-"""The small encoder of this repository; models/weights/README.md describes its training and its results."""
+"""The small encoder of this repository; models/weights/point_encoder.md describes its training and its results."""
 
 _PREFIXES = ("module.student.backbone.", "student.backbone.", "module.backbone.", "backbone.", "module.", "")
 _NOT_ENCODING = re.compile(r"(seg_head|cls_head)\.|embedding\.mask_token$")  # task heads, and the token of masked pre-training

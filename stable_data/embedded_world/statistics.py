@@ -125,10 +125,53 @@ def scenes_with_duplicates(scenes: Sequence[SceneCounts]) -> frozenset[str]:
     return frozenset(scenes[k].scene_id for k in np.unique(near_duplicates(layouts, share=1.0)).tolist())
 
 
+_FRONT_MATTER = """---
+pretty_name: A set of the embedded world
+license: apache-2.0
+language: en
+task_categories:
+- robotics
+tags:
+- tabletop-scenes
+- simulation
+- synthetic-data
+size_categories:
+- {size}
+viewer: false
+---
+"""
+_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
+_LARGEST = "1M<n<10M"
+_TEXT = """# A set of the embedded world
+
+Tabletop scenes with parametric assets, made by `stable-data synth`. Every scene is at rest in MuJoCo, passes the exact audit, and has an
+instruction whose statements are true in it. `synth.json` has the settings; scene k depends only on them and on k.
+
+| path | content |
+|---|---|
+| `Layout_info/<table>/<scene>/` | `layout.json`, `task_info.json`, and `front.png` if pictures were made |
+| `Assets_library/`, `Asset_annotation.json` | meshes with their convex parts (GLB), and what is known of each |
+| `Edit_info/`, `edits.jsonl` | edits, if they were asked for |
+
+The format is that of MesaTask-10K, of which nothing is in the set. Licence: Apache-2.0, for scenes, assets, texts and pictures.
+
+## Limits
+
+The scenes have the habits of a program, not of people: groups and themes recur, and an object stands where its rule puts it.
+Categories, colours and words are those of the program. Meshes are simple and have colours in place of textures. A model that was
+trained on this set alone knows nothing of scanned objects.
+
+## Figures
+"""
+
+
 def dataset_card(scenes: Sequence[SceneCounts], sheet: str | None = None) -> str:
-    """The dataset card, Markdown: the statistics beside MesaTask-10K's, tables, categories and a link to a picture sheet."""
-    lines = ["# A set of the embedded world", ""]
-    lines += ["Made by `stable-data synth`; every scene is at rest and clean. Licence: Apache-2.0.", ""]
+    """The dataset card, Markdown with the metadata that Hugging Face reads.
+
+    It has the statistics beside MesaTask-10K's, tables, categories, limits and a link to a picture sheet.
+    """
+    size = next((name for bound, name in _SIZES if len(scenes) < bound), _LARGEST)
+    lines = [_FRONT_MATTER.format(size=size), _TEXT]
     lines += ["| | this set | MesaTask-10K |", "|---|---|---|"]
     lines += [f"| {name} | {value} | {MESATASK.get(name, 'not known')} |" for name, value in summarise_counts(scenes).items()]
     lines += ["", "¹ Only office tables: a sample of 162.", ""]

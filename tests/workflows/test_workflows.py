@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -116,9 +117,16 @@ def test_the_image_is_built_of_what_is_there() -> None:
     copied = [name for line in lines if line.startswith("COPY ") for name in line.split()[1:-1]]
     assert {"Makefile", "pyproject.toml", "constraints.txt"} <= set(copied)
     assert all((ROOT / name).exists() for name in copied)
-    assert any("make env" in line for line in lines)
+    assert any("make env LOCKED=1" in line for line in lines)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    needed = {project["readme"], *(name for name in project["license-files"] if "/" not in name), "requirements.lock"}
+    assert needed <= set(copied)  # else the environment cannot be made
     left_out = (WORKFLOWS / "Dockerfile.dockerignore").read_text("utf-8").split()
-    assert {".venv", "data", "runs"} <= set(left_out)
+    generated = {
+        line.strip("/") for line in (ROOT / ".gitignore").read_text("utf-8").split() if line.endswith("/") or line == ".venv"
+    }
+    assert {name for name in generated if name not in left_out and f"**/{name}" not in left_out} == set()
+    assert ".git" in left_out
 
 
 def test_every_core_that_does_shards_has_the_memory_that_the_page_names() -> None:

@@ -16,7 +16,7 @@ from models.training.weights_file import fill_network, read_notes, save_weights
 from stable_data.errors import ConfigError
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parents[2] / "weights" / "physics_corrector.safetensors"
-"""The small corrector of this repository; models/weights/README.md describes its training and its results."""
+"""The small corrector of this repository; models/weights/physics_corrector.md describes its training and its results."""
 
 _SETTINGS = "settings"
 

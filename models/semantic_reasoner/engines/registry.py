@@ -13,7 +13,7 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 
 EMBEDDED = Path(__file__).resolve().parents[2] / "weights" / "semantic_reasoner"
-"""Folder of the embedded small reasoner; models/weights/README.md describes its training and its results."""
+"""Folder of the embedded small reasoner; its README.md describes its training and its results."""
 
 KINDS = ("embedded", "transformers", "vllm", "openai", "scripted")
 """Kinds of engines."""

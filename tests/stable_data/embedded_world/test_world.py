@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from huggingface_hub import DatasetCard
 
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.synth.job import synth
@@ -63,7 +64,13 @@ def test_written_set_has_the_format_s_files(written: Path) -> None:
         about = annotations[entry["retrieved_uid"]]
         assert about["isContainer"] is (asset(key).hollow is not None)
         assert len(about["captions"]) >= 3
-    assert "objects per scene, mean" in (written / "README.md").read_text()
+
+
+def test_the_card_is_one_that_hugging_face_reads(written: Path) -> None:
+    card = DatasetCard.load(written / "README.md")
+    assert (card.data.license, card.data.size_categories, card.data.task_categories) == ("apache-2.0", ["n<1K"], ["robotics"])
+    assert "objects per scene, mean" in card.text
+    assert "## Limits" in card.text
 
 
 def test_edits_change_what_they_say_and_nothing_else(written: Path) -> None:
