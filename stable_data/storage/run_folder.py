@@ -26,6 +26,8 @@ import pyarrow.parquet as pq
 
 from stable_data.atomic_files import temporary_path
 from stable_data.errors import ConfigError, cannot_read, cannot_write
+from stable_data.json_text import document_of
+from stable_data.limits import LIMITS, at_most
 from stable_data.storage.schema_checks import check_schema, conform_to_schema, missing_columns, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.table_rows import arrow_table
@@ -37,9 +39,6 @@ _Columns: TypeAlias = list[str] | Mapping[str, pc.Expression] | None
 
 MAX_BYTES = 96 * 10**6
 """Maximum bytes of a file before compression, so that no file exceeds 100 MB."""
-
-MAX_DECODED = 2**30
-"""Maximum memory for the decoded content of one file, bytes: ten times the content of a file that this module writes."""
 
 _ROW_GROUP = 1024
 _GROUP_ROWS = {"scenes": 128, "settled": 128}  # of tables that are read by scene: one row costs the decoding of its group
@@ -151,8 +150,12 @@ class RunFolder:
                     aside.unlink()
             raise cannot_write(f"{self.uri}/{name}", error) from error
 
-    def read_bytes(self, name: str) -> bytes | None:
+    def read_bytes(self, name: str, most: int | None = None) -> bytes | None:
         """Returns the content of a file, or None if the file does not exist.
+
+        Args:
+            name: The file, relative to the folder.
+            most: The number of first bytes that are read; None: all.
 
         Raises:
             ConfigError: The file cannot be read.
@@ -162,9 +165,19 @@ class RunFolder:
             if self.filesystem.get_file_info(path).type != pafs.FileType.File:
                 return None
             with self.filesystem.open_input_stream(path) as stream:
-                return cast(bytes, stream.read())
+                return cast(bytes, stream.read(most))
         except OSError as error:
             raise _unreachable(f"{self.uri}/{name}", error) from error
+
+    def read_document(self, name: str) -> Any:
+        """Returns the content of a JSON file, such as the manifest, or None if the file does not exist.
+
+        Raises:
+            ConfigError: The file cannot be read.
+            ValueError: It is no JSON, or too large (:func:`stable_data.json_text.document_of`).
+        """
+        content = self.read_bytes(name, LIMITS.text.max_document_bytes + 1)
+        return None if content is None else document_of(content)
 
     def write_shard(self, table: str, shard_id: str, rows: Sequence[Mapping[str, Any]]) -> None:
         """Writes one shard of a table, as several files if it exceeds MAX_BYTES.
@@ -281,7 +294,7 @@ class RunFolder:
     ) -> pa.Table:
         """Returns a table of the run, or some of its columns (or expressions of them), rows and shards.
 
-        See :meth:`dataset`. A file that needs more than MAX_DECODED is refused (``shard_too_big``); :meth:`batches` reads it.
+        See :meth:`dataset`. A file that needs too much memory is refused (``shard_too_big``); see :class:`stable_data.limits.TableLimits`.
         """
         wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
         files = [path for path in self.dataset(table).files if shard_ids is None or _shard_of(path) in shard_ids]
@@ -306,7 +319,7 @@ class RunFolder:
             columns: Columns, or None for all.
 
         Raises:
-            ConfigError: The file cannot be read, or needs more than MAX_DECODED.
+            ConfigError: The file cannot be read, or needs too much memory (``shard_too_big``).
         """
         return self._read(table, path, None if columns is None else list(columns), None)
 
@@ -392,25 +405,26 @@ def read_row_groups(
         use_threads: Whether columns are decoded in parallel.
 
     Raises:
-        ConfigError: The row groups need more than MAX_DECODED (``shard_too_big``).
+        ConfigError: The row groups need too much memory (``shard_too_big``).
     """
+    limit = LIMITS.table.max_decoded_bytes
     batches, size = list[pa.RecordBatch](), 0
     for group in groups:
         footer = file.metadata.row_group(group)
         stated = footer.total_byte_size
         found: Iterable[pa.RecordBatch] = ()
-        if footer.num_rows * stated <= MAX_DECODED:  # no value is larger than the bytes of its row group
+        if footer.num_rows * stated <= limit:  # no value is larger than the bytes of its row group
             found = file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
-        elif stated <= MAX_DECODED:
-            found = file.iter_batches(max(1, MAX_DECODED // stated), [group], columns, use_threads=use_threads)
+        elif stated <= limit:
+            found = file.iter_batches(max(1, limit // stated), [group], columns, use_threads=use_threads)
         for batch in found:
             size += batch.nbytes
-            if size > MAX_DECODED:
+            if size > limit:
                 break
             batches.append(batch)
-        if max(size, stated) > MAX_DECODED:
+        if max(size, stated) > limit:
             raise ConfigError(
-                f"{path}: needs more than {MAX_DECODED:,} bytes of memory, expected at most this for one file of a table; "
+                f"{path}: needs more memory, expected {at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')} for one file of a table; "
                 "the file may be malicious; if you trust it, write its rows to several files",
                 "shard_too_big",
             )
@@ -419,8 +433,9 @@ def read_row_groups(
 
 
 def _is_small(fragment: ds.ParquetFileFragment) -> bool:
-    """Whether a file cannot exceed MAX_DECODED; no value is larger than the bytes of its row group."""
-    return bool(sum(group.num_rows * group.total_byte_size for group in fragment.row_groups) <= MAX_DECODED)
+    """Whether a file cannot need too much memory; no value is larger than the bytes of its row group."""
+    most = sum(group.num_rows * group.total_byte_size for group in fragment.row_groups)
+    return bool(most <= LIMITS.table.max_decoded_bytes)
 
 
 def _shard_of(path: str) -> str:

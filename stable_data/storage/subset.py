@@ -275,13 +275,15 @@ def _previous_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[s
     Raises:
         ConfigError: The target has other content, or an incomplete selection of another code version.
     """
-    content = target.read_bytes("manifest.json")
-    if content is None and not any(target.files(table) for table in SCHEMAS):
-        return {}
     try:
-        previous = {} if content is None else dict(json.loads(content))
+        document = target.read_document("manifest.json")
+        if document is None and not any(target.files(table) for table in SCHEMAS):
+            return {}
+        previous = dict(document or {})
+    except ConfigError:
+        raise
     except (ValueError, TypeError):
-        previous = {}
+        previous = {}  # a damaged manifest matches no settings
     keys = ("job", "table_version", "input_fingerprint", "settings")
     refuse_changed(target.uri, {key: previous.get(key) for key in keys}, {key: manifest[key] for key in keys})
     if previous.get("code_version") != manifest["code_version"] and not _is_complete(target, previous):

@@ -14,7 +14,7 @@ import ray
 from tqdm import tqdm
 
 from pipelines.execution import ray_executor
-from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, run_isolated, time_limited
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, item_limited, run_isolated
 from stable_data.errors import ConfigError
 
 
@@ -74,7 +74,7 @@ class Slow:
     """Hangs over one shard unless its items are run alone."""
 
     def __call__(self, shard: int, *, isolated: bool = False) -> str:
-        with time_limited(2.0):
+        with item_limited(2.0):
             if shard == 2 and not isolated:
                 time.sleep(600)
         return f"{shard} {'alone' if isolated else 'together'}"
@@ -249,7 +249,7 @@ def test_one_process_serves_until_a_call_ends_it() -> None:
 
 
 def test_time_is_limited_in_workers_alone() -> None:
-    with time_limited(0.01):
+    with item_limited(0.01):
         time.sleep(0.05)
 
 
