@@ -66,7 +66,7 @@ def demonstrate(
         echo(f"  {kind:<14} {done} of {total}")
     dataset = Path(out) / "lerobot"
     if lerobot and not counts["successes"]:
-        typer.echo(f"{dataset}: not written, because no episode fulfils its goal", err=True)
+        echo(f"{dataset}: not written, because no episode fulfils its goal", err=True)
     elif lerobot and not dataset.exists():
         made = write_lerobot(RunFolder(out), dataset)
         echo(f"{dataset}: {made.num_episodes} episodes as a LeRobotDataset v3.0")

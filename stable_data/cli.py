@@ -334,11 +334,9 @@ def join(
     with target.locked():
         counts = select(first, where, target, others)
     doubles = (read_manifest(target) or {}).get("doubles", {"scenes": 0, "different": 0})
-    typer.echo(
-        f"{to}: {counts['scenes']} scenes, {counts.get('assets', 0)} assets; {doubles['scenes']} scenes were in several runs"
-    )
+    echo(f"{to}: {counts['scenes']} scenes, {counts.get('assets', 0)} assets; {doubles['scenes']} scenes were in several runs")
     if doubles["different"]:
-        typer.echo(f"{doubles['different']} of these differ between the runs; those of the first run were taken", err=True)
+        echo(f"{doubles['different']} of these differ between the runs; those of the first run were taken", err=True)
 
 
 @app.command()
@@ -349,7 +347,7 @@ def prune(run: Annotated[str, typer.Argument(metavar="RUN", help="A complete run
     from stable_data.storage.run_folder import RunFolder
 
     deleted = run_changes.prune(RunFolder(run))
-    typer.echo(f"{run}: deleted " + ", ".join(f"{count} rows of {table}" for table, count in deleted.items()))
+    echo(f"{run}: deleted " + ", ".join(f"{count} rows of {table}" for table, count in deleted.items()))
 
 
 @app.command()
@@ -360,7 +358,7 @@ def upgrade(run: Annotated[str, typer.Argument(metavar="RUN", help="A run of an 
     from stable_data.storage.run_folder import RunFolder
 
     count = run_changes.upgrade(RunFolder(run))
-    typer.echo(f"{run}: {count} files were of an older version" if count else f"{run}: is up to date")
+    echo(f"{run}: {count} files were of an older version" if count else f"{run}: is up to date")
 
 
 @app.command("diversity")

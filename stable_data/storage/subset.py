@@ -1,6 +1,5 @@
 """Copies the scenes of runs that pass a condition to another run, with their assets and rows of other tables."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
