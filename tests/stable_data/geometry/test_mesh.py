@@ -14,10 +14,11 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import MeshLimits, load_glb
+from stable_data.geometry.gltf_reader import load_glb
 from stable_data.geometry.mass_properties import mass_properties
 from stable_data.geometry.mesh import Edges, Mesh, is_closed, signed_volumes, unit_normals
 from stable_data.geometry.mesh_repair import repair_mesh
+from stable_data.limits import MeshLimits
 from stable_data.scene import FloatArray, IntArray
 from tests.broken_inputs import BROKEN_INPUTS, BrokenInput
 from tests.stable_data.geometry.glb_files import document_of, glb_bytes, rebuilt

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError, MeshError
-from stable_data.importers.boundary import Boundary, FileLimits, asset_id_of, renamed_notice
+from stable_data.importers.boundary import Boundary, asset_id_of, renamed_notice
+from stable_data.limits import FileLimits, ImageLimits
 
 
 @pytest.fixture
@@ -137,7 +138,7 @@ def test_sizes_are_limited_for_a_file_and_for_an_asset(folder: Path) -> None:
         Boundary(folder, FileLimits(max_file_bytes=50)).read_bytes("0.bin")
     assert caught.value.code == "file_too_large"
     with pytest.raises(MeshError, match="more than 99 bytes"):
-        Boundary(folder).read_bytes("0.bin", most=99)
+        Boundary(folder).read_bytes("0.bin", "max_bytes", ImageLimits(max_bytes=99))
     for limits in (FileLimits(max_bytes=250), FileLimits(max_files=2)):
         root = Boundary(folder, limits)
         root.read_bytes("0.bin")

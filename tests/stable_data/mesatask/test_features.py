@@ -11,10 +11,10 @@ import pytest
 
 from stable_data.errors import ConfigError
 from stable_data.mesatask import (
-    features,
     read_text_features,
     write_text_features,
 )
+from tests.bounds import limit
 from tests.stable_data.mesatask.layouts import UID
 
 
@@ -76,7 +76,7 @@ def test_unsound_pickles_say_why(data: bytes, code: str, tmp_path: Path) -> None
     path = tmp_path / "f.pkl"
     path.write_bytes(data)
     with pytest.raises(ConfigError) as caught:
-        read_text_features(path, max_bytes=50_000)
+        read_text_features(path)
     assert caught.value.code == code
 
 
@@ -126,8 +126,7 @@ def test_pickles_that_take_much_more_than_their_bytes_are_refused(
     data: bytes, code: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     operations = 20_000 if data.count(b"]") == 30_000 else 10**7
-    for name, limit in (("_MAX_OPERATIONS", operations), ("_MAX_ROWS", 5000), ("_MAX_NUMBERS", 10**6)):
-        monkeypatch.setattr(features, name, limit)
+    limit(monkeypatch, "features", max_operations=operations, max_rows=5000, max_numbers=10**6)
     path = tmp_path / "f.pkl"
     path.write_bytes(gzip.compress(data))
     with pytest.raises(ConfigError, match=words) as caught:
