@@ -850,6 +850,18 @@ def features(
 
 @app.command()
 @with_clear_errors
+def limits() -> None:
+    """List what one item from outside may cost: the limits of all readers and workers, and how to change them."""
+    from stable_data.limits import SETTING, list_limits
+
+    for one in list_limits():
+        was = "" if one.value == one.default else f" (default {one.default:,})"
+        echo(f"{one.name} = {one.value:,}{was}\n    {one.meaning}")
+    echo(f"\n{SETTING}='name=value, ...' changes limits, for a command and all its workers.")
+
+
+@app.command()
+@with_clear_errors
 def schemas(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder.")] = Path("schemas")) -> None:
     """Write the JSON Schemas and the column descriptions of all tables."""
     from stable_data.storage.json_schemas import write_contracts

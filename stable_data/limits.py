@@ -8,6 +8,7 @@ for all its workers::
 """
 
 import os
+import re
 import resource
 import sys
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,8 @@ SETTING = "STABLE_DATA_LIMITS"
 """The environment variable that changes limits: ``name=value`` pairs, joined by commas; names are ``group.field``."""
 
 KIB, MIB, GIB = 2**10, 2**20, 2**30
+
+_ATTRIBUTE = re.compile(r"^ {8}(\w+): (.+(?:\n {12}.+)*)", re.MULTILINE)  # of the docstring of a group
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,6 +325,34 @@ class Limits:
         """The limits that differ from their defaults, by name. A run that resumes must have the same."""
         defaults = Limits().values()
         return {name: value for name, value in self.values().items() if value != defaults[name]}
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """One limit.
+
+    Attributes:
+        name: Its name, ``group.field``.
+        value: Its value in this process.
+        default: Its default.
+        meaning: What it limits.
+    """
+
+    name: str
+    value: int | float
+    default: int | float
+    meaning: str
+
+
+def list_limits() -> list[Limit]:
+    """Returns all limits in the order of their groups."""
+    defaults = Limits().values()
+    meanings: dict[str, str] = {}
+    for group in fields(LIMITS):
+        text = type(getattr(LIMITS, group.name)).__doc__ or ""
+        for found in _ATTRIBUTE.finditer(text.partition("Attributes:")[2]):
+            meanings[f"{group.name}.{found[1]}"] = " ".join(found[2].split())
+    return [Limit(name, value, defaults[name], meanings.get(name, "")) for name, value in LIMITS.values().items()]
 
 
 def read_limits(text: str) -> Limits:
