@@ -4,17 +4,23 @@ A file whose tensors differ from the network that its notes describe is refused.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
+from torch.nn.modules.module import (
+    register_module_buffer_registration_hook,
+    register_module_parameter_registration_hook,
+)
 
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
 
 _MAX_LISTED = 6  # mismatches that a message lists
+_SLACK = 1 << 20  # numbers of a network that its file need not have, such as buffers
 
 
 def save_weights(path: Path, state: Mapping[str, Tensor], notes: Mapping[str, str]) -> None:
@@ -93,6 +99,35 @@ def fill_network(path: Path, network: nn.Module) -> None:
             "checkpoint_invalid",
         )
     network.load_state_dict(tensors)
+
+
+@contextmanager
+def network_no_larger_than(path: Path) -> Iterator[None]:
+    """Refuses a network that is made in the body, from the notes of a file, and has more numbers than the file has bytes.
+
+    The notes of a file from elsewhere may describe a network of any size; its tensors are compared only when it is made.
+
+    Raises:
+        ConfigError: See above (``weights_invalid``).
+    """
+    left = path.stat().st_size + _SLACK
+
+    def count(module: nn.Module, name: str, tensor: Tensor | None) -> None:
+        nonlocal left
+        left -= 0 if tensor is None else tensor.numel()
+        if left < 0:
+            raise ConfigError(
+                f"{path}: its notes describe a network with more numbers than the file has bytes, expected the network of its tensors; "
+                "do not trust it",
+                "weights_invalid",
+            )
+
+    hooks = [register_module_parameter_registration_hook(count), register_module_buffer_registration_hook(count)]
+    try:
+        yield
+    finally:
+        for hook in hooks:
+            hook.remove()
 
 
 def _mismatches(found: Mapping[str, tuple[int, ...]], required: Mapping[str, tuple[int, ...]]) -> list[str]:
