@@ -211,7 +211,7 @@ def colliders_with(part_faces: Any, **primitive: Any) -> bytes:
 
 def test_there_may_not_be_many_colliders() -> None:
     assert len(load_colliders(colliders_with([4, 8]), "thing")) == 2
-    with soon(), pytest.raises(MeshError, match=r"at most 1000 \(max_colliders\)"):
+    with soon(), pytest.raises(MeshError, match=r"at most 1,000 \(mesh\.max_colliders in "):
         load_colliders(colliders_with([4] * 1_001), "thing")
 
 

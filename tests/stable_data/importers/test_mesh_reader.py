@@ -309,7 +309,7 @@ def test_objaverse_has_its_annotations(tmp_path: Path) -> None:
 def test_annotations_that_unpack_to_too_much_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     limit(monkeypatch, "file", max_metadata_bytes=1000)
     root = write(tmp_path, {"glbs/0/u.glb": b"", "metadata/0.json.gz": gzip.compress(b'{"u": "' + b"x" * 10**6 + b'"}')})
-    with pytest.raises(ConfigError, match="more than 1000 bytes"):
+    with pytest.raises(ConfigError, match="at most 1,000 bytes"):
         found(root, preset="objaverse")
 
 
