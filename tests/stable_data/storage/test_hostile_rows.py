@@ -1,5 +1,6 @@
 """Rows of a run that no job has written: nulls, lists of other lengths, numbers that are none, versions that are no text."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,10 @@ from tests.scenes import box
 
 OBJECT = SceneObject("0_mug_0", "mug", (0.2, 0.3, 0.05), 0.1, (0.1, 0.1, 0.1), "mug", (1.0, 1.0, 1.0))
 SCENE = Scene(
-    "scene", Tabletop("desk", (1.2, 0.6), (0.9, 1.1, 0.4, 0.5)), (OBJECT, OBJECT), TaskInfo("A desk.", "Take the mug.")
+    "scene",
+    Tabletop("desk", (1.2, 0.6), (0.9, 1.1, 0.4, 0.5)),
+    (OBJECT, replace(OBJECT, instance="1_mug_0")),
+    TaskInfo("A desk.", "Take the mug."),
 )
 CARD = MetricCard(2, 0, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, True)
 
