@@ -173,12 +173,21 @@ def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
         with pq.ParquetFile(path) as file:
             _check_columns(path, list(file.schema_arrow.names))
             number = 0
-            for batch in file.iter_batches(_ROWS):
+            for batch in _batches(path, file):
                 for index in range(batch.num_rows):
                     number += 1
                     yield number, partial(_parquet_row, batch, index)
     else:
         raise _invalid_file(path, f"ends in {path.suffix or 'nothing'}")
+
+
+def _batches(path: Path, file: pq.ParquetFile) -> Iterator[pa.RecordBatch]:
+    """A few rows at a time: a small file may decode to very many bytes, but no value to more than the bytes of its row group."""
+    limit = LIMITS.table.max_decoded_bytes
+    for group in range(file.num_row_groups):
+        if (stated := file.metadata.row_group(group).total_byte_size) > limit:
+            raise _invalid_file(path, f"needs more memory ({at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')})")
+        yield from file.iter_batches(min(_ROWS, max(1, limit // max(stated, 1))), [group])
 
 
 def _csv_rows(reader: Iterator[dict[str, Any]]) -> Iterator[Callable[[], Mapping[str, Any]]]:

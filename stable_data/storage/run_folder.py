@@ -277,13 +277,21 @@ class RunFolder:
         object store are read several at a time, since each one has a latency.
 
         Raises:
-            ConfigError: As :meth:`dataset`.
+            ConfigError: As :meth:`dataset`; a file needs too much memory (``shard_too_big``).
         """
         wanted = SCHEMAS[table].names if columns is None else list(columns)
-        ahead = {"batch_readahead": 1, "fragment_readahead": 1 if self.is_local else _AHEAD, "cache_metadata": False}
-        for part in self._parts(table):
-            with self._naming_what_is_broken(part):
-                yield from part.to_batches(wanted, filter=where, **ahead)
+        at_once = 1 if self.is_local else _AHEAD
+        ahead = {"batch_readahead": 1, "fragment_readahead": at_once, "cache_metadata": False}
+        with ThreadPoolExecutor(_AHEAD) as pool:
+            for part in self._parts(table):
+                with self._naming_what_is_broken(part):
+                    if all(pool.map(_is_small, part.get_fragments())):
+                        yield from part.to_batches(wanted, filter=where, **ahead)
+                        continue
+                    for start in range(0, len(part.files), at_once):  # a scan would decode a row group as a whole
+                        paths = part.files[start : start + at_once]
+                        for rows in pool.map(lambda path: self._read(table, path, wanted, where), paths):
+                            yield from rows.to_batches()
 
     def table(
         self,

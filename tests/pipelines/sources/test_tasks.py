@@ -167,3 +167,16 @@ def test_an_instruction_has_a_limited_length(tmp_path: Path) -> None:
     assert isinstance(lost, Notice)
     assert lost.code == "instruction_invalid"
     assert "text.max_instruction in STABLE_DATA_LIMITS" in lost.message
+
+
+def test_a_small_parquet_file_of_long_rows_is_read_a_few_rows_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = pa.Table.from_pylist([{**GOOD, "instruction": "x" * 10**5}])
+    path = tmp_path / "tasks.parquet"
+    pq.write_table(pa.concat_tables([rows] * 1000), path, compression="zstd")
+    limit(monkeypatch, "table", max_decoded_bytes=2 * 10**6)
+    before = pa.total_allocated_bytes()
+    needed = [pa.total_allocated_bytes() - before for _ in read_tasks(path)]
+    assert len(needed) == 1000
+    assert max(needed) < 10**7
