@@ -17,6 +17,7 @@ from stable_data.errors import ConfigError, Notice, SceneError, cannot_write
 from stable_data.json_text import bounded_lines, is_unicode, json_value, quote_value
 from stable_data.limits import LIMITS, at_most
 from stable_data.scene import Tabletop
+from stable_data.storage.run_folder import bounded_batches
 
 KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")
 """Columns of the file; the first and the last are optional."""
@@ -32,7 +33,7 @@ SHORTEST_CM = 1.0
 
 _PLAIN = re.compile(r"\w[\w.-]{0,119}")
 _BETWEEN = re.compile(r"[\s,;x×\[\]()]+")
-_ROWS = 1024  # of a Parquet file that are in memory at once
+_ROWS = 1024  # of a Parquet file that are in memory at once, at most
 
 
 def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
@@ -173,21 +174,12 @@ def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
         with pq.ParquetFile(path) as file:
             _check_columns(path, list(file.schema_arrow.names))
             number = 0
-            for batch in _batches(path, file):
+            for batch in bounded_batches(file, str(path), range(file.num_row_groups), most_rows=_ROWS):
                 for index in range(batch.num_rows):
                     number += 1
                     yield number, partial(_parquet_row, batch, index)
     else:
         raise _invalid_file(path, f"ends in {path.suffix or 'nothing'}")
-
-
-def _batches(path: Path, file: pq.ParquetFile) -> Iterator[pa.RecordBatch]:
-    """A few rows at a time: a small file may decode to very many bytes, but no value to more than the bytes of its row group."""
-    limit = LIMITS.table.max_decoded_bytes
-    for group in range(file.num_row_groups):
-        if (stated := file.metadata.row_group(group).total_byte_size) > limit:
-            raise _invalid_file(path, f"needs more memory ({at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')})")
-        yield from file.iter_batches(min(_ROWS, max(1, limit // max(stated, 1))), [group])
 
 
 def _csv_rows(reader: Iterator[dict[str, Any]]) -> Iterator[Callable[[], Mapping[str, Any]]]:

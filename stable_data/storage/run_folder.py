@@ -15,6 +15,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
@@ -289,9 +290,9 @@ class RunFolder:
                         yield from part.to_batches(wanted, filter=where, **ahead)
                         continue
                     for start in range(0, len(part.files), at_once):  # a scan would decode a row group as a whole
-                        paths = part.files[start : start + at_once]
-                        for rows in pool.map(lambda path: self._read(table, path, wanted, where), paths):
-                            yield from rows.to_batches()
+                        streams = (self._stream(table, path, wanted, where) for path in part.files[start : start + at_once])
+                        for stream in pool.map(_begin, streams):
+                            yield from stream
 
     def table(
         self,
@@ -356,18 +357,29 @@ class RunFolder:
 
     def _read(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
         """Reads the requested columns and rows of one file."""
-        schema = SCHEMAS[table]
-        names = _names_in(schema.names if wanted is None else wanted, where)
-        needed = [name for name in schema.names if name in names]
+        known = _needed(SCHEMAS[table], wanted, where)
         try:
-            fragment = ds.ParquetFileFormat().make_fragment(path, self.filesystem)
-            fragment = fragment if where is None else fragment.subset(where, schema=schema)
-            with pq.ParquetFile(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
-                rows = read_row_groups(file, path, [group.id for group in fragment.row_groups], needed)
+            with self._open(table, path, where) as (file, groups):
+                rows = read_row_groups(file, path, groups, known.names)
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(self.uri, path, error) from error
-        known = pa.schema([schema.field(name) for name in needed], schema.metadata)
         return _chosen(conform_to_schema(rows, known), wanted, where)
+
+    def _stream(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> Iterator[pa.RecordBatch]:
+        """As :meth:`_read`, a few rows at a time."""
+        known = _needed(SCHEMAS[table], wanted, where)
+        with self._open(table, path, where) as (file, groups):
+            for batch in bounded_batches(file, path, groups, known.names):
+                rows = conform_to_schema(pa.Table.from_batches([batch]), known)
+                yield from _chosen(rows, wanted, where).to_batches()
+
+    @contextmanager
+    def _open(self, table: str, path: str, where: pc.Expression | None) -> Iterator[tuple[pq.ParquetFile, list[int]]]:
+        """Opens a file, and names its row groups that may contain requested rows."""
+        fragment = ds.ParquetFileFormat().make_fragment(path, self.filesystem)
+        fragment = fragment if where is None else fragment.subset(where, schema=SCHEMAS[table])
+        with pq.ParquetFile(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
+            yield file, [group.id for group in fragment.row_groups]
 
     def _parts(self, table: str, files: Sequence[str] | None = None) -> Iterator[ds.Dataset]:
         """Yields a table of the run, or some of its files, as datasets of a few files.
@@ -415,29 +427,67 @@ def read_row_groups(
     Raises:
         ConfigError: The row groups need too much memory (``shard_too_big``).
     """
-    limit = LIMITS.table.max_decoded_bytes
     batches, size = list[pa.RecordBatch](), 0
-    for group in groups:
-        footer = file.metadata.row_group(group)
-        stated = footer.total_byte_size
-        found: Iterable[pa.RecordBatch] = ()
-        if footer.num_rows * stated <= limit:  # no value is larger than the bytes of its row group
-            found = file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
-        elif stated <= limit:
-            found = file.iter_batches(max(1, limit // stated), [group], columns, use_threads=use_threads)
-        for batch in found:
-            size += batch.nbytes
-            if size > limit:
-                break
-            batches.append(batch)
-        if max(size, stated) > limit:
-            raise ConfigError(
-                f"{path}: needs more memory, expected {at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')} for one file of a table; "
-                "the file may be malicious; if you trust it, write its rows to several files",
-                "shard_too_big",
-            )
+    for batch in bounded_batches(file, path, groups, columns, use_threads=use_threads):
+        size += batch.nbytes
+        if size > LIMITS.table.max_decoded_bytes:
+            raise _too_big(path, "one file of a table")
+        batches.append(batch)
     # Batches, not tables: a concatenation of tables without columns loses the number of their rows.
     return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
+
+
+def bounded_batches(
+    file: pq.ParquetFile,
+    path: str,
+    groups: Iterable[int],
+    columns: Sequence[str] | None = None,
+    *,
+    most_rows: int | None = None,
+    use_threads: bool = True,
+) -> Iterator[pa.RecordBatch]:
+    """Yields the rows of row groups in batches that need little memory each; see :func:`read_row_groups`.
+
+    Args:
+        file: The file.
+        path: Path of the file, for the message.
+        groups: Indices of the row groups.
+        columns: Columns or leaves of columns, as Parquet names them, or None for all.
+        most_rows: Rows of a batch, or None for all of a row group if they need little memory.
+        use_threads: Whether columns are decoded in parallel.
+
+    Raises:
+        ConfigError: A row group states more bytes than the limit (``shard_too_big``).
+    """
+    limit = LIMITS.table.max_decoded_bytes
+    for group in groups:
+        footer = file.metadata.row_group(group)
+        if (stated := footer.total_byte_size) > limit:
+            raise _too_big(path, "one row group")
+        rows = limit // max(stated, 1)  # no value is larger than the bytes of its row group
+        if most_rows is None and footer.num_rows <= rows:
+            yield from file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
+        else:
+            yield from file.iter_batches(max(1, min(rows, most_rows or rows)), [group], columns, use_threads=use_threads)
+
+
+def _begin(stream: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """The same stream; its first batch, in most files all rows, is read now."""
+    return chain(list(islice(stream, 1)), stream)
+
+
+def _needed(schema: pa.Schema, wanted: _Columns, where: pc.Expression | None) -> pa.Schema:
+    """The columns that the requested ones and the condition need."""
+    names = _names_in(schema.names if wanted is None else wanted, where)
+    return pa.schema([field for field in schema if field.name in names], schema.metadata)
+
+
+def _too_big(path: str, of: str) -> ConfigError:
+    return ConfigError(
+        f"{path}: needs more memory, expected {at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')} for {of}; "
+        "the file may be malicious; if you trust it, write its rows to several files",
+        "shard_too_big",
+    )
 
 
 def _is_small(fragment: ds.ParquetFileFragment) -> bool:

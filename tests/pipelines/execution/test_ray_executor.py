@@ -16,6 +16,7 @@ from tqdm import tqdm
 from pipelines.execution import ray_executor
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, item_limited, run_isolated
 from stable_data.errors import ConfigError
+from stable_data.limits import worker_environment
 
 
 class Double:
@@ -188,12 +189,13 @@ def test_a_cluster_gets_as_many_shards_as_it_has_cores(monkeypatch: pytest.Monke
     assert run._width() == 1
 
 
-def test_a_cluster_gets_the_checkout_unless_a_job_brought_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    shipped = ray_executor._checkout()
+def test_a_cluster_gets_the_checkout_and_the_limits_unless_a_job_brought_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped = ray_executor._runtime()
     assert shipped is not None
+    assert shipped["env_vars"] == worker_environment()
     assert (Path(shipped["working_dir"]) / "pipelines" / "execution" / "ray_executor.py").is_file()
     monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", "{}")
-    assert ray_executor._checkout() is None
+    assert ray_executor._runtime() is None
 
 
 @pytest.mark.ray
