@@ -148,6 +148,8 @@ class OpenAIEngine:
                 answer = (await create(model=s.model, messages=messages, extra_body=sent_fields)).http_response
         except TimeoutError:
             return self._failure("endpoint_timeout", f"no answer within {s.total_s:g} s")
+        except _UnreadableAnswer as error:
+            return self._failure("response_invalid", str(error))
         except openai.APIError as error:
             code, what = failure_reason(error)
             return self._failure(code, what, _NO_SIGHT if request.pictures and code == "request_refused" else "")
@@ -182,6 +184,10 @@ def _client(settings: HttpSettings, key: str) -> openai.AsyncOpenAI:
         raise ConfigError(f"{message}; check the proxies and SSL_CERT_FILE of the environment", "config_invalid") from error
 
 
+class _UnreadableAnswer(openai.OpenAIError):
+    """An answer that is not read. The client passes this error on, and does not ask again."""
+
+
 class _BoundedStream(httpx2.AsyncByteStream):
     """The body of an answer, up to the limit: an endpoint could send one without an end."""
 
@@ -193,7 +199,7 @@ class _BoundedStream(httpx2.AsyncByteStream):
         async for chunk in self._stream:
             size += len(chunk)
             if size > LIMITS.text.max_answer_bytes:
-                raise ValueError(f"the answer is larger, expected {at_most(LIMITS.text, 'max_answer_bytes', 'bytes')}")
+                raise _UnreadableAnswer(f"the answer is larger, expected {at_most(LIMITS.text, 'max_answer_bytes', 'bytes')}")
             yield chunk
 
     async def aclose(self) -> None:
@@ -205,7 +211,7 @@ async def _bound_answer(answer: httpx2.Response) -> None:
     assert isinstance(answer.stream, httpx2.AsyncByteStream)
     answer.stream = _BoundedStream(answer.stream)
     if answer.headers.get("Content-Encoding", "identity") != "identity":
-        raise ValueError("the answer is compressed, expected plain JSON")
+        raise _UnreadableAnswer("the answer is compressed, expected plain JSON")
 
 
 def _run(loop: asyncio.AbstractEventLoop) -> None:

@@ -90,7 +90,7 @@ def test_joints_are_looked_up_in_time_that_grows_with_their_number(tmp_path: Pat
         for k in range(count)
     )
     joints = "".join(
-        f'def PhysicsFixedJoint "j{k}" {{ rel physics:body0 = </W/b{k}>\n rel physics:body1 = </W/b{k + 1}> }}\n'
+        f'def PhysicsFixedJoint "j{k}" {{ rel physics:body0 = </W/b{k}>\n rel physics:body1 = </W/b{k + 1}>\n}}\n'
         for k in range(1, count - 1)
     )
     (tmp_path / "a.usda").write_text(
