@@ -123,7 +123,7 @@ def scene_folder(root: Path, scene: Scene) -> Path:
     name = scene.scene_id.removeprefix(f"{scene.table.table_type}/")
     for part in (name, scene.table.table_type):
         if not part or not is_file_name(part):
-            found = f"{quote_value(scene.scene_id)}: {quote_value(part)} cannot name a folder"
+            found = f"{scene.scene_id}: {quote_value(part)} cannot name a folder"
             raise SceneError(f"{found}, expected a plain name of at most {MAX_NAME_BYTES} bytes", "scene_id_invalid")
     return root / LAYOUT_FOLDER / scene.table.table_type / name
 
