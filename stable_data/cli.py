@@ -177,7 +177,7 @@ def draft_edits(
     The edits are neither simulated nor audited; synth --edits makes edits that are. Status 0: done. 1: some scenes are not of the
     embedded world; they are listed. 2: could not start.
     """
-    from stable_data.embedded_world.edit_table import write_edits
+    from stable_data.embedded_world.edit_table import record_edits, write_edits
     from stable_data.storage.run_folder import RunFolder
 
     source, target = RunFolder(run), RunFolder(out or run)
@@ -186,6 +186,7 @@ def draft_edits(
         for count, failed in write_edits(source, target, per_scene, seed):
             num_edits += count
             failures += failed
+        record_edits(source, target, per_scene, seed)
     for error in failures:
         typer.echo(f"no edits: {error}", err=True)
     typer.echo(
@@ -233,11 +234,12 @@ def lint(
 @with_clear_errors
 def inspect(run: Annotated[str, typer.Argument(metavar="RUN", help="A run: folder or URI.")]) -> None:
     """Print the content of a run: its manifest, its tables and their numbers of rows."""
+    from stable_data.storage.manifest import MANIFEST
     from stable_data.storage.run_folder import RunFolder
     from stable_data.storage.schemas import SCHEMAS
 
     folder = RunFolder(run)
-    content = folder.read_bytes("manifest.json")
+    content = folder.read_bytes(MANIFEST)
     if content is None:
         raise ConfigError(f"{run}: no manifest.json, expected the folder of a run; was preprocess run into it?", "not_a_run")
     typer.echo(content.decode())

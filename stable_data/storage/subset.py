@@ -14,7 +14,7 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import texture_addresses
 from stable_data.storage.id_hashes import Hashes, id_hashes
-from stable_data.storage.manifest import write_manifest
+from stable_data.storage.manifest import COMPLETE, MANIFEST, PLANNED, write_manifest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.storage.table_scan import TableScan
@@ -71,6 +71,7 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
         "input_fingerprint": content_id(*read),
         "inputs": {"run": run.uri} | ({"joined": [one.uri for one in joined]} if joined else {}),
         "settings": {"where": where},
+        PLANNED: [],  # what is selected is what there is
     }
     previous = _previous_manifest(target, manifest)
     if previous and previous["code_version"] != manifest["code_version"]:
@@ -88,7 +89,7 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
             _write(table, _without_doubles(parts, "sha256") if table == "textures" else parts, target)
     counts = {table: target.num_rows(table) for table in tables}
     left_out = {"doubles": {"scenes": doubles.count, "different": doubles.num_different}} if joined else {}
-    write_manifest(target, manifest | {"status": "complete", "counts": counts} | left_out)
+    write_manifest(target, manifest | {"status": COMPLETE, "counts": counts} | left_out)
     return counts
 
 
@@ -275,7 +276,7 @@ def _previous_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[s
     Raises:
         ConfigError: The target has other content, or an incomplete selection of another code version.
     """
-    content = target.read_bytes("manifest.json")
+    content = target.read_bytes(MANIFEST)
     if content is None and not any(target.files(table) for table in SCHEMAS):
         return {}
     try:
@@ -297,7 +298,7 @@ def _previous_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[s
 def _is_complete(target: RunFolder, previous: Mapping[str, Any]) -> bool:
     counts = previous.get("counts")
     return (
-        previous.get("status") == "complete"
+        previous.get("status") == COMPLETE
         and isinstance(counts, dict)
         and counts == {table: target.num_rows(table) for table in counts if target.files(table)}
     )
