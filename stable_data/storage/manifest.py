@@ -10,12 +10,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from stable_data.errors import ConfigError
 from stable_data.storage.checksums import complete_checksums
-from stable_data.storage.id_hashes import Hashes, id_hashes
+from stable_data.storage.id_hashes import IdSet
 from stable_data.storage.run_folder import RunFolder
 
 MANIFEST = "manifest.json"
@@ -53,22 +52,14 @@ class PlannedItems:
         cls, table: str, column: str, ids: Iterable[str], *, lost: bool = True, failed_key: str | None = None
     ) -> "PlannedItems":
         """Returns the record of items with these ids; the other arguments are the attributes."""
-        hashes = unique_hashes(id_hashes(pa.array(list(ids), pa.string())))
-        return cls(table, column, len(hashes), digest_of_ids(hashes), lost, failed_key)
+        known = IdSet()
+        known.add(pa.array(list(ids), pa.string()))
+        return cls(table, column, len(known), digest_of_ids(known), lost, failed_key)
 
 
-def unique_hashes(hashes: Hashes) -> Hashes:
-    """Returns hashes of ids sorted, each once."""
-    return np.unique(hashes, axis=0) if len(hashes) else hashes
-
-
-def digest_of_ids(hashes: Hashes) -> str:
-    """Returns a hash of a set of ids.
-
-    Args:
-        hashes: Result of :func:`unique_hashes`.
-    """
-    return hashlib.sha256(hashes.astype("<u8").tobytes()).hexdigest()
+def digest_of_ids(ids: IdSet) -> str:
+    """Returns a hash of a set of ids."""
+    return hashlib.sha256(ids.hashes.astype("<u8").tobytes()).hexdigest()
 
 
 def read_manifest(folder: RunFolder) -> dict[str, Any] | None:

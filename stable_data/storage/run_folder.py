@@ -43,6 +43,9 @@ MAX_BYTES = 96 * 10**6
 MAX_DECODED = 2**30
 """Maximum memory for the decoded content of one file, bytes: ten times the content of a file that this module writes."""
 
+PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
+"""Names of the files of shards: the id of the shard, and from the second file on its number."""
+
 _ROW_GROUP = 1024
 _GROUP_ROWS = {"scenes": 128, "settled": 128}  # of tables that are read by scene: one row costs the decoding of its group
 _WITHOUT_DICTIONARIES = frozenset({"scenes", "episodes"})  # in small row groups they take more bytes and time than they save
@@ -51,8 +54,7 @@ _GROUP_BYTES = dict.fromkeys(
 )  # of a row group: a reader of one row reads its group
 _FILES_AT_ONCE = 32  # files of one dataset: their footers are in memory together, and are read concurrently
 _AHEAD = 8  # files of an object store that are fetched while another one is processed
-_PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
-_FILE = re.compile(r"[^/]+/" + _PART.pattern)
+_FILE = re.compile(r"[^/]+/" + PART.pattern)
 
 
 def absolute_uri(place: str) -> str:
@@ -253,7 +255,7 @@ class RunFolder:
             infos = self.filesystem.get_file_info(pafs.FileSelector(self._path(table), allow_not_found=True))
         except OSError as error:
             raise _unreachable(f"{self.uri}/{table}", error) from error
-        matches = ((_PART.fullmatch(info.base_name), info) for info in infos)
+        matches = ((PART.fullmatch(info.base_name), info) for info in infos)
         found = {(match[1], int(match[2] or 0)): info for match, info in matches if match}
         return [
             (info.path, int(info.size or 0), int(info.mtime_ns or 0))
