@@ -7,7 +7,7 @@ stored the last ones, or where a run is older than this file, are shards read on
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import PurePosixPath
 from typing import Any
@@ -52,6 +52,21 @@ def save_checksums(folder: RunFolder) -> None:
     """
     if folder.written:
         _write(folder, (read_checksums(folder) or {}) | folder.written)
+
+
+def take_checksums(folder: RunFolder, tables: Collection[str]) -> dict[str, str]:
+    """Removes the checksums of some tables from the file, before shards of them are replaced, and returns them.
+
+    A replacement that is stopped leaves no checksum of a file that it has replaced.
+
+    Raises:
+        ConfigError: The file cannot be read or written, or has another form.
+    """
+    known = read_checksums(folder) or {}
+    taken = {name: checksum for name, checksum in known.items() if name.partition("/")[0] in tables}
+    if taken:
+        _write(folder, {name: checksum for name, checksum in known.items() if name not in taken})
+    return taken
 
 
 def complete_checksums(folder: RunFolder) -> dict[str, Any]:

@@ -47,13 +47,15 @@ def list_files(folder: RunFolder, findings: Findings) -> list[ShardFile]:
     found = list[ShardFile]()
     for table in folder.tables():
         names = {PurePosixPath(path).name for path in folder.files(table)}
-        for info in sorted(folder.filesystem.get_file_info(pafs.FileSelector(f"{folder.root}/{table}")), key=lambda i: i.base_name):
+        for info in sorted(
+            folder.filesystem.get_file_info(pafs.FileSelector(f"{folder.root}/{table}")), key=lambda i: i.base_name
+        ):
             if info.base_name in names:
                 match = PART.fullmatch(info.base_name)
                 assert match is not None  # RunFolder.files lists no others
                 found.append(ShardFile(f"{table}/{info.base_name}", table, match[1], info.path, int(info.size or 0)))
             elif not info.base_name.startswith("."):  # temporary files of a killed run are hidden, and no reader sees them
-                findings.damage(f"{table}/{info.base_name}", "is no file of a complete shard, expected none beside them; readers of *.parquet see it")
+                findings.damage(f"{table}/{info.base_name}", "is no file of a complete shard, but readers of *.parquet see it")
     return found
 
 
@@ -85,7 +87,9 @@ def open_file(folder: RunFolder, file: ShardFile, checksum: str | None, findings
         else:
             found, source = _checksum_in_chunks(folder, file), folder.filesystem.open_input_file(file.path)
         if checksum is not None and found != checksum:
-            findings.damage(file.name, f"has the SHA-256 {found[:16]}…, expected {checksum[:16]}… as {CHECKSUMS} says; it was changed")
+            findings.damage(
+                file.name, f"has the SHA-256 {found[:16]}…, expected {checksum[:16]}… as {CHECKSUMS} says; it was changed"
+            )
         return pq.ParquetFile(source)
     except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
         findings.damage(file.name, f"is no readable Parquet file ({_line(error)})")
