@@ -43,10 +43,20 @@ class IdSet:
         """Number of ids."""
         return len(self.hashes)
 
+    @classmethod
+    def union(cls, *sets: "IdSet") -> "IdSet":
+        """Returns the ids of some sets as one set."""
+        found = cls()
+        found._parts += [each.hashes for each in sets]
+        return found
+
     def has(self, names: pa.Array | pa.ChunkedArray) -> npt.NDArray[np.bool_]:
         """Returns whether each id is in the set, (N,) bool."""
+        return self.has_hashes(id_hashes(names))
+
+    def has_hashes(self, wanted: Hashes) -> npt.NDArray[np.bool_]:
+        """Returns whether each id is in the set, by their hashes, (N,) bool."""
         known = self.hashes
-        wanted = id_hashes(names)
         places = np.searchsorted(known[:, 0], wanted[:, 0])
         found, is_open = np.zeros(len(wanted), bool), np.ones(len(wanted), bool)
         while is_open.any():  # one round, unless two ids share half of their hash

@@ -10,7 +10,7 @@ from stable_data.storage.schema_checks import missing_columns, version_of
 from stable_data.storage.schemas import REQUIRED, SCHEMAS, TABLE_VERSION
 from stable_data.verification.column_rules import RULES, ColumnRules
 from stable_data.verification.findings import Findings
-from stable_data.verification.shard_files import ShardFile
+from stable_data.verification.shard_files import ShardFile, as_array
 
 _UNIT = 1e-5  # largest difference of the norm of a quaternion from 1
 
@@ -90,7 +90,7 @@ def check_values(rows: pa.Table, start: int, file: ShardFile, findings: Findings
     """
     rules, numbers = RULES[file.table], np.arange(start, start + rows.num_rows)
     for name in rows.column_names:
-        for fault, row in _faults(_joined(rows[name]), name, numbers, rules):
+        for fault, row in _faults(as_array(rows[name]), name, numbers, rules):
             findings.damage(file.name, fault, int(row))
 
 
@@ -108,7 +108,7 @@ def _faults(values: pa.Array, path: str, rows: IntArray, rules: ColumnRules) -> 
         return found + _faults_of_list(values, path, rows, rules)
     if pa.types.is_struct(values.type):
         for each in values.type:
-            found += _faults(_joined(pc.struct_field(values, each.name)), f"{path}.{each.name}", rows, rules)
+            found += _faults(as_array(pc.struct_field(values, each.name)), f"{path}.{each.name}", rows, rules)
         return found
     if path in rules.words:
         is_odd = ~pc.is_in(values, pa.array(sorted(rules.words[path]), pa.string())).to_numpy(zero_copy_only=False)
@@ -150,9 +150,3 @@ def _faults_of_numbers(values: pa.Array, path: str, rows: IntArray, rules: Colum
         if is_odd.any():
             return [(f"{path} is {numbers[is_odd][0]}, expected {expected}", rows[is_odd][0])]
     return []
-
-
-def _joined(values: pa.ChunkedArray | pa.Array) -> pa.Array:
-    """A column as one array."""
-    found = values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
-    return pa.concat_arrays(found.chunks) if isinstance(found, pa.ChunkedArray) else found

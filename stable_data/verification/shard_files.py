@@ -112,6 +112,12 @@ def row_groups(opened: pq.ParquetFile, file: ShardFile, findings: Findings) -> I
         findings.damage(file.name, f"has {start} rows, expected {opened.metadata.num_rows} as its footer says")
 
 
+def as_array(values: pa.ChunkedArray | pa.Array) -> pa.Array:
+    """Returns a column of a row group as one array."""
+    found = values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
+    return pa.concat_arrays(found.chunks) if isinstance(found, pa.ChunkedArray) else found
+
+
 def is_known(table: str) -> bool:
     """Whether a table is one of this library; others are those of custom jobs, of which the checksums alone can be compared."""
     return table in SCHEMAS
