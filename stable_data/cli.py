@@ -3,10 +3,11 @@
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, TypeVar, cast
 
 import typer
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from stable_data.robot.lerobot.dataset_writer import EpisodeSelection
     from stable_data.simulation.run_reader import SceneSelection
     from stable_data.storage.run_folder import RunFolder
+    from stable_data.verification.verifier import Verdicts
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -346,6 +348,63 @@ def upgrade(run: Annotated[str, typer.Argument(metavar="RUN", help="A run of an 
 
     count = run_changes.upgrade(RunFolder(run))
     typer.echo(f"{run}: {count} files were of an older version" if count else f"{run}: is up to date")
+
+
+@app.command()
+@with_clear_errors
+def verify(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run, or the folder of an evaluation: folder or URI.")],
+    sample: Annotated[int, typer.Option(min=0, help="Scenes whose verdicts are computed again. 0: all.")] = 20,
+    seed: Annotated[int, typer.Option(help="Seed that chooses these scenes.")] = 0,
+    verdicts: Annotated[
+        str, typer.Option(help="Which verdicts are computed again: all, audit (without MuJoCo), or none.")
+    ] = "all",
+    source: Annotated[
+        str | None, typer.Option(metavar="RUN", help="Run whose scenes the rows refer to, for example of demonstrations.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option(help="Show no progress bar.")] = False,
+) -> None:
+    """Check whether a run is whole: manifest, checksums, rows, ids, references, and a sample of the verdicts. One line for each finding.
+
+    Status 0: whole. 1: damaged, not finished, or something cannot be known; the last line says which. 2: there is no run.
+    """
+    from stable_data.storage.run_folder import RunFolder
+    from stable_data.verification.evaluation_folder import is_evaluation, verify_evaluation
+    from stable_data.verification.verifier import VerifyOptions, verify_run
+
+    if verdicts not in ("all", "audit", "none"):
+        raise ConfigError(f"--verdicts is {verdicts!r}, expected all, audit or none", "usage")
+    folder = RunFolder(run)
+    options = VerifyOptions(sample, seed, cast("Verdicts", verdicts), None if source is None else RunFolder(source))
+    with files_bar(quiet=quiet) as show:
+        if is_evaluation(folder):
+            found = list(verify_evaluation(folder, lambda finding: typer.echo(str(finding)), options, show))
+        else:
+            found = [verify_run(folder, lambda finding: typer.echo(str(finding)), options, show)]
+    for one in found:
+        typer.echo(str(one))
+    if len(found) > 1:
+        num_whole = sum(one.is_whole for one in found[1:])
+        is_whole = found[0].is_whole and num_whole == len(found) - 1
+        typer.echo(f"{run}: {'whole' if is_whole else 'not whole'} (evaluate; {num_whole} of {len(found) - 1} runs are whole)")
+    if not all(one.is_whole for one in found):
+        raise typer.Exit(SOME_FAILED)
+
+
+@contextmanager
+def files_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """Shows the progress of a verification, and yields what is called with it."""
+    from tqdm import tqdm
+
+    with tqdm(unit="file", disable=True if quiet else None) as bar:
+
+        def show(what: str, done: int, total: int) -> None:
+            if done == 1:
+                bar.reset(total)
+                bar.set_description_str(what)
+            bar.update(done - bar.n)
+
+        yield show
 
 
 @app.command("diversity")
