@@ -372,10 +372,8 @@ def verify(
     from stable_data.verification.evaluation_folder import is_evaluation, verify_evaluation
     from stable_data.verification.verifier import VerifyOptions, verify_run
 
-    if verdicts not in ("all", "audit", "none"):
-        raise ConfigError(f"--verdicts is {verdicts!r}, expected all, audit or none", "usage")
     folder = RunFolder(run)
-    options = VerifyOptions(sample, seed, cast("Verdicts", verdicts), None if source is None else RunFolder(source))
+    options = VerifyOptions(sample, seed, _verdicts(verdicts), None if source is None else RunFolder(source))
     with files_bar(quiet=quiet) as show:
         if is_evaluation(folder):
             found = list(verify_evaluation(folder, lambda finding: typer.echo(str(finding)), options, show))
@@ -389,6 +387,62 @@ def verify(
         typer.echo(f"{run}: {'whole' if is_whole else 'not whole'} (evaluate; {num_whole} of {len(found) - 1} runs are whole)")
     if not all(one.is_whole for one in found):
         raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+@with_clear_errors
+def publish(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A complete run: folder or URI.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New folder, which a dataset hub takes as it is.")],
+    title: Annotated[str, typer.Option(help="Title of the dataset. Default: the name of the run.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of the rows themselves, such as CC-BY-4.0. Default: not stated.")] = "",
+    url: Annotated[str, typer.Option(help="Where the dataset will be, for its metadata.")] = "",
+    allow_unknown_licences: Annotated[
+        bool, typer.Option("--allow-unknown-licences", help="Publish assets without a known licence too.")
+    ] = False,
+    allow_no_derivatives: Annotated[
+        bool, typer.Option("--allow-no-derivatives", help="Publish assets too that must not be passed on changed.")
+    ] = False,
+    unverified: Annotated[
+        bool, typer.Option("--unverified", help="Publish a run that is not known to be whole; the card says so.")
+    ] = False,
+    sample: Annotated[int, typer.Option(min=0, help="Scenes whose verdicts are computed again. 0: all.")] = 20,
+    verdicts: Annotated[
+        str, typer.Option(help="Which verdicts are computed again: all, audit (without MuJoCo), or none.")
+    ] = "all",
+    quiet: Annotated[bool, typer.Option(help="Show no progress bar.")] = False,
+) -> None:
+    """Write a run as a dataset: card, Parquet by split, pictures, schemas, licences of assets, Croissant metadata. It is verified first.
+
+    Status 0: done. 2: refused or could not start; nothing is written.
+    """
+    from stable_data.publishing.publisher import PublishOptions
+    from stable_data.publishing.publisher import publish as write
+    from stable_data.storage.run_folder import RunFolder
+    from stable_data.verification.verifier import VerifyOptions
+
+    verify_options = VerifyOptions(sample, verdicts=_verdicts(verdicts))
+    options = PublishOptions(title, licence, url, allow_unknown_licences, allow_no_derivatives, unverified, verify_options)
+    with files_bar(quiet=quiet) as show:
+        found = write(RunFolder(run), out, options, lambda finding: typer.echo(str(finding), err=True), show)
+    for name in found.left_out:
+        typer.echo(f"left out: table {name} is none of this library", err=True)
+    rows = ", ".join(f"{table.name} {table.num_rows}" for table in found.tables)
+    typer.echo(
+        f"{out}: {rows}; {found.num_previews} pictures; README.md is the card"
+        + ("" if found.verification.is_whole else "; the run is not known to be whole, and the card says so")
+    )
+
+
+def _verdicts(text: str) -> "Verdicts":
+    """The option --verdicts.
+
+    Raises:
+        ConfigError: It is none of its values (``usage``).
+    """
+    if text not in ("all", "audit", "none"):
+        raise ConfigError(f"--verdicts is {text!r}, expected all, audit or none", "usage")
+    return cast("Verdicts", text)
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """Exports scenes of a run to another format, into a folder of their own; an interrupted export continues when it is run again."""
 
 import json
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.assets.licences import licence_terms, normalise_licence
+from stable_data.assets.licences import attribution_text
 from stable_data.assets.run_assets import run_annotations
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
@@ -165,7 +165,7 @@ def _export(
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     assets = [annotations[asset_id] for asset_id in sorted(used)]
     write_file_atomically(out / "README.md", _readme(chosen, written + existing, assets).encode())
-    write_file_atomically(out / ATTRIBUTION_FILE, _attribution(assets).encode())
+    write_file_atomically(out / ATTRIBUTION_FILE, attribution_text(assets).encode())
     return ExportResult(written, existing, boxes, tuple(failures), cached)
 
 
@@ -217,42 +217,6 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
             "",
         ]
     )
-
-
-def _attribution(assets: Sequence[AssetAnnotation]) -> str:
-    """The assets by licence, with what each licence asks for, and the words of the licence where they are others."""
-    of_licence: dict[str, list[AssetAnnotation]] = defaultdict(list)
-    for a in assets:
-        of_licence[normalise_licence(a.licence) or " ".join((a.licence or "not known").split())].append(a)
-    lines = [
-        "# Attribution",
-        "",
-        "The assets of these scenes. Their meshes were repaired, scaled and posed. The texts of licences are with the sources.",
-        "",
-    ]
-    for licence, own in sorted(of_licence.items()):
-        lines += [f"## {licence}", "", _asked(licence), ""]
-        for a in own:
-            said = "".join(f"; {a.raw[name]}" for name in ("author", "source_url") if a.raw.get(name))
-            if a.licence and " ".join(a.licence.split()) != licence:
-                said += f"; stated as {a.licence}"
-            text = f"- {a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}{said}"
-            lines.append(" ".join(text.split()))
-        lines.append("")
-    return "\n".join(lines)
-
-
-def _asked(licence: str) -> str:
-    terms = licence_terms(licence)
-    if terms is None:
-        return "What this licence asks for is not known: ask the source before you pass these assets on."
-    asked = {
-        "name the author and the licence": terms.is_credited,
-        "give changed assets the same licence": terms.is_share_alike,
-        "do not use them commercially": terms.is_non_commercial,
-        "do not pass changed assets on": terms.is_unchanged,
-    }
-    return f"Asked: {'; '.join(text for text, is_asked in asked.items() if is_asked) or 'nothing'}."
 
 
 def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelection) -> None:

@@ -125,12 +125,15 @@ def stated_checksums(folder: RunFolder, manifest: Mapping[str, Any] | None, find
 
 
 def split_rule(manifest: Mapping[str, Any]) -> SplitRule | None:
-    """Returns how splits follow from scenes in a run; None if its job takes them from other runs and changes the scenes."""
+    """Returns how splits follow from scenes in a run; None if its job takes them from other runs, whose scenes may be changed."""
+    origin = manifest.get("origin")
+    if manifest.get("job") == "publish" and isinstance(origin, dict):
+        manifest = origin
     job, settings = manifest.get("job"), manifest.get("settings")
     if job == "preprocess" and isinstance(settings, dict):
         shares = [settings.get(name) for name in ("seed", "train_share", "validation_share")]
         return SplitRule(SplitShares(int(shares[0]), *map(float, shares[1:]))) if None not in shares else None  # type: ignore[arg-type]
-    return SplitRule(SplitShares(), "generated") if job in ("generate", "reach", "query", "publish") else None
+    return SplitRule(SplitShares(), "generated") if job == "generate" else None
 
 
 @dataclass(slots=True)

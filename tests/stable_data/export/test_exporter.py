@@ -11,9 +11,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from stable_data.assets.annotation import AssetAnnotation
+from stable_data.assets.licences import attribution_text
 from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED, app
 from stable_data.export import exporter
-from stable_data.export.exporter import _attribution, export_run
+from stable_data.export.exporter import export_run
 from stable_data.export.formats import FORMATS
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection, SettledPoses
@@ -59,7 +60,7 @@ def test_every_scene_is_written_whatever_its_name(name: str, run: RunFolder, tmp
 
 def test_an_attribution_says_what_each_licence_asks_for() -> None:
     given = {"a": "CC BY 4.0", "b": "cc-by-4.0", "c": "CC BY-NC-SA 3.0", "d": "ask\nme", "e": ""}
-    text = _attribution([AssetAnnotation(name, category="mug", raw={"licence": said}) for name, said in given.items()])
+    text = attribution_text([AssetAnnotation(name, category="mug", raw={"licence": said}) for name, said in given.items()])
     assert (
         "## CC-BY-4.0\n\nAsked: name the author and the licence.\n\n- a: mug; source not known; stated as CC BY 4.0\n" in text
     )
