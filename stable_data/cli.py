@@ -397,6 +397,7 @@ def publish(
     title: Annotated[str, typer.Option(help="Title of the dataset. Default: the name of the run.")] = "",
     licence: Annotated[str, typer.Option(help="Licence of the rows themselves, such as CC-BY-4.0. Default: not stated.")] = "",
     url: Annotated[str, typer.Option(help="Where the dataset will be, for its metadata.")] = "",
+    citation: Annotated[str, typer.Option(help="How to cite the dataset, for its card and its metadata.")] = "",
     allow_unknown_licences: Annotated[
         bool, typer.Option("--allow-unknown-licences", help="Publish assets without a known licence too.")
     ] = False,
@@ -422,7 +423,9 @@ def publish(
     from stable_data.verification.verifier import VerifyOptions
 
     verify_options = VerifyOptions(sample, verdicts=_verdicts(verdicts))
-    options = PublishOptions(title, licence, url, allow_unknown_licences, allow_no_derivatives, unverified, verify_options)
+    options = PublishOptions(
+        title, licence, url, citation, allow_unknown_licences, allow_no_derivatives, unverified, verify_options
+    )
     with files_bar(quiet=quiet) as show:
         found = write(RunFolder(run), out, options, lambda finding: typer.echo(str(finding), err=True), show)
     for name in found.left_out:

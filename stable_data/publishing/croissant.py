@@ -62,8 +62,6 @@ def croissant_document(
     licences: Sequence[str],
     tables: Sequence[PublishedTable],
     files: Sequence[CroissantFile],
-    published: str,
-    url: str,
 ) -> dict[str, Any]:
     """Returns the content of ``croissant.json``.
 
@@ -76,8 +74,6 @@ def croissant_document(
         licences: Names or addresses of its licences; empty if none is known.
         tables: Its tables, those with rows.
         files: Further files.
-        published: Date, YYYY-MM-DD.
-        url: Where the dataset will be; empty if it is not known.
     """
     found: dict[str, Any] = {
         "@context": _CONTEXT,
@@ -87,12 +83,9 @@ def croissant_document(
         "conformsTo": _VERSION,
         "license": list(licences) or ["unknown"],
         "version": "1.0.0",
-        "datePublished": published,
         "distribution": [*map(_file_object, files), *map(_file_set, tables)],
         "recordSet": [_record_set(table) for table in tables],
     }
-    if url:
-        found["url"] = url
     if any(file.name == LICENCE_FILE for file in files):
         found["recordSet"].append(_licence_records())
     return found

@@ -96,6 +96,7 @@ class CardContent:
         verdict: What ``verify`` said of the run.
         figures: Lines on the verdicts of the scenes.
         previews: Names of pictures in the folder.
+        citation: How to cite the dataset; empty if the publisher does not say.
     """
 
     title: str
@@ -106,6 +107,7 @@ class CardContent:
     verdict: str
     figures: Sequence[str]
     previews: Sequence[str]
+    citation: str = ""
 
     @property
     def main(self) -> PublishedTable:
@@ -214,6 +216,8 @@ def _body(content: CardContent) -> str:
             *(f"| {licence} | {count:,} |" for licence, count in sorted(content.licences.items())),
             "",
         ]
+    if content.citation:
+        lines += ["## Citation", "", content.citation, ""]
     return "\n".join(lines)
 
 

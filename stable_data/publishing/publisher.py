@@ -55,6 +55,7 @@ class PublishOptions:
         title: Title of the dataset; empty: the name of the run.
         licence: Licence of the rows themselves; empty if the publisher states none.
         url: Where the dataset will be; empty if it is not known.
+        citation: How to cite it; empty if the publisher does not say.
         allow_unknown_licences: Whether assets without a known licence are published.
         allow_no_derivatives: Whether assets are published that must not be passed on changed.
         unverified: Whether a run is published that is not known to be whole; the card says so.
@@ -64,6 +65,7 @@ class PublishOptions:
     title: str = ""
     licence: str = ""
     url: str = ""
+    citation: str = ""
     allow_unknown_licences: bool = False
     allow_no_derivatives: bool = False
     unverified: bool = False
@@ -194,6 +196,7 @@ def _write(
         str(verification).partition(": ")[2].replace(run.uri, "the run"),
         figures.lines(),
         list(pictures),
+        options.citation,
     )
     target.write_bytes("README.md", card_text(card).encode())
     files = _write_licences(target, folder, licences)
@@ -203,9 +206,9 @@ def _write(
     ]
     stated = [*([card.row_licence] if card.row_licence else []), *(name for name in sorted(by_licence) if name != "not known")]
     description = f"{card.main.num_rows} rows of {card.main.name}, made by {origin.get('job')} of stable-data"
-    document = croissant_document(
-        title, description, list(dict.fromkeys(stated)), tables, files, datetime.now(UTC).date().isoformat(), options.url
-    )
+    document = croissant_document(title, description, list(dict.fromkeys(stated)), tables, files)
+    document |= {"datePublished": datetime.now(UTC).date().isoformat()}
+    document |= {key: text for key, text in (("url", options.url), ("citeAs", options.citation)) if text}
     target.write_bytes(CROISSANT_FILE, (json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
     return Publication(tables, verification, len(pictures), tuple(set(run.tables()) - set(names)))
 

@@ -28,7 +28,7 @@ def flip(table: str, place: float, bit: int = 0x10) -> Damage:
     """Flips a bit of the first file of a table, at a share of its length."""
 
     def damage(run: Path) -> None:
-        path = files_of(run, table)[0]
+        path = files_of(run, table, with_rows=False)[0]
         content = bytearray(path.read_bytes())
         content[min(len(content) - 1, int(place * len(content)))] ^= bit
         path.write_bytes(content)
@@ -100,7 +100,8 @@ def recount(run: Path) -> None:
     folder = RunFolder(str(run))
     found = read_manifest(folder)
     assert found is not None
-    found["counts"] |= {table: folder.num_rows(table) for table in found["counts"] if table in SCHEMAS}
+    tables = [table for table in found["counts"] if table in SCHEMAS]
+    found["counts"] |= {table: folder.num_rows(table) if folder.files(table) else 0 for table in tables}
     write_manifest(folder, found)
 
 
