@@ -93,14 +93,11 @@ class SceneCheck:
         yield from _reach_faults(row, scene)
 
     def _split_faults(self, row: Row, scene: Scene) -> Iterator[str]:
-        group, split = row.get("duplicate_group"), row.get("split")
-        if (group is None) != (split is None):
-            yield f"split is {split} and duplicate_group is {group}, expected both or none"
-        if group is None or split is None:
-            return
-        if (first := self._split_of_group.setdefault(f"{group} {scene.table.table_type}", split)) != split:
-            yield f"split is {split}, expected {first} as of other scenes of its near-duplicate group"
-        rule = self._splits
+        group, split, rule = row.get("duplicate_group"), row.get("split"), self._splits
+        if group is not None and split is not None:
+            first = self._split_of_group.setdefault(f"{group} {scene.table.table_type}", split)
+            if first != split:
+                yield f"split is {split}, expected {first} as of other scenes of its near-duplicate group"
         if rule is None or row.get("variant_of") is not None or rule.source not in (None, row["source"]):
             return
         if (expected := duplicate_group(scene)) != group:

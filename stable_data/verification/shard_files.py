@@ -12,7 +12,6 @@ import pyarrow.parquet as pq
 from stable_data.errors import ConfigError
 from stable_data.storage.checksums import CHECKSUMS, checksum_of
 from stable_data.storage.run_folder import PART, RunFolder, read_row_groups
-from stable_data.storage.schemas import SCHEMAS
 from stable_data.verification.findings import Findings
 
 _WHOLE = 256 * 2**20  # a file up to this size is read once, for its checksum and its rows; a larger one twice
@@ -116,11 +115,6 @@ def as_array(values: pa.ChunkedArray | pa.Array) -> pa.Array:
     """Returns a column of a row group as one array."""
     found = values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
     return pa.concat_arrays(found.chunks) if isinstance(found, pa.ChunkedArray) else found
-
-
-def is_known(table: str) -> bool:
-    """Whether a table is one of this library; others are those of custom jobs, of which the checksums alone can be compared."""
-    return table in SCHEMAS
 
 
 def _checksum_in_chunks(folder: RunFolder, file: ShardFile) -> str:

@@ -302,7 +302,7 @@ BY_CONTENT: Damages = {
     ),
     "a turn of no scene": (rows("turns", lambda found: found[-1].update(scene_id="task_88")), "turns/", "in no row of"),
     "a wrong split": (setting(split="test"), "scenes/", "split is test, expected"),
-    "no split": (setting(split=None), "scenes/", "expected both or none"),
+    "no split": (setting(split=None), "scenes/", "split is None, expected"),
     "an unknown split": (setting(split="holdout"), "scenes/", "split is 'holdout'"),
     "an unknown stage": (scene(lambda row: row["objects"][0].update(stage="last")), "scenes/", "objects.stage is 'last'"),
     "another table version": (columns("scenes", of_version("2")), "scenes/", "is of table version 2"),
