@@ -243,8 +243,8 @@ class CountCheck:
             elif stated is not None and stated != count:
                 self._findings.damage(table, f"has {count} rows, expected {stated} as the manifest counts")
         for table, stated in self._counts.items():
-            if table in SCHEMAS and table not in self.rows and stated:
-                self._findings.damage(table, f"is missing, expected {stated} rows as the manifest counts")
+            if table in SCHEMAS and table not in self.rows:
+                self._findings.damage(table, f"is missing, expected the {stated} rows that the manifest counts")
         for key, found in self._found().items():
             if key in self._counts and not _is_same(self._counts[key], found):
                 self._findings.damage(MANIFEST, f"counts.{key} is {self._counts[key]}, expected {found} by the rows")

@@ -61,12 +61,16 @@ class SceneCheck:
         facts: What the run says of its meshes.
         splits: How splits follow from scenes; None if the run does not say.
         findings: Where damage is noted.
+        needs_assets: Whether the run must have the assets of its scenes; a corrected folder has them beside its tables.
     """
 
-    def __init__(self, known: KnownIds, facts: AssetFacts, splits: SplitRule | None, findings: Findings) -> None:
+    def __init__(
+        self, known: KnownIds, facts: AssetFacts, splits: SplitRule | None, findings: Findings, *, needs_assets: bool
+    ) -> None:
         self._known, self._facts, self._splits, self._findings = known, facts, splits, findings
         self._split_of_group: dict[str, str] = {}
-        self._has_assets = not known.there.isdisjoint({"assets"})
+        self._has_assets = "assets" in known.there
+        self._needs_assets = needs_assets
 
     def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
         """Checks rows of a file, of which the first has a number."""
@@ -109,6 +113,8 @@ class SceneCheck:
         """Assets that the run does not have although their objects have a mesh, and sizes that their meshes do not have."""
         has_mesh = {v["instance"]: v["has_mesh"] for v in row["verdicts"] or ()}
         named = [(o.instance, o.asset_id) for o in scene.objects if o.asset_id is not None]
+        if not self._has_assets and self._needs_assets and (lost := [name for name, _ in named if has_mesh.get(name)]):
+            yield f"{lost[0]} has a mesh, but the run has no table assets"
         if self._has_assets and named:
             is_missing = self._known.missing(pa.array([asset_id for _, asset_id in named], pa.string()), ["assets"])
             for (instance, asset_id), missing in zip(named, is_missing.tolist(), strict=True):

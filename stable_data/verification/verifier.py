@@ -46,6 +46,9 @@ _FIRST = ("textures", "meshes", "assets", "sdf", "features", "measured", "warnin
 _SCENES = ("scenes", "rejected")
 _SOURCE = "scenes of the source"
 _OF_SCENES = ("scenes", "rejected", "failures")
+_WITHOUT_ASSETS = frozenset({"correct", "query", "publish"})
+"""Jobs whose runs have no tables of assets if the scenes come from a folder, and what is made of such runs."""
+
 _CARRIED = frozenset({"assets", "meshes", "textures", "sdf", "features", "settled"})
 """Tables that correct, edit and reach copy from the run that they read."""
 
@@ -207,8 +210,10 @@ class _Verifier:
     def _row_checks(self) -> dict[str, RowCheck]:
         known, findings, facts = self._known, self._findings, AssetFacts()
         scenes = ScenesOfShards(self._folder, self._files)
-        of_scene = SceneCheck(known, facts, split_rule(self._manifest), findings)
-        is_edit = self._manifest.get("job") == "edit"
+        job = self._manifest.get("job")
+        needs_assets = job not in _WITHOUT_ASSETS
+        of_scene = SceneCheck(known, facts, split_rule(self._manifest), findings, needs_assets=needs_assets)
+        is_edit = job == "edit"
         encoder = self._manifest.get("encoder")
         return {
             "textures": TextureCheck(findings),

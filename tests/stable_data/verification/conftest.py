@@ -15,6 +15,7 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
 from stable_data.scene import Stage, Tabletop
+from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.scripts import entry
 from tests.stable_data.verification.editing import hide
 
@@ -52,8 +53,12 @@ def generated(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten scanned assets with textures: a run of the import job, which is part of the project and older than checksums."""
+    """Twelve scanned assets with textures: a run of the import job that is part of the project, with checksums, which it lacks.
+
+    Its table of failures, which has no rows, is not in the project.
+    """
     run = tmp_path_factory.mktemp("imported") / "run"
     shutil.copytree(LIBRARY, run)
+    RunFolder(str(run)).write_shard("failures", "0" * 16, [])
     hide(run)
     return run

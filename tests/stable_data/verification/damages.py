@@ -3,7 +3,7 @@
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -32,7 +32,11 @@ OLDER_RUNS = Path(__file__).parents[2] / "data" / "run_v3"
 
 def scene(change: Callable[[Row], None], *, recounts: bool = False) -> Damage:
     """Changes the first scene."""
-    return rows("scenes", lambda found: change(found[0]), recounts=recounts)
+
+    def of_first(found: list[Row]) -> None:
+        change(found[0])
+
+    return rows("scenes", of_first, recounts=recounts)
 
 
 def setting(**values: object) -> Damage:
@@ -192,6 +196,18 @@ def without_table(run: Path) -> None:
     hide(run)
 
 
+def without_assets(run: Path) -> None:
+    """Removes the assets and their meshes, as if there had never been any."""
+    for table in ("assets", "meshes", "textures"):
+        shutil.rmtree(run / table)
+
+    def uncounted(document: dict[str, Any]) -> None:
+        for table in ("assets", "meshes", "textures"):
+            del document["counts"][table]
+
+    manifest(uncounted)(run)
+
+
 def of_another_run(run: Path) -> None:
     """Puts in the scenes of another run, whose ids are others."""
     shutil.copy(OLDER_RUNS / "generate" / "scenes" / "part-c29be8c9ba341752.parquet", files_of(run, "scenes")[0])
@@ -237,7 +253,8 @@ BY_CHECKSUM: Damages = {
 BY_CONTENT: Damages = {
     "a table is missing": (without_table, "meshes", "is missing, expected"),
     "a shard is missing": (without_shard("scenes", hidden=True, recounts=True), "scenes", "items are rows"),
-    "a shard of assets is missing": (without_shard("assets", hidden=True, recounts=True), "scenes/", "is in no row of assets"),
+    "all assets are missing": (without_shard("assets", hidden=True, recounts=True), "assets", "is missing, expected"),
+    "all assets are missing and not counted": (without_assets, "scenes/", "the run has no table assets"),
     "a shard twice": (copied_shard("scenes"), "scenes/", "an earlier row has the same scene_id"),
     "the scenes of another run": (of_another_run, "scenes", "expected the 5 that were planned"),
     "a row twice in a shard": (rows("scenes", doubled, recounts=True), "scenes/", "an earlier row has the same scene_id"),
@@ -370,7 +387,7 @@ BY_VERDICT: Damages = {
     "is sunk": (scene(sunk), "scenes/", "table_penetration_mm of"),
     "is unsteady": (scene(unsteady), "scenes/", "stable is False, expected True"),
     "relations left out": (scene(untold), "scenes/", "face to"),
-    "poses edited in all tables": (moved_everywhere, "scenes/", "is at"),
+    "poses edited in all tables": (moved_everywhere, "scenes/", "expected otherwise"),
     "without a mesh": (
         scene(lambda row: (row["verdicts"][0].update(has_mesh=False), row.update(num_without_mesh=1, clean=None))[1]),
         "scenes/",
