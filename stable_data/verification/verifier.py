@@ -49,6 +49,9 @@ _OF_SCENES = ("scenes", "rejected", "failures")
 _WITHOUT_ASSETS = frozenset({"correct", "query", "publish"})
 """Jobs whose runs have no tables of assets if the scenes come from a folder, and what is made of such runs."""
 
+_OF_OTHER_RUNS = frozenset({"query", "publish", "reach"})
+"""Jobs that copy the rows of scenes."""
+
 _CARRIED = frozenset({"assets", "meshes", "textures", "sdf", "features", "settled"})
 """Tables that correct, edit and reach copy from the run that they read."""
 
@@ -212,7 +215,10 @@ class _Verifier:
         scenes = ScenesOfShards(self._folder, self._files)
         job = self._manifest.get("job")
         needs_assets = job not in _WITHOUT_ASSETS
-        of_scene = SceneCheck(known, facts, split_rule(self._manifest), findings, needs_assets=needs_assets)
+        may_be_older = "upgraded_to" in self._manifest or job in _OF_OTHER_RUNS
+        of_scene = SceneCheck(
+            known, facts, split_rule(self._manifest), findings, needs_assets=needs_assets, may_be_older=may_be_older
+        )
         is_edit = job == "edit"
         encoder = self._manifest.get("encoder")
         return {

@@ -99,6 +99,21 @@ def test_an_older_run_is_not_known_to_be_whole(tmp_path: Path) -> None:
     assert (result.is_whole, found) == (True, []), str(result)
 
 
+@pytest.mark.parametrize("version", ["run_v1", "run_v2"])
+def test_an_upgraded_run_is_whole(version: str, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(OLDER_RUNS.parent / version, tmp_path / "run"))
+    RunFolder(str(copy)).write_shard("sdf", "0" * 16, [])  # the stored runs lack their grids
+    result, _ = verified(copy)
+    assert result.num_damaged["manifest.json"] == 1  # its version, beside those of the files
+    assert upgrade(RunFolder(str(copy))) > 0
+    manifest = read_manifest(RunFolder(str(copy)))
+    assert manifest is not None
+    manifest["counts"]["sdf"] = 0
+    write_manifest(RunFolder(str(copy)), manifest)
+    result, found = verified(copy, verdicts="audit")
+    assert (result.is_whole, found, result.num_audited) == (True, [], 2), str(result)
+
+
 def test_an_unfinished_run_is_not_whole(generated: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(generated, tmp_path / "run"))
     found = read_manifest(RunFolder(str(copy)))
@@ -219,6 +234,9 @@ def test_selections_and_pruned_runs_are_whole(generated: Path, tmp_path: Path) -
     select(RunFolder(str(generated)), "scene_id != 'task_2'", target)
     result, found = verified(tmp_path / "chosen")
     assert (result.is_whole, found, result.num_scenes) == (True, [], 2), str(result)
+    select(target, "scene_id is not None", RunFolder(str(tmp_path / "joined")), [RunFolder(str(generated))])
+    result, found = verified(tmp_path / "joined")
+    assert (result.is_whole, found, result.num_scenes) == (True, [], 3), str(result)
     copy = Path(shutil.copytree(generated, tmp_path / "run"))
     prune(RunFolder(str(copy)))
     result, found = verified(copy)
