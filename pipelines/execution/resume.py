@@ -1,4 +1,4 @@
-"""The manifest of a run: what is compared when a run resumes, and what is checked when it ends."""
+"""What of a run's manifest is compared when the run resumes, and what of the run is checked when it ends."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set

@@ -193,6 +193,21 @@ class ShardTask:
 
 
 @dataclass(frozen=True, slots=True)
+class WrittenShard:
+    """What a worker tells of a shard that it has written.
+
+    Attributes:
+        num_items: Number of items of the shard.
+        num_failures: Number of failed items.
+        checksums: File of the shard, ``table/part-id.parquet`` -> SHA-256.
+    """
+
+    num_items: int
+    num_failures: int
+    checksums: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
 class ShardWriter:
     """Processes shards of several steps and writes their tables; sent to the workers.
 
@@ -204,15 +219,12 @@ class ShardWriter:
     out: str
     steps: tuple[ShardStep[Any], ...]
 
-    def __call__(self, shard: ShardTask, *, isolated: bool = False) -> tuple[int, int]:
-        """Processes one shard.
+    def __call__(self, shard: ShardTask, *, isolated: bool = False) -> WrittenShard:
+        """Processes one shard and writes its tables.
 
         Args:
             shard: The shard and its step.
             isolated: See :meth:`ShardStep.shard`.
-
-        Returns:
-            The number of items of the shard, and the number of failed items.
         """
         step, items, folder = self.steps[shard.step], shard.shard, RunFolder(self.out)
         add_schemas(step)
@@ -221,7 +233,7 @@ class ShardWriter:
             folder.write_bytes(name, content)
         for table in step.TABLES:
             folder.write_shard(table, items.shard_id, made.rows.get(table, ()))
-        return len(items), len(made.rows.get("failures", ()))
+        return WrittenShard(len(items), len(made.rows.get("failures", ())), folder.written)
 
 
 def add_schemas(step: ShardStep[Any]) -> None:

@@ -68,14 +68,14 @@ from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.alignment import Alignment, AlignmentReference, align, requires_the_same
-from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
-from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.movement import add_movement
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE, REASON
 from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.metrics.sampled_collision import add_sampled_collisions
+from stable_data.metrics.verdicts import TOLERANCE, Audit
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Scene
 from stable_data.simulation.settling import SettleResult

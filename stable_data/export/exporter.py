@@ -2,8 +2,7 @@
 
 import errno
 import json
-import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.assets.licences import licence_terms, normalise_licence
+from stable_data.assets.licences import attribution_text
 from stable_data.assets.run_assets import run_annotations
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
@@ -22,6 +21,7 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, StableDataError, cannot_write, one_line
 from stable_data.export.formats import ExportFormat, format_named
 from stable_data.export.scene_cache import SceneCache
+from stable_data.markdown_text import plain
 from stable_data.mesatask import write_annotations
 from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.scene import Scene
@@ -34,8 +34,6 @@ from stable_data.supports import join_scenes
 MANIFEST_FILE, ATTRIBUTION_FILE = "export.json", "ATTRIBUTION.md"
 
 _OF_A_NAME = (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)  # errors of a file system that does not take a name
-_MARKUP = re.compile(r"[\\`*\[\]<>#|!~&]")
-_MOST_SHOWN = 1000  # characters of a text from a run
 Progress: TypeAlias = Callable[[int, int, int], None]
 """Called after every scene with the numbers of finished scenes, of all scenes, and of scenes that could not be exported."""
 
@@ -173,7 +171,7 @@ def _export(
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     assets = [annotations[asset_id] for asset_id in sorted(used)]
     write_file_atomically(out / "README.md", _readme(chosen, written + existing, assets).encode())
-    write_file_atomically(out / ATTRIBUTION_FILE, _attribution(assets).encode())
+    write_file_atomically(out / ATTRIBUTION_FILE, attribution_text(assets).encode())
     return ExportResult(written, existing, boxes, tuple(failures), cached)
 
 
@@ -204,16 +202,9 @@ def _line(scene_id: str, message: str) -> str:
     return one_line(message if message.startswith(scene_id) else f"{scene_id}: {message}")
 
 
-def _plain(text: str) -> str:
-    """Text from a run as Markdown shows it: on one line, of bounded length, none of it markup."""
-    shown = one_line(" ".join(text.split()))
-    shown = shown if len(shown) <= _MOST_SHOWN else f"{shown[:_MOST_SHOWN]}…"
-    return _MARKUP.sub(lambda found: f"\\{found[0]}", shown)
-
-
 def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:
     licences = Counter((a.licence or "not known", a.source or "not known") for a in assets)
-    rows = [f"| {_plain(licence)} | {_plain(source)} | {count} |" for (licence, source), count in sorted(licences.items())]
+    rows = [f"| {plain(licence)} | {plain(source)} | {count} |" for (licence, source), count in sorted(licences.items())]
     return "\n".join(
         [
             f"# {num_scenes} tabletop scenes",
@@ -232,42 +223,6 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
             "",
         ]
     )
-
-
-def _attribution(assets: Sequence[AssetAnnotation]) -> str:
-    """The assets by licence, with what each licence asks for, and the words of the licence where they are others."""
-    of_licence: dict[str, list[AssetAnnotation]] = defaultdict(list)
-    for a in assets:
-        of_licence[normalise_licence(a.licence) or " ".join((a.licence or "not known").split())].append(a)
-    lines = [
-        "# Attribution",
-        "",
-        "The assets of these scenes. Their meshes were repaired, scaled and posed. The texts of licences are with the sources.",
-        "",
-    ]
-    for licence, own in sorted(of_licence.items()):
-        lines += [f"## {_plain(licence)}", "", _asked(licence), ""]
-        for a in own:
-            said = "".join(f"; {a.raw[name]}" for name in ("author", "source_url") if a.raw.get(name))
-            if a.licence and " ".join(a.licence.split()) != licence:
-                said += f"; stated as {a.licence}"
-            text = f"{a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}{said}"
-            lines.append(f"- {_plain(text)}")
-        lines.append("")
-    return "\n".join(lines)
-
-
-def _asked(licence: str) -> str:
-    terms = licence_terms(licence)
-    if terms is None:
-        return "What this licence asks for is not known: ask the source before you pass these assets on."
-    asked = {
-        "name the author and the licence": terms.is_credited,
-        "give changed assets the same licence": terms.is_share_alike,
-        "do not use them commercially": terms.is_non_commercial,
-        "do not pass changed assets on": terms.is_unchanged,
-    }
-    return f"Asked: {'; '.join(text for text, is_asked in asked.items() if is_asked) or 'nothing'}."
 
 
 def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelection) -> None:

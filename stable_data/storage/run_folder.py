@@ -3,6 +3,7 @@
 A run folder::
 
     manifest.json                  resolved configuration, input fingerprint, code and table versions
+    SHA256SUMS                     checksums of the shards
     <table>/part-<id>.parquet      shards, named by a hash of their inputs
     report/index.html
 
@@ -10,6 +11,7 @@ A shard is written to a temporary file and then renamed, so a shard that exists 
 """
 
 import fcntl
+import hashlib
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
@@ -41,6 +43,9 @@ _Columns: TypeAlias = list[str] | Mapping[str, pc.Expression] | None
 MAX_BYTES = 96 * 10**6
 """Maximum bytes of a file before compression, so that no file exceeds 100 MB."""
 
+PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
+"""Names of the files of shards: the id of the shard, and from the second file on its number."""
+
 _ROW_GROUP = 1024
 _GROUP_ROWS = {"scenes": 128, "settled": 128}  # of tables that are read by scene: one row costs the decoding of its group
 _WITHOUT_DICTIONARIES = frozenset({"scenes", "episodes"})  # in small row groups they take more bytes and time than they save
@@ -49,7 +54,7 @@ _GROUP_BYTES = dict.fromkeys(
 )  # of a row group: a reader of one row reads its group
 _FILES_AT_ONCE = 32  # files of one dataset: their footers are in memory together, and are read concurrently
 _AHEAD = 8  # files of an object store that are fetched while another one is processed
-_PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
+_FILE = re.compile(r"[^/]+/" + PART.pattern)
 
 
 def absolute_uri(place: str) -> str:
@@ -64,12 +69,17 @@ class RunFolder:
         uri: A local path, or a URI that pyarrow supports such as
             ``s3://bucket/prefix?endpoint_override=http%3A//host%3A9000``; credentials are read from the environment.
 
+    Attributes:
+        written: File of a shard, ``table/part-id.parquet`` -> SHA-256, of those that this object has written. What other processes
+            wrote is added by whoever learns of it.
+
     Raises:
         ConfigError: No file system supports the URI.
     """
 
     def __init__(self, uri: Uri) -> None:
         self.uri = uri = os.fspath(uri)
+        self.written = dict[str, str]()
         try:
             if "://" in uri:
                 self.filesystem, self.root = pafs.FileSystem.from_uri(uri)
@@ -150,6 +160,8 @@ class RunFolder:
                 with suppress(OSError):  # if a folder of the path is a file, there is nothing to remove
                     aside.unlink()
             raise cannot_write(f"{self.uri}/{name}", error) from error
+        if _FILE.fullmatch(name):
+            self.written[name] = hashlib.sha256(content).hexdigest()
 
     def read_bytes(self, name: str, most: int | None = None) -> bytes | None:
         """Returns the content of a file, or None if the file does not exist.
@@ -221,6 +233,19 @@ class RunFolder:
             except OSError as error:
                 raise cannot_write(path, error) from error
 
+    def tables(self) -> list[str]:
+        """Returns the names of the folders that have files of shards, sorted; those of unknown tables too.
+
+        Raises:
+            ConfigError: The folder cannot be read.
+        """
+        try:
+            infos = self.filesystem.get_file_info(pafs.FileSelector(self.root, allow_not_found=True))
+        except OSError as error:
+            raise _unreachable(self.uri, error) from error
+        names = sorted(info.base_name for info in infos if info.type == pafs.FileType.Directory)
+        return [name for name in names if not name.startswith(".") and self.files(name)]
+
     def shard_ids(self, table: str) -> set[str]:
         """Returns the ids of the complete shards of a table; see :meth:`files`."""
         names = (Path(path).name for path in self.files(table))
@@ -244,7 +269,7 @@ class RunFolder:
             infos = self.filesystem.get_file_info(pafs.FileSelector(self._path(table), allow_not_found=True))
         except OSError as error:
             raise _unreachable(f"{self.uri}/{table}", error) from error
-        matches = ((_PART.fullmatch(info.base_name), info) for info in infos)
+        matches = ((PART.fullmatch(info.base_name), info) for info in infos)
         found = {(match[1], int(match[2] or 0)): info for match, info in matches if match}
         return [
             (info.path, int(info.size or 0), int(info.mtime_ns or 0))

@@ -12,9 +12,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from stable_data.assets.annotation import AssetAnnotation
+from stable_data.assets.licences import attribution_text
 from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED, app
 from stable_data.export import exporter
-from stable_data.export.exporter import _attribution, _readme, export_run
+from stable_data.export.exporter import _readme, export_run
 from stable_data.export.formats import FORMATS
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection, SettledPoses
@@ -60,7 +61,7 @@ def test_every_scene_is_written_whatever_its_name(name: str, run: RunFolder, tmp
 
 def test_an_attribution_says_what_each_licence_asks_for() -> None:
     given = {"a": "CC BY 4.0", "b": "cc-by-4.0", "c": "CC BY-NC-SA 3.0", "d": "ask\nme", "e": ""}
-    text = _attribution([AssetAnnotation(name, category="mug", raw={"licence": said}) for name, said in given.items()])
+    text = attribution_text([AssetAnnotation(name, category="mug", raw={"licence": said}) for name, said in given.items()])
     assert (
         "## CC-BY-4.0\n\nAsked: name the author and the licence.\n\n- a: mug; source not known; stated as CC BY 4.0\n" in text
     )
@@ -276,7 +277,7 @@ def test_a_file_system_that_does_not_take_a_name_loses_its_scene_only(
 def test_names_of_a_run_are_no_markup_in_its_card() -> None:
     hostile = "[free](http://evil) <img src=x> | `rm` # *x*\n# Title \x1b[2J" + "y" * 5000
     asset = AssetAnnotation(hostile, category=hostile, source=hostile, raw={"licence": hostile, "author": hostile})
-    for text in (_attribution([asset]), _readme(FORMATS["glb"], 1, [asset])):
+    for text in (attribution_text([asset]), _readme(FORMATS["glb"], 1, [asset])):
         assert "\x1b" not in text
         assert "<img" not in text.replace("\\<img", "")
         assert "[free](" not in text.replace("\\[free", "")

@@ -17,7 +17,8 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.mesatask.lint import LintResult, lint_folder
-from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene
 from tests.bounds import limit
 
