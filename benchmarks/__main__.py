@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from stable_data.cli import DONE, SOME_FAILED
+from stable_data.commands.command_line import DONE, SOME_FAILED
 
 
 def main() -> None:

@@ -15,21 +15,8 @@ from pipelines.robot_commands import demonstrate, evaluate_policy, reach
 from pipelines.scene_files import commands as scene_files
 from pipelines.supports.commands import supports
 from pipelines.training_commands import app as training
-from stable_data.cli import (
-    SOME_FAILED,
-    Address,
-    Edits,
-    NumScenes,
-    Pictures,
-    Seed,
-    SynthOut,
-    Tables,
-    WholeLibrary,
-    echo,
-    tell_world,
-    tqdm_bar,
-    with_clear_errors,
-)
+from stable_data.commands.command_line import SOME_FAILED, Address, echo, with_clear_errors
+from stable_data.commands.worlds import Edits, NumScenes, Pictures, Seed, SynthOut, Tables, WholeLibrary, tell_world, tqdm_bar
 from stable_data.errors import ConfigError
 
 app = typer.Typer(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipelines.job_options import DryRun, JobSettings, NumWorkers, RunOfScenes, RunOut, worker_count
-from stable_data.cli import SOME_FAILED, Address, echo, with_clear_errors
+from stable_data.commands.command_line import SOME_FAILED, Address, echo, with_clear_errors
 from stable_data.errors import ConfigError
 
 if TYPE_CHECKING:

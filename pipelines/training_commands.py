@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pipelines.job_options import SETTINGS_HINT, JobSettings, worker_count
-from stable_data.cli import Address, echo, with_clear_errors
+from stable_data.commands.command_line import Address, echo, with_clear_errors
 from stable_data.errors import ConfigError
 
 app = typer.Typer()

@@ -10,7 +10,7 @@ import typer
 from models.picture_features.extractor import FeatureExtractor, Rows
 from models.picture_features.picture_folder import picture_files, read_pictures
 from models.picture_features.registry import default_name, extractor_named
-from stable_data.cli import echo, with_clear_errors
+from stable_data.commands.command_line import echo, with_clear_errors
 from stable_data.scores.set_distance import (
     DrawnValue,
     FeatureStatistics,

@@ -27,7 +27,7 @@ from models.point_encoder.pretraining_data import TrainingShape, pretraining_cor
 from models.point_encoder.pretraining_targets import PretrainingTargets, draw_targets
 from models.point_encoder.transformer import BASE, EMBEDDED
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
-from stable_data.cli import echo
+from stable_data.commands.command_line import echo
 from stable_data.config_diff import config_differences
 from stable_data.errors import ConfigError
 

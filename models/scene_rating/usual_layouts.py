@@ -19,7 +19,7 @@ import shapely
 import typer
 
 from stable_data.atomic_files import write_file_atomically
-from stable_data.cli import echo, with_clear_errors
+from stable_data.commands.command_line import echo, with_clear_errors
 from stable_data.errors import ConfigError
 from stable_data.json_text import read_json
 from stable_data.mesatask import MesaTaskDataset

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from stable_data.cli import DONE, SOME_FAILED, echo, with_clear_errors
+from stable_data.commands.command_line import DONE, SOME_FAILED, echo, with_clear_errors
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.importers.scenes.formats import SUFFIXES, is_gltf, is_usd
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from stable_data.cli import SOME_FAILED, echo, with_clear_errors
+from stable_data.commands.command_line import SOME_FAILED, echo, with_clear_errors
 
 
 @with_clear_errors

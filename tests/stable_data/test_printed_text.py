@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from stable_data.cli import app, echo
+from stable_data.cli import app
+from stable_data.commands.command_line import echo
 from stable_data.errors import MeshError, Notice, one_line
 
 ROOT = Path(__file__).parents[2]
@@ -59,4 +60,4 @@ def test_nothing_is_printed_in_another_way() -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) in ways
     ]
     assert len(offending) == 1, offending  # echo itself
-    assert offending[0].startswith("stable_data/cli.py")
+    assert offending[0].startswith("stable_data/commands/command_line.py")

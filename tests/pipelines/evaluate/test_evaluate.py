@@ -24,8 +24,8 @@ from pipelines.rate.settings import RateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
 from pipelines.views.settings import ViewsSettings
-from stable_data.cli import DONE, SOME_FAILED
 from stable_data.cli import app as stable_data
+from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.errors import ConfigError
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject

@@ -13,7 +13,8 @@ from typer.testing import CliRunner, Result
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.licences import attribution_text
-from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED, app
+from stable_data.cli import app
+from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
 from stable_data.export import exporter
 from stable_data.export.exporter import _readme, export_run
 from stable_data.export.formats import FORMATS

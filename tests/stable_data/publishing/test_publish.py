@@ -11,7 +11,8 @@ import yaml
 from datasets import get_dataset_config_names, load_dataset
 from typer.testing import CliRunner, Result
 
-from stable_data.cli import DONE, NOT_STARTED, app
+from stable_data.cli import app
+from stable_data.commands.command_line import DONE, NOT_STARTED
 from stable_data.publishing.croissant import croissant_document
 from stable_data.publishing.dataset_card import ABOUT, ALL, CardContent, PublishedTable, hub_licence, size_category
 from stable_data.publishing.publisher import without_folders

@@ -24,7 +24,8 @@ from pipelines.reach.job import reach
 from pipelines.reach.settings import ReachSettings
 from pipelines.views.job import draw_views
 from pipelines.views.settings import ViewsSettings
-from stable_data.cli import DONE, app
+from stable_data.cli import app
+from stable_data.commands.command_line import DONE
 from stable_data.simulation.offscreen import can_render
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.subset import select

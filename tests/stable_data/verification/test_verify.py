@@ -9,7 +9,8 @@ import pyarrow as pa
 import pytest
 from typer.testing import CliRunner
 
-from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED, app
+from stable_data.cli import app
+from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
 from stable_data.errors import ConfigError
 from stable_data.extras import EXTRA_OF_MODULE
 from stable_data.storage.checksums import CHECKSUMS, read_checksums
