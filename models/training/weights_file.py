@@ -4,10 +4,11 @@ A file whose tensors differ from the network that its notes describe is refused.
 """
 
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
@@ -18,6 +19,8 @@ from torch.nn.modules.module import (
 
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
+
+T = TypeVar("T")
 
 _MAX_LISTED = 6  # mismatches that a message lists
 _SLACK = 1 << 20  # numbers of a network that its file need not have, such as buffers
@@ -101,14 +104,21 @@ def fill_network(path: Path, network: nn.Module) -> None:
     network.load_state_dict(tensors)
 
 
-@contextmanager
-def network_no_larger_than(path: Path) -> Iterator[None]:
-    """Refuses a network that is made in the body, from the notes of a file, and has more numbers than the file has bytes.
+def build_no_larger_than(path: Path, build: Callable[[], T]) -> T:
+    """Builds a network from the notes of a file, which must not describe more numbers than the file has bytes.
 
-    The notes of a file from elsewhere may describe a network of any size; its tensors are compared only when it is made.
+    The notes of a file from elsewhere may describe a network of any size, and its tensors are compared only when it is built. It is
+    first built without memory for its numbers.
+
+    Args:
+        path: The file.
+        build: Builds the network.
+
+    Returns:
+        What ``build`` returns.
 
     Raises:
-        ConfigError: See above (``weights_invalid``).
+        ConfigError: The network is larger (``weights_invalid``).
     """
     left = path.stat().st_size + _SLACK
 
@@ -124,10 +134,12 @@ def network_no_larger_than(path: Path) -> Iterator[None]:
 
     hooks = [register_module_parameter_registration_hook(count), register_module_buffer_registration_hook(count)]
     try:
-        yield
+        with torch.device("meta"):
+            build()
     finally:
         for hook in hooks:
             hook.remove()
+    return build()
 
 
 def _mismatches(found: Mapping[str, tuple[int, ...]], required: Mapping[str, tuple[int, ...]]) -> list[str]:

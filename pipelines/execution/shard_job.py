@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence, Set
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from time import perf_counter
 from typing import Any, ClassVar, Protocol
@@ -21,7 +21,7 @@ from pipelines.execution.resume import (
 )
 from pipelines.execution.shard_step import ShardTask, ShardWriter, StepShards, add_schemas
 from stable_data.content_id import content_id
-from stable_data.errors import Notice
+from stable_data.errors import ConfigError, Notice
 from stable_data.storage import schemas
 from stable_data.storage.checksums import save_checksums
 from stable_data.storage.manifest import COMPLETE, PLANNED, PlannedItems, read_manifest, write_manifest
@@ -274,6 +274,9 @@ def _run_missing(
                     if perf_counter() - saved > _SAVE_SECONDS:
                         save_checksums(folder)
                         saved = perf_counter()
-            finally:  # also if the run is interrupted
-                save_checksums(folder)
+            except BaseException:
+                with suppress(ConfigError):  # what ended the run is told, not that this fails too
+                    save_checksums(folder)
+                raise
+            save_checksums(folder)
     return [{"seconds": round(perf_counter() - began, 1), f"{unit}s": left}]

@@ -173,7 +173,7 @@ def test_the_tiny_network_is_none_of_the_published(tmp_path: Path) -> None:
 
 def test_the_default_weights_are_those_that_their_card_describes() -> None:
     encoder = load_default()
-    card = (DEFAULT_WEIGHTS.parent / "README.md").read_text("utf-8")
+    card = DEFAULT_WEIGHTS.with_suffix(".md").read_text("utf-8")
     assert f"`{encoder.fingerprint()}`" in card
     sizes = ((0.1, 0.1, 0.1), (0.3, 0.02, 0.05), (0.2, 0.2, 0.01))
     features = encoder.encode([box_cloud(*size, num_points=encoder.preprocessing.num_points) for size in sizes])

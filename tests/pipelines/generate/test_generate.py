@@ -309,7 +309,7 @@ def test_layouts_that_are_not_corrected_become_a_folder_of_the_format(
     assert {row["id"]: row["code"] for row in rows_of(run, "failures")} == {
         "task_000003": "reply_unusable",
         "task_000004": "layout_empty",
-        "task_000005": "instruction_invalid",
+        "row 000005": "instruction_invalid",
         "row 000006": "task_invalid",
     }
     assert [row["clean"] for row in rows_of(run, "scenes")] == [False, False]  # all three things are in one place
