@@ -98,7 +98,7 @@ evaluate: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## The pa
 bench: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## Side-by-side figures against peers (DATA=<folder with real meshes>)
 	$(BIN)/python -m benchmarks --data $(DATA) --out runs/bench
 
-consumers: ## NAME=<usd, simready, robotics, robosuite, lerobot, fid> (default: all): environments of other people's programs, in .consumers, for tests of exports
+consumers: ## NAME=<usd, simready, robotics, robosuite, lerobot, fid, croissant> (default: all): environments of other people's programs, in .consumers, for tests of exports
 	@for name in $(or $(NAME),$(basename $(notdir $(wildcard benchmarks/consumers/requirements/*.txt)))); do \
 	  $(PYTHON) -m venv .consumers/$$name && .consumers/$$name/bin/python -m pip install -q --disable-pip-version-check -r benchmarks/consumers/requirements/$$name.txt || exit 1; \
 	done

@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from stable_data.cli import DONE, SOME_FAILED
+from stable_data.commands.command_line import DONE, SOME_FAILED
 
 
 def main() -> None:
@@ -45,6 +45,7 @@ def main() -> None:
             "manipulability": ([run], ["--scenes", "4"]),
             "viewing": ([run], ["--scenes", "6", "--rows", "200"]),
             "query": ([run, f"{run}/large", "--rows", "100000"], ["--rows", "2000"]),
+            "verify": ([run, "--scenes", "5000", "--folder", f"{run}/copies"], ["--scenes", "20", "--sample", "2"]),
             "diversity": ([run], ["--scenes", "50"]),
             "judges": ([data, "--limit", "40"], ["--limit", "2"]),
             "env": ([run], ["--scenes", "2", "--steps", "10"]),

@@ -29,7 +29,7 @@ from ray.cluster_utils import Cluster
 
 from models.semantic_reasoner.staged_layout import task_of_scene
 from pipelines.generate.shard import GenerateWork
-from stable_data.cli import DONE, SOME_FAILED
+from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.run_folder import RunFolder

@@ -60,11 +60,11 @@ from stable_data.errors import ConfigError, MeshError, StableDataError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.metrics.audit import PosedScene, audit_posed_scene
-from stable_data.metrics.collision import ROUNDING
 from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.metrics.tidiness import NOTHING, Tidiness
+from stable_data.metrics.verdicts import ROUNDING
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, settle

@@ -49,7 +49,7 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import SampledTask, sample_tasks
-from stable_data.cli import DONE, SOME_FAILED
+from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.scene import Stage
 from stable_data.storage.run_folder import RunFolder
 from tests.models.semantic_reasoner.engines.endpoint import FORM, Act, endpoint, said

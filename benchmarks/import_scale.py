@@ -36,7 +36,7 @@ from tqdm import tqdm
 
 from benchmarks.chaos import below
 from pipelines.reports.text_table import align_columns
-from stable_data.cli import DONE, SOME_FAILED
+from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import load_surfaces
 from stable_data.geometry.gltf_writer import SurfaceParts, pack, y_up

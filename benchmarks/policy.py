@@ -41,7 +41,7 @@ import numpy as np
 from pipelines.evaluate_policy.job import UNSEEN
 from pipelines.reports.text_table import align_columns
 from stable_data.atomic_files import write_file_atomically
-from stable_data.cli import DONE, SOME_FAILED
+from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER
 from stable_data.scores.intervals import mean_interval, wilson_interval

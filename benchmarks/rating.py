@@ -28,7 +28,7 @@ from models.scene_rating.rating_case import RatingCase
 from models.scene_rating.symbolic_judge import SymbolicJudge
 from pipelines.reports.text_table import align_columns
 from stable_data.assets.store import AssetStore
-from stable_data.cli import with_clear_errors
+from stable_data.commands.command_line import with_clear_errors
 from stable_data.rating.criteria import CRITERIA, KEYS
 from stable_data.rating.rating import Rating, summarise_ratings
 from stable_data.scene import Scene, SceneObject

@@ -26,7 +26,8 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene
 from stable_data.storage.run_folder import RunFolder
 

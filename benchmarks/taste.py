@@ -20,7 +20,7 @@ from pipelines.reports.text_table import align_columns
 from pipelines.sources.scenes import mesh_cache
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore
-from stable_data.cli import with_clear_errors
+from stable_data.commands.command_line import with_clear_errors
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import Scene
 from stable_data.scores.taste import POOLED, STATISTICS, StatisticComparison, TrainingScenes, compare_scenes, read_scenes

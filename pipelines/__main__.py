@@ -15,20 +15,8 @@ from pipelines.robot_commands import demonstrate, evaluate_policy, reach
 from pipelines.scene_files import commands as scene_files
 from pipelines.supports.commands import supports
 from pipelines.training_commands import app as training
-from stable_data.cli import (
-    SOME_FAILED,
-    Address,
-    Edits,
-    NumScenes,
-    Pictures,
-    Seed,
-    SynthOut,
-    Tables,
-    WholeLibrary,
-    tell_world,
-    tqdm_bar,
-    with_clear_errors,
-)
+from stable_data.commands.command_line import SOME_FAILED, Address, echo, with_clear_errors
+from stable_data.commands.worlds import Edits, NumScenes, Pictures, Seed, SynthOut, Tables, WholeLibrary, tell_world, tqdm_bar
 from stable_data.errors import ConfigError
 
 app = typer.Typer(
@@ -137,17 +125,17 @@ def import_assets(
     asked = [f"{key}={json.dumps(value)}" for key, value in given.items() if value]
     settings = resolve_settings(ImportSettings, "import", config, [*(set_ or []), *asked])
     if dry_run:
-        typer.echo(json.dumps(describe(ImportJob(kind, folder, settings)), indent=2))
+        echo(json.dumps(describe(ImportJob(kind, folder, settings)), indent=2))
         return
     manifest_ = run(kind, folder, out, settings, WorkerPool(count, address))
     counts = manifest_["counts"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
-    typer.echo(
+    echo(
         f"{out}: {counts['assets']} of {manifest_['num_assets']} assets, {counts['textures']} textures, {counts['warnings']} warnings, "
         f"{counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html"
     )
     if counts["failures_by_code"].keys() & {"licence_refused", "licence_unknown", "licence_conflict"}:
-        typer.echo(
+        echo(
             "assets were refused for their licence (table failures): --licence NAME states one that the source does not name, "
             "--allow-licence NAME allows a further one; use a new --out",
             err=True,
@@ -190,16 +178,14 @@ def preprocess(
     count = worker_count(workers, address)
     settings = resolve_settings(PreprocessSettings, "preprocess", config, set_ or [])
     if dry_run:
-        typer.echo(json.dumps(describe(PreprocessJob(data, settings, WorkerPool())), indent=2))
+        echo(json.dumps(describe(PreprocessJob(data, settings, WorkerPool())), indent=2))
         return
     if not has_pysdf():
-        typer.echo(
-            f"the columns sdf_agreement and sign_disagreement stay null, because pysdf is not installed; {INSTALL}", err=True
-        )
+        echo(f"the columns sdf_agreement and sign_disagreement stay null, because pysdf is not installed; {INSTALL}", err=True)
     manifest = run(data, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
-    typer.echo(
+    echo(
         f"{out}: {counts['scenes']} of {manifest['num_scenes']} scenes, {counts['assets']} of {manifest['num_assets']} assets, "
         f"{counts['warnings']} warnings, {counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html"
     )
@@ -234,12 +220,12 @@ def correct(
     count = worker_count(workers, address)
     settings = resolve_settings(CorrectSettings, "correct", config, set_ or [])
     if dry_run:
-        typer.echo(json.dumps(describe(CorrectJob(scenes, settings, WorkerPool())), indent=2))
+        echo(json.dumps(describe(CorrectJob(scenes, settings, WorkerPool())), indent=2))
         return
     manifest = run(scenes, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
     status = ", ".join(f"{counts['by_status'][key]} {key}" for key in sorted(counts["by_status"]))
-    typer.echo(
+    echo(
         f"{out}: {counts['scenes']} of {manifest['num_scenes']} scenes ({status}), {counts['warnings']} warnings, "
         f"{counts['failures']} failures; report/index.html"
     )
@@ -292,12 +278,12 @@ def edit(
     settings = resolve_settings(EditSettings, "edit", config, [*(set_ or []), *asked])
     places = _further_libraries(assets or [EMBEDDED])
     if dry_run:
-        typer.echo(json.dumps(describe(EditJob(scenes, edits, settings, WorkerPool(), places)), indent=2))
+        echo(json.dumps(describe(EditJob(scenes, edits, settings, WorkerPool(), places)), indent=2))
         return
     manifest = run(scenes, edits, out, settings, WorkerPool(count, address), places)
     counts = manifest["counts"]
     kinds = ", ".join(f"{counts['by_kind'][key]} {key}" for key in sorted(counts["by_kind"]))
-    typer.echo(
+    echo(
         f"{out}: {counts['scenes']} of {manifest['num_edits']} edits ({kinds}), {counts['warnings']} warnings, "
         f"{counts['failures']} failures; report/index.html"
     )
@@ -435,16 +421,16 @@ def generate(
         _check_no_table(size, restricted)
         found = tasks_on_supports(found, supports)
     if dry_run:
-        typer.echo(json.dumps(describe(GenerateJob(found, settings, assets or ())), indent=2))
+        echo(json.dumps(describe(GenerateJob(found, settings, assets or ())), indent=2))
         return
     if write_tasks is not None:
         number = tasks_to_file(write_tasks, GenerateJob(found, settings, assets or ()).layout_tasks())
-        typer.echo(f"{write_tasks}: {number} tasks")
+        echo(f"{write_tasks}: {number} tasks")
         return
     manifest = run(found, out, settings, WorkerPool(workers, address), assets or ())
     counts = manifest["counts"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
-    typer.echo(
+    echo(
         f"{out}: {counts['scenes']} of {manifest['num_tasks']} scenes accepted, {counts['assets']} assets, {counts['warnings']} "
         f"warnings, {counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html, report/contact_sheet.png"
     )
@@ -497,7 +483,7 @@ def show_settings(
     from pipelines.settings import list_settings, settings_text
 
     found = list_settings(verb, preset)
-    typer.echo("\n".join(json.dumps(asdict(setting)) for setting in found) if as_json else settings_text(found))
+    echo("\n".join(json.dumps(asdict(setting)) for setting in found) if as_json else settings_text(found))
 
 
 app.command("repair")(scene_files.repair)

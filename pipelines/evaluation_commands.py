@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipelines.job_options import DryRun, JobSettings, NumWorkers, RunOfScenes, RunOut, worker_count
-from stable_data.cli import SOME_FAILED, Address, with_clear_errors
+from stable_data.commands.command_line import SOME_FAILED, Address, echo, with_clear_errors
 from stable_data.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -39,11 +39,11 @@ def views(
     count = worker_count(workers, address)
     settings = resolve_settings(ViewsSettings, "views", config, set_ or [])
     if dry_run:
-        typer.echo(json.dumps(describe(ViewsJob(scenes, settings, where)), indent=2))
+        echo(json.dumps(describe(ViewsJob(scenes, settings, where)), indent=2))
         return
     manifest = draw_views(scenes, out, settings, WorkerPool(count, address), where=where)
     counts = manifest["counts"]
-    typer.echo(
+    echo(
         f"{out}: {counts['views']} of {manifest['num_scenes']} scenes drawn, features {manifest['features']}, {counts['failures']} "
         "failures; report/index.html"
     )
@@ -87,7 +87,7 @@ def rate(
     asked = [f"rating.judge={json.dumps(judge)}"] if judge is not None else []
     settings = resolve_settings(RateSettings, "rate", config, [*(set_ or []), *asked])
     if dry_run:
-        typer.echo(json.dumps(describe(RateJob(scenes, settings, where)), indent=2))
+        echo(json.dumps(describe(RateJob(scenes, settings, where)), indent=2))
         return
     manifest = run(scenes, out, settings, WorkerPool(count, address), where=where)
     counts = manifest["counts"]
@@ -95,7 +95,7 @@ def rate(
     means = ", ".join(f"{key.upper()} {counts['averages'][key]:.1f}" for key in KEYS if key in counts["averages"])
     average = "unknown" if counts["average"] is None else f"{counts['average']:.1f}"
     num_unknown = counts["ratings"] - counts["rated"]
-    typer.echo(
+    echo(
         f"{out}: {counts['judge']} rated {counts['rated']} of {manifest['num_scenes']} scenes, average {average}"
         f"{f' ({means})' if means else ''}; {counts['passed']} of {counts['passes_known']} pass; {num_unknown} unknown"
         f"{f' ({unknown})' if unknown else ''}, {counts['failures']} failures; report/index.html"
@@ -169,11 +169,11 @@ def evaluate(
     source = _TaskChoice(count, tasks, scenes, where, tuple(table or ()))
     pool = WorkerPool(worker_count(workers, address), address)
     if dry_run:
-        typer.echo(json.dumps(plan(source, settings, assets or ()), indent=2))
+        echo(json.dumps(plan(source, settings, assets or ()), indent=2))
         return
     found = run(source, out, settings, pool, assets or ())
-    typer.echo(evaluation_text(found))
-    typer.echo(f"{out}/evaluation.json, {out}/report/index.html")
+    echo(evaluation_text(found))
+    echo(f"{out}/evaluation.json, {out}/report/index.html")
     if found.has_failed:
         raise typer.Exit(SOME_FAILED)
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from typer.core import TyperGroup
 
-from stable_data.cli import with_clear_errors
+from stable_data.commands.command_line import with_clear_errors
 from stable_data.errors import ConfigError
 
 _WAITS = "the openai client chooses the waits: set engine.http.tries and engine.http.total_s"

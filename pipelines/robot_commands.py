@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pipelines.job_options import DryRun, JobSettings, NumWorkers, RunOfScenes, RunOut, worker_count
-from stable_data.cli import SOME_FAILED, Address, with_clear_errors
+from stable_data.commands.command_line import SOME_FAILED, Address, echo, with_clear_errors
 from stable_data.errors import ConfigError
 
 RobotName = Annotated[
@@ -53,23 +53,23 @@ def demonstrate(
     asked = [f"robot={json.dumps(robot)}"] if robot is not None else []
     settings = resolve_settings(DemonstrateSettings, "demonstrate", config, [*(set_ or []), *asked])
     if dry_run:
-        typer.echo(json.dumps(describe(DemonstrateJob(scenes, settings, where)), indent=2))
+        echo(json.dumps(describe(DemonstrateJob(scenes, settings, where)), indent=2))
         return
     manifest = run(scenes, out, settings, WorkerPool(count, address), where=where)
     counts = manifest["counts"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
-    typer.echo(
+    echo(
         f"{out}: {counts['episodes']} of {manifest['num_episodes']} episodes in {manifest['num_scenes']} scenes, {counts['successes']} "
         f"fulfil their goal; {counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html"
     )
     for kind, (done, total) in counts["by_task"].items():
-        typer.echo(f"  {kind:<14} {done} of {total}")
+        echo(f"  {kind:<14} {done} of {total}")
     dataset = Path(out) / "lerobot"
     if lerobot and not counts["successes"]:
-        typer.echo(f"{dataset}: not written, because no episode fulfils its goal", err=True)
+        echo(f"{dataset}: not written, because no episode fulfils its goal", err=True)
     elif lerobot and not dataset.exists():
         made = write_lerobot(RunFolder(out), dataset)
-        typer.echo(f"{dataset}: {made.num_episodes} episodes as a LeRobotDataset v3.0")
+        echo(f"{dataset}: {made.num_episodes} episodes as a LeRobotDataset v3.0")
     if counts["failures"]:
         raise typer.Exit(SOME_FAILED)
 
@@ -102,11 +102,11 @@ def reach(
     asked = [f"robot={json.dumps(robot)}"] if robot is not None else []
     settings = resolve_settings(ReachSettings, "reach", config, [*(set_ or []), *asked])
     if dry_run:
-        typer.echo(json.dumps(describe(ReachJob(scenes, settings)), indent=2))
+        echo(json.dumps(describe(ReachJob(scenes, settings)), indent=2))
         return
     manifest = run(scenes, out, settings, WorkerPool(count, address))
     counts = manifest["counts"]
-    typer.echo(
+    echo(
         f"{out}: {counts['scenes']} of {manifest['num_scenes']} scenes surveyed, {counts['task_reachable']} tasks reachable, "
         f"{counts['task_graspable']} graspable, {counts['grasps']} grasps tried, {counts['failures']} failures; report/index.html"
     )
@@ -148,18 +148,18 @@ def evaluate_policy(
     count = worker_count(workers, address)
     settings = resolve_settings(EvaluatePolicySettings, "evaluate_policy", config, set_ or [], settings_for(policy))
     if dry_run:
-        typer.echo(json.dumps(describe(EvaluatePolicyJob(policy, scenes, settings, where)), indent=2))
+        echo(json.dumps(describe(EvaluatePolicyJob(policy, scenes, settings, where)), indent=2))
         return
     manifest = run(policy, scenes, out, settings, WorkerPool(count, address), where=where)
     counts = manifest["counts"]
     low, high = counts["interval"]
     failed = ", ".join(f"{code} {n}" for code, n in counts["failures_by_code"].items())
-    typer.echo(
+    echo(
         f"{out}: {manifest['policy']} fulfils its goal in {counts['successes']} of {counts['attempts']} episodes ({low:.0%} to {high:.0%}) "
         f"in {manifest['num_scenes']} scenes; {counts['failures']} failures{f' ({failed})' if failed else ''}; report/index.html"
     )
     for key in ("by_task_kind", "by_assets"):
         for name, (done, total) in counts[key].items():
-            typer.echo(f"  {name:<22} {done} of {total}")
+            echo(f"  {name:<22} {done} of {total}")
     if counts["failures"]:
         raise typer.Exit(SOME_FAILED)

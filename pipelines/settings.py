@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 from models.settings import fill_settings, setting_meanings
 from pipelines.retired import RETIRED
 from stable_data.config_diff import flatten_config
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, one_line
+from stable_data.limits import LIMITS, at_most
 
 C = TypeVar("C")
 
@@ -221,7 +222,11 @@ def _near(key: str, defaults: Mapping[str, Any], section: str) -> str:
 
 def _section(file: Path, section: str) -> Mapping[str, Any]:
     try:
-        document = tomllib.loads(file.read_text("utf-8"))
+        with file.open("rb") as stream:
+            content = stream.read(LIMITS.text.max_config_bytes + 1)
+        if len(content) > LIMITS.text.max_config_bytes:  # the time of the parser grows with the square of a key's length
+            raise ValueError(f"it is larger, expected {at_most(LIMITS.text, 'max_config_bytes', 'bytes')}")
+        document = tomllib.loads(content.decode())
     except (OSError, ValueError) as error:  # ValueError: no UTF-8, no TOML, or a number of thousands of digits
         raise ConfigError(f"{file}: cannot be read as TOML ({error})", "config_invalid") from error
     known = dict.fromkeys((section, *SECTIONS))
@@ -255,7 +260,7 @@ def _parse_value(value: str) -> Any:
 
 def _line(text: str) -> str:
     """Text of a file or a command line as an error shows it: one line, not long."""
-    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:80])
+    text = one_line(text[:80])
     return text if len(text) < 80 else f"{text[:80]}…"
 
 

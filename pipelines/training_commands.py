@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pipelines.job_options import SETTINGS_HINT, JobSettings, worker_count
-from stable_data.cli import Address, with_clear_errors
+from stable_data.commands.command_line import Address, echo, with_clear_errors
 from stable_data.errors import ConfigError
 
 app = typer.Typer()
@@ -58,7 +58,7 @@ def fit_encoder(
     from pipelines.train.point_encoder import fit_encoder as fit
 
     with tempfile.TemporaryDirectory() as cache:
-        typer.echo(fit(data, weights, out, Path(cache), device))
+        echo(fit(data, weights, out, Path(cache), device))
 
 
 @app.command("train-corrector", epilog=SETTINGS_HINT.format("train-corrector"))
@@ -102,9 +102,9 @@ def train_corrector(
         repairers=WorkerPool(worker_count(-1, address), address),
     )
     if dry_run:
-        typer.echo(json.dumps(job.describe(), indent=2))
+        echo(json.dumps(job.describe(), indent=2))
         return
-    typer.echo(job.run(worker_count(workers, address) if address or workers else 0, address))
+    echo(job.run(worker_count(workers, address) if address or workers else 0, address))
 
 
 @app.command("train-rearranger", epilog=SETTINGS_HINT.format("train-rearranger"))
@@ -146,9 +146,9 @@ def train_rearranger(
         repairers=WorkerPool(worker_count(-1, address), address),
     )
     if dry_run:
-        typer.echo(json.dumps(job.describe(), indent=2))
+        echo(json.dumps(job.describe(), indent=2))
         return
-    typer.echo(job.run(worker_count(workers, address) if address or workers else 0, address))
+    echo(job.run(worker_count(workers, address) if address or workers else 0, address))
 
 
 @app.command("train-reasoner", epilog=SETTINGS_HINT.format("train-reasoner"))
@@ -188,9 +188,9 @@ def train_reasoner(
     if dry_run:
         from pipelines.train.estimate import training_plan
 
-        typer.echo(json.dumps(training_plan(job, count), indent=2))
+        echo(json.dumps(training_plan(job, count), indent=2))
         return
-    typer.echo(job.run(count, address))
+    echo(job.run(count, address))
 
 
 @app.command("train-reader", epilog=SETTINGS_HINT.format("train-reader"))
@@ -211,7 +211,7 @@ def train_reader(
     from pipelines.train.reader import ReaderTrainingJob
 
     settings = resolve_settings(ReaderTrainingSettings, "train_reader", config, set_ or [])
-    typer.echo(ReaderTrainingJob(frames, out, settings, minutes).run())
+    echo(ReaderTrainingJob(frames, out, settings, minutes).run())
 
 
 @app.command("train-policy", epilog=SETTINGS_HINT.format("train-policy"))
@@ -241,4 +241,4 @@ def train_policy(
 
     settings = resolve_settings(PolicyTrainingSettings, "train_policy", config, set_ or [])
     job = PolicyTrainingJob(episodes[0], out, also=tuple(episodes[1:]), where=where, settings=settings, minutes=minutes)
-    typer.echo(job.run())
+    echo(job.run())

@@ -7,16 +7,24 @@ A message is one line: which item, what was found, what was expected and what to
 from dataclasses import dataclass
 
 
+def one_line(text: str) -> str:
+    """Returns text that a terminal can show on one line: other characters, such as those that move its cursor, are escaped.
+
+    A message may quote names from files, and a name may contain anything.
+    """
+    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 class StableDataError(ValueError):
     """The base class of all errors of the toolkit.
 
     Args:
-        message: One line: which item, what was found, what was expected, what to do.
+        message: One line: which item, what was found, what was expected, what to do. What cannot be printed is escaped.
         code: Short machine-readable reason, the ``code`` column of the ``failures`` table.
     """
 
     def __init__(self, message: str, code: str = "error") -> None:
-        super().__init__(message)
+        super().__init__(one_line(message))
         self.code = code
 
     def __reduce__(self) -> tuple[type["StableDataError"], tuple[str, str]]:
@@ -56,13 +64,17 @@ class Notice:
         item_id: The scene or asset.
         step: The step that made the remark, such as ``read`` or ``mesh``.
         code: Short machine-readable reason, such as ``glb_missing``.
-        message: One line for the user.
+        message: One line for the user. What cannot be printed is escaped.
     """
 
     item_id: str
     step: str
     code: str
     message: str
+
+    def __post_init__(self) -> None:
+        """Escapes what cannot be printed."""
+        object.__setattr__(self, "message", one_line(self.message))
 
 
 def cannot_write(where: str, error: OSError) -> ConfigError:

@@ -3,17 +3,12 @@
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from stable_data.errors import Notice, SceneError
-
-MAX_DEPTH = 64
-"""Maximum nesting of JSON; a layout needs 4 levels."""
-
-MAX_VALUES = 1 << 22
-"""Maximum number of values in JSON; an annotated library of 12,000 assets has a tenth of it."""
+from stable_data.limits import LIMITS, at_most
 
 
 class ReadLog:
@@ -47,21 +42,28 @@ def quote_value(value: object) -> str:
     return text if len(text) <= 99 else text[:96] + "..."
 
 
-def read_bounded(path: Path, max_bytes: int, log: ReadLog) -> bytes:
-    """Reads a regular file of at most ``max_bytes``.
+def read_bounded(path: Path, group: Any, name: str, log: ReadLog) -> bytes:
+    """Reads a regular file of limited size.
+
+    Args:
+        path: The file.
+        group: A group of :data:`stable_data.limits.LIMITS`.
+        name: The field of it that limits the bytes.
+        log: The log of the item that the file belongs to.
 
     Raises:
         SceneError: The file is missing, not a regular file, too big or unreadable.
     """
     if not path.is_file():
         raise log.error("file_missing", f"{path} is missing or not a regular file")
+    max_bytes = getattr(group, name)
     try:
         with path.open("rb") as file:
             data = file.read(max_bytes + 1)  # one more byte shows that the file is too big
     except OSError as error:
         raise log.error("file_unreadable", f"{path} cannot be read: {error.strerror}") from error
     if len(data) > max_bytes:
-        raise log.error("file_too_big", f"{path} has more than {max_bytes} bytes; raise the limit if the file is correct")
+        raise log.error("file_too_big", f"{path} is larger, expected {at_most(group, name, 'bytes')}")
     return data
 
 
@@ -103,7 +105,7 @@ def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: s
         code, hint = ("json_truncated", "is the file cut?") if is_cut else ("json_invalid", "expected JSON")
         raise log.error(code, f"{what} is not valid JSON at {where}: {error.msg}; {hint}") from None
     except RecursionError:
-        raise log.error("json_too_deep", f"{what} nests far deeper than {MAX_DEPTH} levels, expected a layout") from None
+        raise log.error("json_too_deep", f"{what} {_too_deep()}") from None
     except SceneError:
         raise
     except ValueError as error:  # an integer of thousands of digits
@@ -111,7 +113,7 @@ def parse_object(data: bytes | str, what: str, log: ReadLog, *, repeated_code: s
     if not isinstance(document, dict):
         raise log.error("json_not_object", f"{what} holds a {type(document).__name__} at its top level, expected an object")
     if _is_too_deep(document):
-        raise log.error("json_too_deep", f"{what} nests deeper than {MAX_DEPTH} levels, expected a layout")
+        raise log.error("json_too_deep", f"{what} {_too_deep()}")
     return document
 
 
@@ -119,19 +121,92 @@ def json_value(text: str) -> Any:
     """Parses a JSON text that is one of many items, such as a line of a file.
 
     Raises:
-        ValueError: The text is not JSON, contains NaN, an integer of thousands of digits or text that is not UTF-8, or nests
-            deeper than MAX_DEPTH; the message is one line.
+        ValueError: The text is not JSON, contains NaN, an integer of thousands of digits or text that is not UTF-8, has too many
+            values, or nests too deep; the message is one line.
     """
+    if text.endswith("\0") and len(text) > LIMITS.text.max_line:
+        raise ValueError(f"it is longer, expected {at_most(LIMITS.text, 'max_line', 'characters')}")
+    if _has_many_values(text):
+        raise ValueError(_too_many())
     try:
         value = json.loads(text, parse_constant=_refuse_constant)
         is_deep = _is_too_deep(value)
     except RecursionError:
         is_deep = True
     if is_deep:
-        raise ValueError(f"nests deeper than {MAX_DEPTH} levels")
+        raise ValueError(_too_deep())
     if not is_unicode(value):
         raise ValueError("contains text that is not UTF-8")
     return value
+
+
+def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
+    """Reads a text file line by line; a file may have any number of lines, of limited length.
+
+    Args:
+        path: The file, UTF-8. Bytes that are not UTF-8 become lone surrogates, for which :func:`json_value` refuses a line.
+        newline: As for ``open``.
+
+    Yields:
+        The lines with their ends. One that is too long is cut and ends with a null character; the next one follows.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    most = LIMITS.text.max_line
+    with path.open(encoding="utf-8-sig", errors="surrogateescape", newline=newline) as stream:
+        while line := stream.readline(most):
+            if len(line) == most and not line.endswith("\n"):
+                line += "\0"
+                while (rest := stream.readline(most)) and not rest.endswith("\n"):
+                    pass
+            yield line
+
+
+def read_json(path: Path) -> Any:
+    """Reads a JSON file of the project, such as a manifest, labels or statistics.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is too large or no JSON; as for :func:`json_value`, but NaN and infinities are read.
+    """
+    with path.open("rb") as file:
+        return document_of(file.read(LIMITS.text.max_document_bytes + 1))
+
+
+def document_of(content: bytes) -> Any:
+    """Parses the content of a JSON file of the project; see :func:`read_json`.
+
+    Raises:
+        ValueError: As :func:`read_json`.
+    """
+    if len(content) > LIMITS.text.max_document_bytes:
+        raise ValueError(f"it is larger, expected {at_most(LIMITS.text, 'max_document_bytes', 'bytes')}")
+    text = content.decode("utf-8-sig")
+    if _has_many_values(text):
+        raise ValueError(_too_many())
+    try:
+        document = json.loads(text)
+    except RecursionError:
+        raise ValueError(_too_deep()) from None
+    if _is_too_deep(document):
+        raise ValueError(_too_deep())
+    if "\\ud" in text.lower() and not is_unicode(document):
+        raise ValueError("contains text that is not UTF-8")
+    return document
+
+
+def _too_deep() -> str:
+    return f"nests deeper, expected {at_most(LIMITS.json, 'max_levels', 'levels')}"
+
+
+def _too_many() -> str:
+    return f"has more brackets and commas, expected {at_most(LIMITS.json, 'max_values')}; split it"
+
+
+def _has_many_values(text: str) -> bool:
+    # A value of two bytes becomes a Python object of 64 bytes, so the number of values bounds the memory for parsing.
+    return text.count("{") + text.count("[") + text.count(",") > LIMITS.json.max_values
 
 
 def _refuse_constant(constant: str) -> float:
@@ -151,16 +226,15 @@ def is_unicode(value: object) -> bool:
 
 
 def _decode(data: bytes | str, what: str, log: ReadLog) -> str:
-    """Returns text that has at most MAX_VALUES values and can be encoded again."""
+    """Returns text that has a limited number of values and can be encoded again."""
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data
     except UnicodeDecodeError as error:
         byte = error.object[error.start]
         message = f"{what} is not UTF-8: byte 0x{byte:02x} at offset {error.start}; save it as UTF-8"
         raise log.error("json_not_utf8", message) from None
-    # A value of two bytes becomes a Python object of 64 bytes, so the number of values bounds the memory for parsing.
-    if text.count("{") + text.count("[") + text.count(",") > MAX_VALUES:
-        raise log.error("json_too_big", f"{what} has more than {MAX_VALUES:,} brackets and commas, expected fewer; split it")
+    if _has_many_values(text):
+        raise log.error("json_too_big", f"{what} {_too_many()}")
     # The text is parsed a second time only if it may contain half of a surrogate pair.
     if "\\ud" in text.lower() or not text.isascii():
         try:
@@ -192,10 +266,10 @@ def _without_non_finite(value: object) -> object:
 
 
 def _is_too_deep(document: object) -> bool:
-    """Whether containers nest deeper than MAX_DEPTH."""
+    """Whether containers nest deeper than the limit."""
     # Level by level, because recursion could overflow the stack.
     level: list[Any] = [document] if isinstance(document, (dict, list)) else []
-    for _ in range(MAX_DEPTH):
+    for _ in range(LIMITS.json.max_levels):
         level = [
             child
             for parent in level

@@ -27,9 +27,6 @@ Vec3: TypeAlias = tuple[float, float, float]
 QuatXyzw: TypeAlias = tuple[float, float, float, float]
 Rectangle: TypeAlias = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max
 
-MAX_INSTRUCTION = 2000
-"""Longest instruction, characters. The time to parse an instruction grows with the third power of its length."""
-
 TABLE = "table"
 """The name of the table top where an instance is expected (``SceneObject.support``)."""
 

@@ -11,7 +11,8 @@ from typing import Any
 from stable_data.condition import ConditionKind, GoalCondition, condition_of
 from stable_data.errors import GoalError, SceneError
 from stable_data.json_text import ReadLog, are_finite, is_unicode, numbers, quote_value
-from stable_data.scene import MAX_INSTRUCTION, Relation, RelationKind, TaskInfo
+from stable_data.limits import LIMITS, at_most
+from stable_data.scene import Relation, RelationKind, TaskInfo
 
 LISTS = {"goal": "Goal", "action_sequence": "Action Sequence", "objects_cluster": "Objects cluster"}
 """Field of TaskInfo -> key, for the lists of strings that every task info has."""
@@ -76,7 +77,7 @@ def validate_task_info(data: Mapping[str, Any]) -> None:
     """Refuses the content of a ``task_info.json`` that MesaTask's own validator would refuse.
 
     Raises:
-        SceneError: ``task_info_invalid``: a key is missing or of the wrong type, or the task is longer than MAX_INSTRUCTION.
+        SceneError: ``task_info_invalid``: a key is missing or of the wrong type, or the task is too long.
     """
     try:
         is_readable = is_unicode(dict(data))
@@ -87,8 +88,8 @@ def validate_task_info(data: Mapping[str, Any]) -> None:
     for key in ("Environment", "Task"):
         if not isinstance(data.get(key), str) or not data[key].strip():
             raise _invalid(key, data.get(key), "a sentence")
-    if len(data["Task"]) > MAX_INSTRUCTION:
-        raise _invalid("Task", data["Task"], f"at most {MAX_INSTRUCTION:,} characters")
+    if len(data["Task"]) > LIMITS.text.max_instruction:
+        raise _invalid("Task", data["Task"], at_most(LIMITS.text, "max_instruction", "characters"))
     for key in LISTS.values():
         if not _are_texts(data.get(key)):
             raise _invalid(key, data.get(key), "a list of strings")
@@ -125,13 +126,14 @@ def parse_task_info(document: Mapping[str, Any], log: ReadLog, what: str = "task
         what: Name of the document in errors.
 
     Raises:
-        SceneError: ``task_info_invalid``: there is no task, it is longer than MAX_INSTRUCTION, or a field has the wrong type.
+        SceneError: ``task_info_invalid``: there is no task, it is too long, or a field has the wrong type.
     """
     task, environment = document.get("Task"), document.get("Environment", "")
     if not isinstance(task, str) or not task.strip():
         raise log.error("task_info_invalid", f"{what} has Task {quote_value(task)}, expected a sentence")
-    if len(task) > MAX_INSTRUCTION:
-        found = f"a Task of {len(task):,} characters, expected at most {MAX_INSTRUCTION:,}; shorten it"
+    if len(task) > LIMITS.text.max_instruction:
+        most = at_most(LIMITS.text, "max_instruction", "characters")
+        found = f"a Task of {len(task):,} characters, expected {most}; shorten it"
         raise log.error("task_info_invalid", f"{what} has {found}")
     if not isinstance(environment, str):
         raise log.error("task_info_invalid", f"{what} has Environment {quote_value(environment)}, expected a sentence")

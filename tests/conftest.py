@@ -1,7 +1,9 @@
 """What every test may ask for, and the order of the tests."""
 
+import json
 import logging
 import os
+import shutil
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: two threads on a busy machine wait for each other
@@ -12,6 +14,8 @@ import ray
 from hypothesis import settings
 
 from stable_data.embedded_world import EmbeddedWorld, write_world
+from stable_data.scene import Stage, Tabletop
+from stable_data.storage.run_folder import RunFolder
 from tests.broken_inputs import write_broken_inputs
 
 # A run that fails fails again, and none fails because the machine is busy; `--hypothesis-profile=default` explores.
@@ -67,6 +71,55 @@ def clean_run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("run") / "out"
     preprocess(str(dataset), str(out), SMALL, WorkerPool())
     return out
+
+
+@pytest.fixture(scope="session")
+def generated(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three scenes of three objects and two failures of the generate job, in three shards; settled."""
+    # Imported here: most tests need neither the jobs nor torch.
+    from models.semantic_reasoner.engines.registry import EngineSettings
+    from models.semantic_reasoner.staged_layout import LayoutTask
+    from models.semantic_reasoner.text.prompt import WANTED
+    from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.generate.job import generate
+    from pipelines.generate.settings import GenerateSettings
+    from pipelines.sources.assets import AssetLibraries
+    from pipelines.sources.generation_tasks import TaskSource
+    from tests.pipelines.scripts import entry
+
+    shelf = AssetLibraries([str(dataset)])
+    first, second, third = shelf.libraries[0].assets[1:4]
+    script = {
+        "Say nonsense": "what?",
+        "That answer cannot be used": "what?",
+        WANTED[Stage.TASK]: {"objects": [entry(first, 20.0)]},
+        WANTED[Stage.IMPORTANT]: {"objects": [entry(second, 21.0)]},
+        WANTED[Stage.SECONDARY]: {"objects": [entry(third, 22.0)]},
+    }
+    folder = tmp_path_factory.mktemp("generated")
+    (folder / "script.json").write_text(json.dumps(script))
+    engine = EngineSettings(f"scripted:{folder / 'script.json'}")
+    settings = GenerateSettings(engine, weights="none", scenes_per_shard=2, keep_settled=True, num_pictures=0)
+    desk = Tabletop("office_table", (1.2, 0.6))
+    said = ("Lift it.", "Say nonsense", "Turn it.", "Say nonsense again", "Take it.")
+    tasks = TaskSource("tasks", [LayoutTask(f"task_{n}", words, desk) for n, words in enumerate(said)])
+    generate(tasks, str(folder / "run"), settings, WorkerPool(), [str(dataset)])
+    return folder / "run"
+
+
+@pytest.fixture(scope="session")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve scanned assets with textures: a run of the import job that is part of the project, with checksums, which it lacks.
+
+    Its table of failures, which has no rows, is not in the project.
+    """
+    from tests.stable_data.verification.editing import hide
+
+    run = tmp_path_factory.mktemp("imported") / "run"
+    shutil.copytree(Path(__file__).parents[1] / "pipelines" / "sources" / "real_library" / "ycb", run)
+    RunFolder(str(run)).write_shard("failures", "0" * 16, [])
+    hide(run)
+    return run
 
 
 @pytest.fixture

@@ -132,3 +132,6 @@ CONSUMERS: Mapping[str, Consumer] = {
 
 FID_LIBRARIES = Consumer("fid_libraries", "features", "fid", engine=False, judges=True)
 """pytorch-fid and torch-fidelity. They open features and pictures instead of exports, so they are not among the others."""
+
+CROISSANT = Consumer("croissant_dataset", "publish", "croissant", engine=False, judges=True)
+"""mlcroissant. It opens published runs instead of exports, so it is not among the others."""

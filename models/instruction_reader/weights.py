@@ -56,7 +56,7 @@ def new_reader(seed: int = 0) -> ReaderModel:
         ConfigError: The encoder's package is not installed.
     """
     folder = read_folder(packaged_folder())
-    config = BertConfig.from_pretrained(folder.folder)
+    config = BertConfig.from_pretrained(folder.folder, local_files_only=True)
     config.hidden_dropout_prob = config.attention_probs_dropout_prob = 0.0  # no sentence comes twice
     config._attn_implementation = "eager"  # on a CPU its gradient is twice as fast as that of sdpa in bfloat16
     torch.manual_seed(seed)

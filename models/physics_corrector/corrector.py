@@ -30,9 +30,10 @@ from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedL
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.relations_kept import DIRECTIONAL
 from stable_data.metrics.sampled_collision import add_sampled_collisions
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import TABLE, Relation, Scene
 
 SceneMover: TypeAlias = Callable[[Sequence[Scene], Sequence[Sequence[Shape]], Sequence[Fixed]], Sequence[Scene | None]]

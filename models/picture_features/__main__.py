@@ -10,7 +10,7 @@ import typer
 from models.picture_features.extractor import FeatureExtractor, Rows
 from models.picture_features.picture_folder import picture_files, read_pictures
 from models.picture_features.registry import default_name, extractor_named
-from stable_data.cli import with_clear_errors
+from stable_data.commands.command_line import echo, with_clear_errors
 from stable_data.scores.set_distance import (
     DrawnValue,
     FeatureStatistics,
@@ -72,7 +72,7 @@ def main(
     """Prints the Fréchet and the kernel distance of two sets of pictures, and the diversity of each, as JSON."""
     extractor = extractor_named(features or default_name(), device)
     rows = [np.concatenate([extractor(p) for p in read_pictures(picture_files(place, name))]) for place in (first, second)]
-    typer.echo(json.dumps(compare(extractor, rows[0], rows[1], size, draws, seed), indent=1))
+    echo(json.dumps(compare(extractor, rows[0], rows[1], size, draws, seed), indent=1))
 
 
 if __name__ == "__main__":

@@ -8,11 +8,12 @@ from PIL import Image, UnidentifiedImageError
 
 from models.picture_features.extractor import Pictures
 from stable_data.errors import ConfigError
+from stable_data.limits import LIMITS, at_most
 
 SUFFIXES = (".jpeg", ".jpg", ".png", ".webp")
 """Endings of the files that are read."""
 
-_MOST_PIXELS = 1 << 26  # of a picture
+_FORMATS = ("JPEG", "PNG", "WEBP")  # as Pillow names them; for some of the others it may start Ghostscript
 
 
 def picture_files(folder: Path, name: str = "") -> list[Path]:
@@ -56,12 +57,10 @@ def read_picture(path: Path) -> Pictures:
         ConfigError: It is no picture, or is too large (``pictures_invalid``).
     """
     try:
-        with Image.open(path) as image:
-            if image.width * image.height > _MOST_PIXELS:
-                raise ConfigError(
-                    f"{path}: has {image.width} x {image.height} pixels, expected at most {_MOST_PIXELS >> 20} million",
-                    "pictures_invalid",
-                )
+        with Image.open(path, formats=_FORMATS) as image:
+            if image.width * image.height > LIMITS.image.max_pixels:
+                most = at_most(LIMITS.image, "max_pixels")
+                raise ConfigError(f"{path}: has {image.width} x {image.height} pixels, expected {most}", "pictures_invalid")
             clear = image.convert("RGBA")
     except ConfigError:
         raise

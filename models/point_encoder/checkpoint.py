@@ -20,7 +20,7 @@ from models.point_encoder.cloud import Preprocessing
 from models.point_encoder.encoder import PointEncoder
 from models.point_encoder.serialization import CURVES
 from models.point_encoder.transformer import TransformerConfig
-from models.training.weights_file import read_weights, save_weights
+from models.training.weights_file import build_no_larger_than, read_weights, save_weights
 from stable_data.errors import ConfigError
 
 FORMAT = "stable-data point encoder 1"
@@ -57,8 +57,11 @@ def load(path: Path) -> PointEncoder:
         raise ConfigError(message, "weights_invalid")
     try:
         config, preprocessing = (json.loads(metadata[name]) for name in ("config", "preprocessing"))
-        encoder = PointEncoder(TransformerConfig(**_tuples(config)), Preprocessing(**_tuples(preprocessing)))
-    except (KeyError, TypeError, ValueError) as error:
+        shape = TransformerConfig(**_tuples(config)), Preprocessing(**_tuples(preprocessing))
+        encoder = build_no_larger_than(path, lambda: PointEncoder(*shape))
+    except ConfigError:
+        raise
+    except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
         message = (
             f"{path}: its configuration cannot be read ({error}), expected that of this version; train or convert it again"
         )

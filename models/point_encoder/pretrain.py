@@ -27,6 +27,7 @@ from models.point_encoder.pretraining_data import TrainingShape, pretraining_cor
 from models.point_encoder.pretraining_targets import PretrainingTargets, draw_targets
 from models.point_encoder.transformer import BASE, EMBEDDED
 from models.settings import Count, NonNegative, Positive, PositiveCount, Settings
+from stable_data.commands.command_line import echo
 from stable_data.config_diff import config_differences
 from stable_data.errors import ConfigError
 
@@ -233,9 +234,9 @@ def main(
     try:
         report = pretrain(out, PretrainSettings(config, steps=steps, seed=seed, num_categories=num_categories), minutes)
     except ConfigError as error:
-        typer.echo(str(error), err=True)
+        echo(str(error), err=True)
         raise typer.Exit(2) from error
-    typer.echo(json.dumps({name: value for name, value in report.items() if name != "losses"}, indent=1))
+    echo(json.dumps({name: value for name, value in report.items() if name != "losses"}, indent=1))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Point Transformer V3 (Wu et al., CVPR 2024) in plain torch: computes features of the voxels of a batch of clouds."""
 
 from dataclasses import dataclass
+from functools import partial
 
 from torch import Tensor, nn
 from torch.nn import functional
@@ -112,8 +113,9 @@ class PointTransformer(nn.Module):
         channels, num_stages = config.enc_channels, len(config.enc_depths)
 
         def blocks(depth: int, width: int, heads: int) -> dict[str, nn.Module]:
-            curves = [k % len(self._curves) for k in range(depth)]
-            return {f"block{k}": Block(width, heads, config.patch_size, c, config.layer_scale) for k, c in enumerate(curves)}
+            num_curves = len(self._curves)
+            make = partial(Block, width, heads, config.patch_size)
+            return {f"block{k}": make(k % num_curves, config.layer_scale) for k in range(depth)}
 
         is_conv = config.stem == "conv"
         first: nn.Module = (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from models.policy.network import PolicyNetwork, PolicyShape
 from models.settings import fill_settings
-from models.training.weights_file import read_weights, save_weights
+from models.training.weights_file import build_no_larger_than, read_weights, save_weights
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
 from stable_data.robot.episodes import EpisodeFeatures
@@ -74,9 +74,9 @@ def load_policy(path: Path) -> PolicyWeights:
             image_size=None if size is None else (size[0], size[1]),
         )
         shape = fill_settings(PolicyShape, found["network"], "network")
-        network = PolicyNetwork(shape)
+        network = build_no_larger_than(path, lambda: PolicyNetwork(shape))
         network.load_state_dict(tensors)
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+    except (ArithmeticError, LookupError, TypeError, ValueError, RuntimeError) as error:
         line = " ".join(str(error).split())[:200]
         raise ConfigError(
             f"{path}: {line}; expected the file of a policy of this version, see train-policy; train again if it is older",

@@ -6,8 +6,8 @@ import numpy as np
 
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.bounds import leaves_table
-from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.sampled_collision import num_sampled_collisions
+from stable_data.metrics.verdicts import TOLERANCE
 from stable_data.scene import Scene
 
 

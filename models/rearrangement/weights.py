@@ -12,7 +12,7 @@ from models.rearrangement.lego_net import LegoNet
 from models.rearrangement.settings import RearrangerSettings
 from models.rearrangement.struct_diffusion import StructDiffusion
 from models.settings import settings_from_json, settings_to_json
-from models.training.weights_file import fill_network, read_notes, save_weights
+from models.training.weights_file import build_no_larger_than, fill_network, read_notes, save_weights
 from stable_data.errors import ConfigError
 
 RearrangementMethod: TypeAlias = LegoNet | StructDiffusion
@@ -72,6 +72,6 @@ def load_rearranger(path: Path) -> RearrangerWeights:
             "checkpoint_invalid",
         )
     settings = settings_from_json(RearrangerSettings, notes.pop("settings"), "rearranger")
-    network = build_network(settings)
+    network = build_no_larger_than(path, lambda: build_network(settings))
     fill_network(path, network)
     return RearrangerWeights(settings, network.eval(), notes)

@@ -4,8 +4,7 @@ from collections.abc import Iterator
 
 from models.scene_rating.fault import Fault, listed, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
-from stable_data.metrics.audit import Audit, ObjectVerdict
-from stable_data.metrics.collision import ROUNDING
+from stable_data.metrics.verdicts import ROUNDING, Audit, ObjectVerdict
 from stable_data.rating.rating import CriterionScore
 
 _SLIGHT, _GRAVE = 0.1, 0.5  # severity of a fault that is just not accepted, and of one that everybody sees

@@ -7,8 +7,9 @@ import numpy as np
 
 from stable_data.errors import SceneError
 from stable_data.metrics.alignment import Alignment, AlignmentReference, align, broken_relations
-from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.related_scene import RelatedScene, relate_scene
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Relation, Scene
 from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.scene_geometry import SceneGeometry

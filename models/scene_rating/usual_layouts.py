@@ -19,8 +19,9 @@ import shapely
 import typer
 
 from stable_data.atomic_files import write_file_atomically
-from stable_data.cli import with_clear_errors
+from stable_data.commands.command_line import echo, with_clear_errors
 from stable_data.errors import ConfigError
+from stable_data.json_text import read_json
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.rotations import wrap_angle
 from stable_data.scene import TABLE, Scene, SceneObject
@@ -142,7 +143,7 @@ class UsualLayouts:
         """
         advice = "create it with: python -m models.scene_rating.usual_layouts FOLDER --out FILE"
         try:
-            data: Any = json.loads(path.read_text("utf-8"))
+            data: Any = read_json(path)
         except OSError as error:
             raise ConfigError(
                 f"{path}: cannot be read ({error.strerror or error}), expected statistics of layouts; {advice}",
@@ -245,9 +246,7 @@ def main(
     """Measures how things stand on the tables of a folder."""
     found = UsualLayouts.of_scenes(read_scenes(folder))
     found.save(out)
-    typer.echo(
-        f"{out}: {sum(found.num_scenes.values())} scenes, {len(found.categories)} categories, {len(found.turns)} with a turn"
-    )
+    echo(f"{out}: {sum(found.num_scenes.values())} scenes, {len(found.categories)} categories, {len(found.turns)} with a turn")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Makes a reasoner from its settings: the engine, the checks, and the interpreter of instructions."""
 
-import json
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from models.semantic_reasoner.text.zero_shot_prompt import ZERO_SHOT_SYSTEM
 from models.settings import PositiveCount, Settings
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.json_text import read_json
 from stable_data.storage.run_folder import absolute_uri
 
 
@@ -152,7 +152,7 @@ def _requires(engine: EngineSettings) -> bool:
     notes = None if engine.folder is None else engine.folder / NOTES
     if notes is None or not notes.is_file():
         return False
-    return bool(json.loads(notes.read_text("utf-8")).get("settings", {}).get("required_share", 0))
+    return bool(read_json(notes).get("settings", {}).get("required_share", 0))
 
 
 def _statistics(engine: EngineSettings, settings: ReasonerSettings) -> CategoryStatistics | None:

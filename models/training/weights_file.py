@@ -4,17 +4,26 @@ A file whose tensors differ from the network that its notes describe is refused.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
+from torch.nn.modules.module import (
+    register_module_buffer_registration_hook,
+    register_module_parameter_registration_hook,
+)
 
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
 
+T = TypeVar("T")
+
 _MAX_LISTED = 6  # mismatches that a message lists
+_SLACK = 1 << 20  # numbers of a network that its file need not have, such as buffers
 
 
 def save_weights(path: Path, state: Mapping[str, Tensor], notes: Mapping[str, str]) -> None:
@@ -93,6 +102,44 @@ def fill_network(path: Path, network: nn.Module) -> None:
             "checkpoint_invalid",
         )
     network.load_state_dict(tensors)
+
+
+def build_no_larger_than(path: Path, build: Callable[[], T]) -> T:
+    """Builds a network from the notes of a file, which must not describe more numbers than the file has bytes.
+
+    The notes of a file from elsewhere may describe a network of any size, and its tensors are compared only when it is built. It is
+    first built without memory for its numbers.
+
+    Args:
+        path: The file.
+        build: Builds the network.
+
+    Returns:
+        What ``build`` returns.
+
+    Raises:
+        ConfigError: The network is larger (``weights_invalid``).
+    """
+    left = path.stat().st_size + _SLACK
+
+    def count(module: nn.Module, name: str, tensor: Tensor | None) -> None:
+        nonlocal left
+        left -= 0 if tensor is None else tensor.numel()
+        if left < 0:
+            raise ConfigError(
+                f"{path}: its notes describe a network with more numbers than the file has bytes, expected the network of its tensors; "
+                "do not trust it",
+                "weights_invalid",
+            )
+
+    hooks = [register_module_parameter_registration_hook(count), register_module_buffer_registration_hook(count)]
+    try:
+        with torch.device("meta"):
+            build()
+    finally:
+        for hook in hooks:
+            hook.remove()
+    return build()
 
 
 def _mismatches(found: Mapping[str, tuple[int, ...]], required: Mapping[str, tuple[int, ...]]) -> list[str]:

@@ -21,7 +21,7 @@ from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressTally
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, connection, run_isolated, time_limited
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, connection, item_limited, run_isolated
 from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_isolated, rows_or_failure
 from pipelines.sources.scenes import SceneSource, SourceScene, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
@@ -159,7 +159,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         if isolated:
             return rows_isolated(make, item, item_id, seconds=seconds, prepare=self._prepare)
         self._prepare()
-        with time_limited(seconds):
+        with item_limited(seconds):
             return make(item)
 
     def _prepare(self) -> None:

@@ -10,8 +10,7 @@ from models.semantic_reasoner.editing import EditResult
 from pipelines.edit.settings import EditSettings
 from pipelines.edit.tilts import standing_on_end
 from stable_data.assets.store import AssetStore
-from stable_data.metrics.audit import Audit
-from stable_data.metrics.collision import ROUNDING
+from stable_data.metrics.verdicts import ROUNDING, Audit
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject
 from stable_data.scene_graph.relations import cell_of
 from stable_data.scene_graph.support_tree import SupportTree

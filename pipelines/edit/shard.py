@@ -32,10 +32,11 @@ from pipelines.sources.edits import EditRequest
 from pipelines.sources.scenes import SourceScene, scene_source
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.metrics.sampled_collision import add_sampled_collisions
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene, SceneObject
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.storage import schemas

@@ -23,7 +23,9 @@ from pipelines.rate.job import rate
 from pipelines.sources.generation_tasks import TaskSource
 from pipelines.views.job import draw_views
 from stable_data.errors import ConfigError
+from stable_data.storage.manifest import DIGEST, manifest_digest
 from stable_data.storage.run_folder import RunFolder
+from stable_data.verification.evaluation_folder import EVALUATION
 
 Tasks: TypeAlias = Callable[[int], TaskSource]
 """The tasks of a repetition, by its seed."""
@@ -63,7 +65,9 @@ def evaluate(
     estimates = estimate_figures({result.system.label: result.repetitions for result in results})
     evaluation = Evaluation(out, len(sources[seeds[0]].tasks), tuple(results), estimates, names, tuple(notes))
     folder = RunFolder(out)
-    folder.write_bytes("evaluation.json", json.dumps(to_json(evaluation), indent=2).encode() + b"\n")
+    document = to_json(evaluation)
+    document[DIGEST] = manifest_digest(document)
+    folder.write_bytes(EVALUATION, json.dumps(document, indent=2).encode() + b"\n")
     if report:
         write_evaluation_report(folder, evaluation, settings)
     return evaluation

@@ -22,6 +22,7 @@ import ray
 from tqdm import tqdm
 
 from stable_data.errors import ConfigError, StableDataError
+from stable_data.limits import LIMITS, at_most, memory_limited, worker_environment
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -198,7 +199,7 @@ def connect(workers: WorkerPool) -> bool:
         if address not in (None, "auto", "local"):
             _test_connection(address)  # Ray itself would wait for minutes before it fails
         if address is not None:
-            ray.init(address=address, runtime_env=_checkout(), log_to_driver=False, logging_level=logging.ERROR)
+            ray.init(address=address, runtime_env=_runtime(), log_to_driver=False, logging_level=logging.ERROR)
             return False
         own = {"address": "local", "num_cpus": workers.count}  # without "local", Ray joins any cluster of this machine
         ray.init(**own, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
@@ -227,11 +228,11 @@ def connection(workers: WorkerPool) -> Iterator[None]:
             ray.shutdown()
 
 
-def _checkout() -> dict[str, Any] | None:
-    """The runtime environment that ships this checkout to the nodes; None in a Ray job, which was submitted with one."""
+def _runtime() -> dict[str, Any] | None:
+    """The runtime environment that ships this checkout and the limits to the nodes; None in a Ray job, which was submitted with one."""
     if "RAY_JOB_CONFIG_JSON_ENV_VAR" in os.environ:
         return None
-    return {"working_dir": str(_CHECKOUT), "excludes": _NOT_SHIPPED}
+    return {"working_dir": str(_CHECKOUT), "excludes": _NOT_SHIPPED, "env_vars": dict(worker_environment())}
 
 
 def _test_connection(address: str) -> None:
@@ -257,20 +258,24 @@ def _first_line(error: BaseException) -> str:
 
 
 @contextmanager
-def time_limited(seconds: float) -> Iterator[None]:
-    """Ends this process if it is a worker of Ray and the body exceeds a time limit; its shard is then run item by item.
+def item_limited(seconds: float) -> Iterator[None]:
+    """Ends this process if it is a worker of Ray and the body exceeds the time or the memory of an item.
 
-    Only the end of the process stops a parser that hangs in C code. In any other process there is no limit.
+    Its shard is then run item by item, in separate processes. Only the end of the process stops a parser that hangs in C code. In
+    any other process there is no limit.
 
     Args:
-        seconds: The time limit.
+        seconds: The time limit. That on memory is one of :class:`stable_data.limits.ItemLimits`.
     """
     if not (ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE):
         yield
         return
     faulthandler.dump_traceback_later(seconds, exit=True)
     try:
-        yield
+        with memory_limited(LIMITS.item.max_memory_bytes):
+            yield
+    except MemoryError:
+        os._exit(1)
     finally:
         faulthandler.cancel_dump_traceback_later()
 
@@ -280,6 +285,19 @@ class ProcessFailure(StrEnum):
 
     CRASHED = "crashed"
     TIMED_OUT = "timed_out"
+    OUT_OF_MEMORY = "out_of_memory"
+
+    def told(self, seconds: float) -> str:
+        """Says what happened, as the end of a sentence.
+
+        Args:
+            seconds: The time limit.
+        """
+        if self is ProcessFailure.CRASHED:
+            return "ended the process that did it"
+        if self is ProcessFailure.TIMED_OUT:
+            return f"took over {seconds:g} s (seconds_per_item)"
+        return f"needed more memory, expected {at_most(LIMITS.item, 'max_memory_bytes', 'bytes')}"
 
 
 class IsolatedProcess:
@@ -310,16 +328,19 @@ class IsolatedProcess:
             seconds: The time limit of the call, without the start of the process.
 
         Returns:
-            The result, or how the process ended: it died twice, or exceeded the limit.
+            The result, or how the process ended: it died twice, or exceeded the limit of time or of memory.
         """
         for _ in range(2):  # the first death may have an outside cause
             try:
                 if self._pool is None:
                     self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
                     self._pool.submit(self._prepare).result(timeout=_START_SECONDS)
-                return self._pool.submit(function, *arguments).result(timeout=seconds)
+                return self._pool.submit(_bounded, function, *arguments).result(timeout=seconds)
             except BrokenProcessPool:
                 self._end()
+            except MemoryError:
+                self._end()
+                return ProcessFailure.OUT_OF_MEMORY
             except FutureTimeoutError:
                 self._end(kill=True)
                 return ProcessFailure.TIMED_OUT
@@ -339,6 +360,11 @@ def run_isolated(
     """Calls a function in a separate process, see :meth:`IsolatedProcess.call`."""
     with IsolatedProcess(prepare) as process:
         return process.call(function, *arguments, seconds=seconds)
+
+
+def _bounded(function: Callable[..., R], *arguments: object) -> R:
+    with memory_limited(LIMITS.item.max_memory_bytes):
+        return function(*arguments)
 
 
 def _nothing() -> None:

@@ -1,4 +1,4 @@
-"""The manifest of a run: what is compared when a run resumes, and what is checked when it ends."""
+"""What of a run's manifest is compared when the run resumes, and what of the run is checked when it ends."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
@@ -9,6 +9,7 @@ from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.limits import LIMITS
 from stable_data.storage import schemas
 from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_folder import RunFolder
@@ -26,7 +27,8 @@ def new_manifest(job: str, dataset: str, inputs: Mapping[str, Any], **more: Any)
     """The manifest of a new run."""
     code = {"code_version": code_version(), "code_versions": [code_version()]}
     head = {"job": job, "status": "running", **code, "table_version": schemas.TABLE_VERSION}
-    return {**head, "dataset": dataset, "inputs": dict(inputs), "input_fingerprint": content_id(dict(inputs)), **more}
+    limits = {"limits": changed} if (changed := LIMITS.changed()) else {}
+    return {**head, "dataset": dataset, "inputs": dict(inputs), "input_fingerprint": content_id(dict(inputs)), **limits, **more}
 
 
 def check_resume(
@@ -68,7 +70,9 @@ def check_resume(
 
     def compared(found: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
         inputs = {f"inputs.{kind}": content for kind, content in found["inputs"].items()}
-        every = {key: with_release(found).get(key) for key in keys} | inputs | {key: settings.get(key) for key in shaping}
+        limits = {f"limits.{name}": value for name, value in dict(found.get("limits") or {}).items()}
+        every = {key: with_release(found).get(key) for key in keys} | inputs | limits
+        every |= {key: settings.get(key) for key in shaping}
         return {key: value for key, value in every.items() if key not in grown}
 
     refuse_changed(folder.uri, compared(was, was["settings"]), compared(manifest, shaping))

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence, Set
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from time import perf_counter
 from typing import Any, ClassVar, Protocol
@@ -21,12 +21,15 @@ from pipelines.execution.resume import (
 )
 from pipelines.execution.shard_step import ShardTask, ShardWriter, StepShards, add_schemas
 from stable_data.content_id import content_id
-from stable_data.errors import Notice
+from stable_data.errors import ConfigError, Notice
 from stable_data.storage import schemas
-from stable_data.storage.manifest import read_manifest, write_manifest
+from stable_data.storage.checksums import save_checksums
+from stable_data.storage.manifest import COMPLETE, PLANNED, PlannedItems, read_manifest, write_manifest
 from stable_data.storage.run_changes import PRUNED
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
+
+_SAVE_SECONDS = 30.0  # between two times that checksums are stored; a killed driver leaves the last ones to be computed
 
 
 class JobSettings(Protocol):
@@ -177,8 +180,8 @@ def run_job(job: ShardJob, out: str, workers: WorkerPool, *, report: bool = True
             **{e.failed_key: count_items(folder, e.table, e.column, e.ids, with_lost=e.with_lost) for e in job.expected()},
             **job.finish(folder),
         }
-        manifest |= {"status": "complete", "counts": counts, "work": manifest["work"] + work}
-        write_manifest(folder, manifest)
+        manifest |= {"status": COMPLETE, "counts": counts, "work": manifest["work"] + work, PLANNED: _planned_items(job)}
+        manifest = write_manifest(folder, manifest)
         if report:
             job.report(folder, manifest)
     return manifest
@@ -215,6 +218,13 @@ def _note_replaced(folder: RunFolder, manifest: dict[str, Any], planned: Mapping
     was = manifest.get(REPLACED, {})
     found = {table: folder.shard_ids(table) - planned.get(table, set()) for table in schemas.SCHEMAS}
     manifest[REPLACED] = {table: sorted({*ids, *was.get(table, ())}) for table, ids in found.items() if ids or table in was}
+
+
+def _planned_items(job: ShardJob) -> list[dict[str, Any]]:
+    """The items of a job, for its manifest."""
+    return [
+        asdict(PlannedItems.of(e.table, e.column, e.ids, lost=e.with_lost, failed_key=e.failed_key)) for e in job.expected()
+    ]
 
 
 def _planned(steps: Sequence[StepShards[Any]]) -> dict[str, set[str]]:
@@ -256,6 +266,17 @@ def _run_missing(
         tally = next((tally for _, tally in held if tally is not None), None)
         writer = ShardWriter(folder.root if folder.is_local else folder.uri, tuple(step for step, _ in held))
         with ProgressBar(name, unit, total, total - left, tally) as bar:
-            for ended, (size, failures) in enumerate(workers.run(writer, missing), 1):
-                bar.count(size, failures, len(missing) - ended)
+            saved = perf_counter()
+            try:
+                for ended, done in enumerate(workers.run(writer, missing), 1):
+                    folder.written |= done.checksums
+                    bar.count(done.num_items, done.num_failures, len(missing) - ended)
+                    if perf_counter() - saved > _SAVE_SECONDS:
+                        save_checksums(folder)
+                        saved = perf_counter()
+            except BaseException:
+                with suppress(ConfigError):  # what ended the run is told, not that this fails too
+                    save_checksums(folder)
+                raise
+            save_checksums(folder)
     return [{"seconds": round(perf_counter() - began, 1), f"{unit}s": left}]

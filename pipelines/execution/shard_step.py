@@ -12,8 +12,9 @@ import pyarrow as pa
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressTally
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, run_isolated, time_limited
+from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, item_limited, run_isolated
 from stable_data.errors import ConfigError, Notice, StableDataError
+from stable_data.limits import LIMITS, at_most
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
@@ -149,7 +150,7 @@ class ItemStep(ShardStep[I]):
 
     def _limited_rows(self, item: I) -> Rows:
         self.prepare(item)
-        with time_limited(self.seconds_per_item):
+        with item_limited(self.seconds_per_item):
             return self.item(item)
 
     def _isolated_rows(self, item: I) -> Rows:
@@ -192,6 +193,21 @@ class ShardTask:
 
 
 @dataclass(frozen=True, slots=True)
+class WrittenShard:
+    """What a worker tells of a shard that it has written.
+
+    Attributes:
+        num_items: Number of items of the shard.
+        num_failures: Number of failed items.
+        checksums: File of the shard, ``table/part-id.parquet`` -> SHA-256.
+    """
+
+    num_items: int
+    num_failures: int
+    checksums: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
 class ShardWriter:
     """Processes shards of several steps and writes their tables; sent to the workers.
 
@@ -203,15 +219,12 @@ class ShardWriter:
     out: str
     steps: tuple[ShardStep[Any], ...]
 
-    def __call__(self, shard: ShardTask, *, isolated: bool = False) -> tuple[int, int]:
-        """Processes one shard.
+    def __call__(self, shard: ShardTask, *, isolated: bool = False) -> WrittenShard:
+        """Processes one shard and writes its tables.
 
         Args:
             shard: The shard and its step.
             isolated: See :meth:`ShardStep.shard`.
-
-        Returns:
-            The number of items of the shard, and the number of failed items.
         """
         step, items, folder = self.steps[shard.step], shard.shard, RunFolder(self.out)
         add_schemas(step)
@@ -220,7 +233,7 @@ class ShardWriter:
             folder.write_bytes(name, content)
         for table in step.TABLES:
             folder.write_shard(table, items.shard_id, made.rows.get(table, ()))
-        return len(items), len(made.rows.get("failures", ()))
+        return WrittenShard(len(items), len(made.rows.get("failures", ())), folder.written)
 
 
 def add_schemas(step: ShardStep[Any]) -> None:
@@ -250,6 +263,10 @@ def rows_or_failure(
         raise
     except StableDataError as error:
         return {"failures": [notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
+    except MemoryError:
+        message = f"{item_id}: memory is not enough for it, a worker has {at_most(LIMITS.item, 'max_memory_bytes', 'bytes')}"
+        code = str(ProcessFailure.OUT_OF_MEMORY)
+        return {"failures": [notice_row(Notice(item_id, progress.step, code, f"{message}; is it hostile?"))]}
     except Exception as error:  # noqa: BLE001 - the one place where an unexpected error becomes a row
         message = f"{item_id}: {unexpected_failure(error)}"
         return {"failures": [notice_row(Notice(item_id, progress.step, "unexpected", message))]}
@@ -270,11 +287,8 @@ def rows_isolated(
 
 def failed_process(found: ProcessFailure, item_id: str, seconds: float) -> Rows:
     """The row of ``failures`` of an item whose separate process ended without a result; ``seconds`` is its time limit."""
-    hint = {
-        ProcessFailure.CRASHED: "the process that read it died; is the file hostile?",
-        ProcessFailure.TIMED_OUT: f"took over {seconds:g} s; is it hostile, or is seconds_per_item too short for it?",
-    }[found]
-    return {"failures": [notice_row(Notice(item_id, "isolate", str(found), f"{item_id}: {hint}"))]}
+    message = f"{item_id}: it {found.told(seconds)}; is it hostile?"
+    return {"failures": [notice_row(Notice(item_id, "isolate", str(found), message))]}
 
 
 def engine_stopped(failure: str) -> ConfigError:

@@ -44,7 +44,7 @@ from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.engine_pool import PooledEngine, check_gpus, engine_pool
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import LocalTally, ProgressReporter, ProgressTally, SharedTally
-from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connection, time_limited
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connection, item_limited
 from pipelines.execution.shard_step import (
     NOT_OF_AN_ITEM,
     Rows,
@@ -68,14 +68,14 @@ from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.alignment import Alignment, AlignmentReference, align, requires_the_same
-from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.card import MetricCard, add_counts
-from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.movement import add_movement
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE, REASON
 from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.relations_kept import relations_kept
 from stable_data.metrics.sampled_collision import add_sampled_collisions
+from stable_data.metrics.verdicts import TOLERANCE, Audit
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Scene
 from stable_data.simulation.settling import SettleResult
@@ -298,7 +298,7 @@ class GenerateWork(ShardStep[Task]):
         seconds = self.settings.seconds_per_item
         if process is None:
             try:
-                with time_limited(seconds):
+                with item_limited(seconds):
                     return search(problem)
             except ConfigError:
                 raise
@@ -308,18 +308,18 @@ class GenerateWork(ShardStep[Task]):
         found = process.call(search, problem, seconds=seconds)
         if not isinstance(found, ProcessFailure):
             return found
-        reason = f"the search for places {str(found).replace('_', ' ')} ({seconds:g} s are allowed)"
+        reason = f"the search for places {found.told(seconds)}"
         return Placement((), dict.fromkeys((o.instance for o in problem.objects), reason))
 
     def _certified(self, asked: CertificationRequest, *, process: IsolatedProcess | None) -> Correction:
         """Certifies one scene, in a separate process if workers died while they processed its shard."""
         seconds = self.settings.seconds_per_item
         if process is None:
-            with time_limited(seconds):
+            with item_limited(seconds):
                 return _opened(self).answers.certifier(asked)
         found = process.call(partial(_certify, self._physics()), asked, seconds=seconds)
         if isinstance(found, ProcessFailure):
-            return failed_correction(asked, f"the correction {str(found).replace('_', ' ')} ({seconds:g} s are allowed)")
+            return failed_correction(asked, f"the correction {found.told(seconds)}")
         return found
 
     def _fault_of(self, asset_id: str, *, process: IsolatedProcess | None) -> str | None:
@@ -328,8 +328,8 @@ class GenerateWork(ShardStep[Task]):
         if process is not None:
             found = process.call(partial(_read_asset, self._physics()), asset_id, seconds=seconds)
             if isinstance(found, ProcessFailure):
-                return f"asset {asset_id}: reading it {str(found).replace('_', ' ')} ({seconds:g} s are allowed)"
-        with time_limited(seconds):
+                return f"asset {asset_id}: reading it {found.told(seconds)}"
+        with item_limited(seconds):
             return store.fault_of(asset_id)
 
     def _physics(self) -> "GenerateWork":
@@ -347,7 +347,7 @@ class GenerateWork(ShardStep[Task]):
             assert made.failure is not None
             return rows | {"failures": [notice_row(made.failure)]}
         progress = ItemProgress("judge")
-        with time_limited(self.settings.seconds_per_item):
+        with item_limited(self.settings.seconds_per_item):
             make = partial(self._judged, made, made.scene, progress)
             judged = rows_or_failure(name, progress, make, of_the_run=_NOT_OF_AN_ITEM)
         return rows | judged | {"warnings": [*rows["warnings"], *judged.get("warnings", [])]}

@@ -12,10 +12,11 @@ from stable_data.instructions.task_info import TaskWriter, model_task, resolve_t
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.dataset_split import SplitShares, split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
-from stable_data.metrics.audit import Audit, PosedScene, audit_posed_scene
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.card import add_counts
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.metrics.sampled_collision import add_sampled_collisions
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene
 from stable_data.scene_graph.relations import SceneGraph
 from stable_data.scene_graph.staging import samples_of, stage_scene

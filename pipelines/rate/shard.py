@@ -14,7 +14,7 @@ from models.scene_rating.rating_case import RatingCase
 from models.scene_rating.settings import load_judge
 from models.semantic_reasoner.engines.protocol import OFF
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.ray_executor import ProcessFailure, run_isolated, time_limited
+from pipelines.execution.ray_executor import ProcessFailure, item_limited, run_isolated
 from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, engine_stopped, failed_process, rows_or_failure
 from pipelines.rate.settings import RateSettings
 from stable_data.rating.rating import rating_row
@@ -62,7 +62,7 @@ class RateStep(ShardStep[str]):
 
     def _limited(self, scene_id: str) -> tuple[Rows, RatingCase | None]:
         self.prepare()
-        with time_limited(self.settings.seconds_per_item):
+        with item_limited(self.settings.seconds_per_item):
             return self.item(scene_id)
 
     def _isolated(self, scene_id: str) -> tuple[Rows, RatingCase | None]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from stable_data.cli import DONE, SOME_FAILED, with_clear_errors
+from stable_data.commands.command_line import DONE, SOME_FAILED, echo, with_clear_errors
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.importers.scenes.formats import SUFFIXES, is_gltf, is_usd
 
@@ -90,12 +90,12 @@ def repair(
     found = []
     for verdict in repair_folder(folder, paths, out, scene_options(table, key, upright), progress=paths is None):
         found.append(verdict)
-        typer.echo("\n".join(verdict.lines()))
+        echo("\n".join(verdict.lines()))
     place = verdicts or (out / VERDICTS if out is not None else None)
     if place is not None:
         write_verdicts(found, place)
     counts = ", ".join(f"{n} {status}" for status in RepairStatus if (n := sum(v.status is status for v in found)))
-    typer.echo(f"{source}: {len(found)} scene files: {counts}" + (f"; {place}" if place else ""))
+    echo(f"{source}: {len(found)} scene files: {counts}" + (f"; {place}" if place else ""))
     if any(v.status in (RepairStatus.UNSOLVED, RepairStatus.FAILED) for v in found):
         raise typer.Exit(SOME_FAILED)
 
@@ -133,7 +133,7 @@ def _repair_to_file(folder: Path, paths: list[str] | None, out: Path, options: "
     except OSError as error:
         raise cannot_write(str(out), error) from error
     found = [FileVerdict.of(repair) for repair in repairs]
-    typer.echo("\n".join(line for verdict in found for line in verdict.lines()))
+    echo("\n".join(line for verdict in found for line in verdict.lines()))
     if verdicts is not None:
         write_verdicts(found, verdicts)
     return DONE if all(v.status in (RepairStatus.FINE, RepairStatus.REPAIRED) for v in found) else SOME_FAILED
@@ -157,8 +157,8 @@ def import_scenes(
     folder, paths = resolve_source(source, root)
     counts = run(folder, paths, out, scene_options(table, key, upright), progress=paths is None)
     for notice in counts.failures:
-        typer.echo(f"not imported: {notice.message}", err=True)
-    typer.echo(
+        echo(f"not imported: {notice.message}", err=True)
+    echo(
         f"{out}: {counts.num_scenes} scenes of {counts.num_files} files, {counts.num_assets} assets, {len(counts.failures)} failures"
     )
     if counts.failures:

@@ -16,11 +16,9 @@ from stable_data.errors import ConfigError, MeshError, SceneError, StableDataErr
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.copies import CopyWriter
 from stable_data.importers.scenes.lint import no_scene_error, scene_candidates
+from stable_data.limits import LIMITS, at_most
 
 R = TypeVar("R")
-
-SECONDS_PER_FILE = 900.0
-"""Time limit of one file of a folder."""
 
 VERDICTS = "repair.parquet"
 """The table of verdicts in the output folder."""
@@ -175,10 +173,11 @@ def call_for_file(
     if process is None:
         return function(root, path, options)
     found: _Result[R] | StableDataError | ProcessFailure
-    found = process.call(_guarded, function, root, path, options, seconds=SECONDS_PER_FILE)
+    found = process.call(_guarded, function, root, path, options, seconds=LIMITS.item.max_scene_file_seconds)
     if isinstance(found, ProcessFailure):
-        how = "took too long" if found is ProcessFailure.TIMED_OUT else "ended the process that read it"
-        raise MeshError(f"{path}: {how}, expected a scene file; is it hostile?", str(found))
+        seconds = f"took more time, expected {at_most(LIMITS.item, 'max_scene_file_seconds', 's')}"
+        how = seconds if found is ProcessFailure.TIMED_OUT else found.told(0.0)
+        raise MeshError(f"{path}: {how}; is it hostile?", str(found))
     if isinstance(found, StableDataError):
         raise found
     return found.value
@@ -199,6 +198,8 @@ def _guarded(
         return _Result(function(root, path, options))
     except StableDataError as error:
         return error
+    except MemoryError:
+        raise
     except Exception as error:  # noqa: BLE001 - an unexpected error costs one file
         return SceneError(f"{path}: unexpected {type(error).__name__}: {error}; please report it with the file", "unexpected")
 

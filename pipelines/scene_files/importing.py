@@ -24,7 +24,7 @@ from stable_data.importers.scenes.lint import no_scene_error, scene_candidates
 from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.metrics.audit import audit_scene
-from stable_data.storage.manifest import write_manifest
+from stable_data.storage.manifest import COMPLETE, PLANNED, PlannedItems, write_manifest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, Row
 from stable_data.storage.table_rows import card_row, notice_row, scene_row
@@ -74,7 +74,7 @@ def import_scenes(
     found = scene_candidates(root) if paths is None else list(paths)
     assets, read, failures, used = SceneAssets(), list[ImportedScene](), list[Notice](), set[str]()
     warnings: list[Notice] = []
-    num_files = 0
+    files = list[str]()
     with IsolatedProcess() as process:
         for path in tqdm(found, desc="import", unit="file", disable=not progress):
             try:
@@ -82,7 +82,7 @@ def import_scenes(
             except StableDataError as error:
                 failures.append(Notice(path, "read", error.code, str(error)))
                 continue
-            num_files += 1
+            files.append(path)
             read += _with_own_ids(result.scenes, path, {one.scene.scene_id for one in read})
             warnings += result.notices
             used |= set(result.files) - {path}
@@ -91,7 +91,7 @@ def import_scenes(
         failures = [n for n in failures if n.code != "no_free_body" and n.item_id not in used]
     if not read and not failures:
         raise no_scene_error(root, len(found))
-    return _write_run(root, RunFolder(out), options, assets, read, warnings, failures, num_files)
+    return _write_run(root, RunFolder(out), options, assets, read, warnings, failures, files)
 
 
 def _with_own_ids(scenes: Sequence[ImportedScene], path: str, taken: set[str]) -> list[ImportedScene]:
@@ -129,7 +129,7 @@ def _write_run(
     read: Sequence[ImportedScene],
     warnings: Sequence[Notice],
     failures: Sequence[Notice],
-    num_files: int,
+    files: Sequence[str],
 ) -> ImportCounts:
     if folder.is_local and root.resolve() in (Path(folder.root).resolve(), *Path(folder.root).resolve().parents):
         raise ConfigError(f"{folder.uri}: is inside the folder of the scene files, expected another folder", "output_invalid")
@@ -151,8 +151,9 @@ def _write_run(
         folder.write_shard("assets", shard, [asset for asset, _ in asset_rows])
         folder.write_shard("scenes", shard, rows)
         counts = {"scenes": len(rows), "assets": len(asset_rows), "warnings": len(found), "failures": len(failures)}
-        write_manifest(folder, manifest | {"status": "complete", "counts": counts})
-    return ImportCounts(num_files, len(rows), len(asset_rows), tuple(failures))
+        planned = [asdict(PlannedItems.of("scenes", "layout_path", [*files, *(n.item_id for n in failures)]))]
+        write_manifest(folder, manifest | {"status": COMPLETE, "counts": counts, PLANNED: planned})
+    return ImportCounts(len(files), len(rows), len(asset_rows), tuple(failures))
 
 
 def _scene_rows(imported: ImportedScene, store: AssetStore, dataset: str, warnings: list[Notice]) -> Row:

@@ -37,7 +37,8 @@ from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
 from stable_data.importers.scenes.standing import Upright, stands_firmly, uprighting
 from stable_data.instructions.wording.vocabulary import classes_of
-from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import Audit
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, Scene
 

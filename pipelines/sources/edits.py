@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.json_text import json_value, quote_value
+from stable_data.json_text import bounded_lines, json_value, quote_value
+from stable_data.limits import LIMITS, at_most
 
 KEYS = ("scene_id", "instruction", "edit_id", "reply")
 
@@ -66,9 +67,7 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
         ConfigError: The file cannot be read, or contains no line (``edits_invalid``).
     """
     try:
-        # Bytes that are not UTF-8 become lone surrogates, for which their line is refused.
-        with path.open(encoding="utf-8-sig", errors="surrogateescape") as stream:
-            lines = list(stream)
+        lines = list(bounded_lines(path))
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot be read ({error.strerror}), expected one JSON object in each line", "edits_invalid"
@@ -108,6 +107,9 @@ def _edit_of(line: str, count: Counter[str]) -> EditRequest:
     if unknown := sorted(data.keys() - set(KEYS)):
         raise SceneError(f"has {quote_value(unknown[0])}, expected only {', '.join(KEYS)}", "edit_invalid")
     scene_id, instruction = _words(data, "scene_id"), _words(data, "instruction")
+    if len(instruction) > LIMITS.text.max_instruction:
+        most = at_most(LIMITS.text, "max_instruction", "characters")
+        raise SceneError(f"has an instruction of {len(instruction):,} characters, expected {most}", "instruction_invalid")
     count[scene_id] += 1
     edit_id = _words(data, "edit_id") if "edit_id" in data else f"{scene_id}_edit{count[scene_id]}"
     if not _PLAIN.fullmatch(edit_id) or set(edit_id.split("/")) & {".", ".."}:

@@ -21,7 +21,8 @@ from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.convention_detection import position_convention
-from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder

@@ -14,8 +14,10 @@ import pyarrow.parquet as pq
 
 from models.semantic_reasoner.staged_layout import LayoutTask
 from stable_data.errors import ConfigError, Notice, SceneError, cannot_write
-from stable_data.json_text import is_unicode, json_value, quote_value
+from stable_data.json_text import bounded_lines, is_unicode, json_value, quote_value
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import Tabletop
+from stable_data.storage.run_folder import bounded_batches
 
 KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")
 """Columns of the file; the first and the last are optional."""
@@ -31,7 +33,7 @@ SHORTEST_CM = 1.0
 
 _PLAIN = re.compile(r"\w[\w.-]{0,119}")
 _BETWEEN = re.compile(r"[\s,;x×\[\]()]+")
-_ROWS = 1024  # of a Parquet file that are in memory at once
+_ROWS = 1024  # of a Parquet file that are in memory at once, at most
 
 
 def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
@@ -119,6 +121,9 @@ def task_of(row: Mapping[str, Any], scene_id: str) -> LayoutTask:
             f"instruction is {quote_value(row.get('instruction'))}, expected a sentence that says what to do on the table",
             "instruction_invalid",
         )
+    if len(instruction) > LIMITS.text.max_instruction:
+        most = at_most(LIMITS.text, "max_instruction", "characters")
+        raise SceneError(f"instruction has {len(instruction):,} characters, expected {most}; shorten it", "instruction_invalid")
     if not is_unicode(instruction):
         raise SceneError("instruction is not UTF-8; save the file as UTF-8", "instruction_invalid")
     name = _name(values.get("scene_id", scene_id), "scene_id", "task_invalid")
@@ -157,23 +162,19 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
 
 
 def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
-    """Yields the number of each row, from 1, with a function that reads the row and may raise a SceneError.
-
-    Bytes that are not UTF-8 become lone surrogates, for which the row is refused.
-    """
+    """Yields the number of each row, from 1, with a function that reads the row and may raise a SceneError."""
     if path.suffix == ".jsonl":
-        with path.open(encoding="utf-8-sig", errors="surrogateescape") as lines:
-            yield from ((number, partial(_parse_line, line)) for number, line in enumerate(lines, 1) if line.strip())
+        lines = enumerate(bounded_lines(path), 1)
+        yield from ((number, partial(_parse_line, line)) for number, line in lines if line.strip())
     elif path.suffix == ".csv":
-        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as stream:
-            reader = csv.DictReader(stream, restkey="fields beyond the header")
-            _check_columns(path, list(reader.fieldnames or ()))
-            yield from enumerate(_csv_rows(reader), 1)
+        reader = csv.DictReader(bounded_lines(path, newline=""), restkey="fields beyond the header")
+        _check_columns(path, list(reader.fieldnames or ()))
+        yield from enumerate(_csv_rows(reader), 1)
     elif path.suffix == ".parquet":
         with pq.ParquetFile(path) as file:
             _check_columns(path, list(file.schema_arrow.names))
             number = 0
-            for batch in file.iter_batches(_ROWS):
+            for batch in bounded_batches(file, str(path), range(file.num_row_groups), most_rows=_ROWS):
                 for index in range(batch.num_rows):
                     number += 1
                     yield number, partial(_parquet_row, batch, index)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from stable_data.cli import SOME_FAILED, with_clear_errors
+from stable_data.commands.command_line import SOME_FAILED, echo, with_clear_errors
 
 
 @with_clear_errors
@@ -48,7 +48,7 @@ def supports(
             assert frame is not None
             room = "" if clearance is None else f", {100 * clearance:.0f} cm high"
             zone = "" if one.scene.table.restricted_zone is None else ", with a part where nothing may stand"
-            typer.echo(f"{support.asset_id} {frame.surface}: {100 * size[0]:.0f} x {100 * size[1]:.0f} cm{room}{zone}")
+            echo(f"{support.asset_id} {frame.surface}: {100 * size[0]:.0f} x {100 * size[1]:.0f} cm{room}{zone}")
         if folder.is_local:
             try:
                 picture = Image.fromarray(draw_surfaces(support.mesh, support.surfaces))
@@ -58,10 +58,10 @@ def supports(
             place.mkdir(exist_ok=True)
             picture.save(place / f"{safe_file_name(support.asset_id)}.png")
     for notice in counts.failures:
-        typer.echo(f"not used: {notice.message}", err=True)
+        echo(f"not used: {notice.message}", err=True)
     if counts.num_left_out and not asset:
-        typer.echo(f"{counts.num_left_out} other assets were not looked at; name them with --asset ID", err=True)
+        echo(f"{counts.num_left_out} other assets were not looked at; name them with --asset ID", err=True)
     num = sum(len(support.scenes) for support in counts.supports)
-    typer.echo(f"{out}: {len(counts.supports)} supports, {num} surfaces, {len(counts.failures)} failures")
+    echo(f"{out}: {len(counts.supports)} supports, {num} surfaces, {len(counts.failures)} failures")
     if counts.failures:
         raise typer.Exit(SOME_FAILED)

@@ -25,7 +25,7 @@ from stable_data.importers.scenes.layouts import ImportedScene, fixed_scene
 from stable_data.importers.scenes.scene_assets import SceneAssets
 from stable_data.metrics.audit import audit_scene
 from stable_data.scene import UPRIGHT
-from stable_data.storage.manifest import write_manifest
+from stable_data.storage.manifest import COMPLETE, PLANNED, PlannedItems, write_manifest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import card_row, notice_row, scene_row
@@ -228,7 +228,9 @@ def _write_run(
             folder.write_shard(name, shard, content)
         folder.write_shard("scenes", shard, scenes)
         counts = {"scenes": len(scenes), **{name: len(content) for name, content in rows.items()}, "failures": len(failures)}
-        write_manifest(folder, manifest | {"status": "complete", "counts": counts})
+        items = [support.asset_id for support in found] + [notice.item_id for notice in failures]
+        planned = [asdict(PlannedItems.of("scenes", "surface.support", items))]
+        write_manifest(folder, manifest | {"status": COMPLETE, "counts": counts, PLANNED: planned})
 
 
 def _hash_of(mesh: Mesh) -> str:

@@ -2,9 +2,13 @@
 
 import re
 import unicodedata
-from collections.abc import Collection
+from collections import defaultdict
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+
+from stable_data.assets.annotation import AssetAnnotation
+from stable_data.markdown_text import plain
 
 _MOST_CHARACTERS = 1000  # a longer text, without the texts of licences that are known, is no name of a licence
 _MOST_READ = 1 << 16  # characters: no licence is longer
@@ -220,3 +224,39 @@ def is_licence_allowed(licence: str | None, allowed: Collection[str] | None) -> 
         return False
     of_any_version = re.sub(r"-\d\.\d$", "", name)  # a name only for Creative Commons
     return not {name, of_any_version}.isdisjoint(map(normalise_licence, allowed))
+
+
+def attribution_text(assets: Sequence[AssetAnnotation]) -> str:
+    """Returns the page ATTRIBUTION.md: assets by licence, what each licence asks for, and its own words where they are others."""
+    of_licence: dict[str, list[AssetAnnotation]] = defaultdict(list)
+    for a in assets:
+        of_licence[normalise_licence(a.licence) or " ".join((a.licence or "not known").split())].append(a)
+    lines = [
+        "# Attribution",
+        "",
+        "The assets of these scenes. Their meshes were repaired, scaled and posed. The texts of licences are with the sources.",
+        "",
+    ]
+    for licence, own in sorted(of_licence.items()):
+        lines += [f"## {plain(licence)}", "", _asked(licence), ""]
+        for a in own:
+            said = "".join(f"; {a.raw[name]}" for name in ("author", "source_url") if a.raw.get(name))
+            if a.licence and " ".join(a.licence.split()) != licence:
+                said += f"; stated as {a.licence}"
+            text = f"{a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}{said}"
+            lines.append(f"- {plain(text)}")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _asked(licence: str) -> str:
+    terms = licence_terms(licence)
+    if terms is None:
+        return "What this licence asks for is not known: ask the source before you pass these assets on."
+    asked = {
+        "name the author and the licence": terms.is_credited,
+        "give changed assets the same licence": terms.is_share_alike,
+        "do not use them commercially": terms.is_non_commercial,
+        "do not pass changed assets on": terms.is_unchanged,
+    }
+    return f"Asked: {'; '.join(text for text, is_asked in asked.items() if is_asked) or 'nothing'}."

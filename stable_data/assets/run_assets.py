@@ -1,6 +1,7 @@
 """Assets from the tables of a run, for jobs that have the run folder but not the original dataset."""
 
 import hashlib
+import re
 import weakref
 from collections import OrderedDict
 from collections.abc import Collection, Iterator, Mapping, Sequence, Set
@@ -29,6 +30,7 @@ from stable_data.storage.schemas import SCHEMAS, Row
 _UNSEEN = ("points", "normals", "text_embedding", "sentence_embedding")
 """Large columns of ``assets`` that no file of a scene depends on."""
 
+_SHA256 = re.compile("[0-9a-f]{64}")
 _TEXTURE_BYTES = 64 * 2**20  # of recent images in memory
 
 
@@ -128,9 +130,10 @@ class RunAssets:
         for group in range(len(self._names.groups)):
             rows = self._names.read([group])
             for asset_id, sha256 in zip(rows["asset_id"].to_pylist(), rows["sha256"].to_pylist(), strict=True):
-                if not (len(sha256) == 64 and sha256.isalnum()):
+                if not isinstance(asset_id, str) or not _SHA256.fullmatch(sha256 or ""):
+                    found = f"meshes: asset_id is {quote_value(asset_id)} and sha256 is {quote_value(sha256)}"
                     raise ConfigError(
-                        f"meshes: sha256 is {sha256!r}, expected 64 hex digits; preprocess the dataset again", "table_invalid"
+                        f"{found}, expected a name and 64 hex digits; preprocess the dataset again", "table_invalid"
                     )
                 self._group_of[asset_id], self._content_of[asset_id] = group, sha256
         self._rows = RowsOfAssets(run, "meshes", ("glb",), self._group_of)
@@ -173,12 +176,10 @@ class RunAssets:
 
         Raises:
             ConfigError: The table can no longer be read.
+            MeshError: A part is no mesh (``parts_invalid``).
         """
         row = self._rows.row(asset_id)
-        return tuple(
-            Mesh(np.reshape(part["vertices"], (-1, 3)), np.reshape(part["faces"], (-1, 3)))
-            for part in (row["parts"] if row is not None else None) or ()
-        )
+        return tuple(_part(part, asset_id) for part in (row["parts"] if row is not None else None) or ())
 
     def physics(self, asset_id: str) -> AssetPhysics | None:
         """Returns mass and friction of an asset; None if the run does not know them.
@@ -260,6 +261,21 @@ class RunAssets:
                     write_file_atomically(self._path(sha256), content)
         except OSError as error:
             raise cannot_write(str(self._files), error) from error
+
+
+def _part(row: Row | None, asset_id: str) -> Mesh:
+    """A convex part of the table; the programs that use it do not check its indices."""
+    try:
+        given = row or {}
+        part = Mesh(np.array(given["vertices"], np.float64).reshape(-1, 3), np.array(given["faces"], np.int64).reshape(-1, 3))
+        is_valid = len(part.faces) > 0 and part.faces.min() >= 0 and part.faces.max() < len(part.vertices)
+        if is_valid and np.isfinite(part.vertices).all():
+            return part
+        reason = "an index outside of its vertices, or a number that is not finite"
+    except (KeyError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {error}"
+    message = f"asset {asset_id}: a convex part in table meshes cannot be used ({reason:.200}); preprocess the dataset again"
+    raise MeshError(message, "parts_invalid")
 
 
 class RunTextures:

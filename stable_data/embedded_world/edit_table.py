@@ -14,6 +14,7 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 
+from stable_data.code_version import code_version
 from stable_data.content_id import content_id
 from stable_data.embedded_world.drafting import EditDraft, SceneEditor, kinds_in_turn
 from stable_data.embedded_world.edits import edited_objects, phrase_edit
@@ -25,8 +26,10 @@ from stable_data.errors import SceneError
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.scene import TABLE, QuatXyzw, Scene, SceneObject, Vec3
 from stable_data.scene_graph.relations import scene_graph, supports
+from stable_data.storage.checksums import save_checksums
+from stable_data.storage.manifest import COMPLETE, PLANNED, read_manifest, write_manifest
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import Row
+from stable_data.storage.schemas import TABLE_VERSION, Row
 from stable_data.storage.table_rows import object_row, scene_from_row
 
 _SAME_TILT = 1e-6  # largest difference per component of a tilt from a file and the equal tilt of the catalogue
@@ -192,3 +195,35 @@ def write_edits(run: RunFolder, out: RunFolder, count: int = 4, seed: int = 0) -
                 failures.append(error)
         out.write_shard("edits", shard_id, rows)
         yield len(rows), failures
+
+
+def record_edits(run: RunFolder, out: RunFolder, count: int, seed: int) -> None:
+    """Records the drafted edits in the manifest of their folder; a folder with edits alone gets one.
+
+    An unfinished run gets the checksums alone: its job writes the manifest.
+
+    Args:
+        run: The run of the scenes.
+        out: The folder with the edits.
+        count: Edits per scene.
+        seed: Seed of the edits.
+
+    Raises:
+        ConfigError: A folder cannot be read or written.
+    """
+    manifest = read_manifest(out)
+    if manifest is None and out.tables() == ["edits"]:
+        manifest = {
+            "job": "draft-edits",
+            "status": COMPLETE,
+            "code_version": code_version(),
+            "table_version": TABLE_VERSION,
+            "dataset": Path(run.root).name,
+            "inputs": {"scenes": content_id(sorted(run.shard_ids("scenes")))},
+            "settings": {"per_scene": count, "seed": seed},
+            PLANNED: [],
+        }
+    if manifest is None or manifest.get("status") != COMPLETE:
+        save_checksums(out)
+        return
+    write_manifest(out, manifest | {"counts": {**manifest.get("counts", {}), "edits": out.num_rows("edits")}})

@@ -14,7 +14,7 @@ from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES, TablePlan
 from stable_data.embedded_world.settling import audit, settle_objects, unclean_objects, unsteady_objects
 from stable_data.errors import ConfigError, SceneError
 from stable_data.instructions.deriving import derive_task, task_rng
-from stable_data.metrics.audit import Audit
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import TABLE, RelationKind, Scene, Tabletop
 from stable_data.scene_graph.relations import SceneGraph, scene_graph
 

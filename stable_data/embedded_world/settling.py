@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.embedded_world.placing import PlacedObject, yaw_frame_parts
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.simulation.scene_geometry import object_at_rest
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, settle

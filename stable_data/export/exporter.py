@@ -1,7 +1,8 @@
 """Exports scenes of a run to another format, into a folder of their own; an interrupted export continues when it is run again."""
 
+import errno
 import json
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,16 +11,17 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.assets.licences import licence_terms, normalise_licence
+from stable_data.assets.licences import attribution_text
 from stable_data.assets.run_assets import run_annotations
 from stable_data.assets.store import AssetStore
 from stable_data.atomic_files import write_file_atomically
 from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, StableDataError, cannot_write
+from stable_data.errors import ConfigError, StableDataError, cannot_write, one_line
 from stable_data.export.formats import ExportFormat, format_named
 from stable_data.export.scene_cache import SceneCache
+from stable_data.markdown_text import plain
 from stable_data.mesatask import write_annotations
 from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.scene import Scene
@@ -30,6 +32,8 @@ from stable_data.storage.table_rows import scene_from_row
 from stable_data.supports import join_scenes
 
 MANIFEST_FILE, ATTRIBUTION_FILE = "export.json", "ATTRIBUTION.md"
+
+_OF_A_NAME = (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ)  # errors of a file system that does not take a name
 Progress: TypeAlias = Callable[[int, int, int], None]
 """Called after every scene with the numbers of finished scenes, of all scenes, and of scenes that could not be exported."""
 
@@ -150,8 +154,10 @@ def _export(
             support = None if scene.frame is None else scene.frame.asset_id  # the fixed objects are parts of it
             own = scene.objects if support is None else scene.movable
             used |= {support or "", *(o.asset_id or "" for o in own)} & annotations.keys()
-        except OSError:
-            raise  # a full or lost disk ends the export
+        except OSError as error:
+            if error.errno not in _OF_A_NAME:
+                raise  # a full or lost disk ends the export
+            failures.append(_line(name, f"{error.strerror}: a name in it cannot be the name of a file here; rename it"))
         except StableDataError as error:
             if isinstance(error, ConfigError) and error.code != "uid_path_traversal":
                 raise  # the run or the folder is unusable
@@ -165,7 +171,7 @@ def _export(
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     assets = [annotations[asset_id] for asset_id in sorted(used)]
     write_file_atomically(out / "README.md", _readme(chosen, written + existing, assets).encode())
-    write_file_atomically(out / ATTRIBUTION_FILE, _attribution(assets).encode())
+    write_file_atomically(out / ATTRIBUTION_FILE, attribution_text(assets).encode())
     return ExportResult(written, existing, boxes, tuple(failures), cached)
 
 
@@ -193,12 +199,12 @@ def _write_scene(
 def _line(scene_id: str, message: str) -> str:
     """The reason why a scene could not be exported, on one line."""
     message = " ".join(message.split())
-    return message if message.startswith(scene_id) else f"{scene_id}: {message}"
+    return one_line(message if message.startswith(scene_id) else f"{scene_id}: {message}")
 
 
 def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:
     licences = Counter((a.licence or "not known", a.source or "not known") for a in assets)
-    rows = [f"| {licence} | {source} | {count} |" for (licence, source), count in sorted(licences.items())]
+    rows = [f"| {plain(licence)} | {plain(source)} | {count} |" for (licence, source), count in sorted(licences.items())]
     return "\n".join(
         [
             f"# {num_scenes} tabletop scenes",
@@ -219,42 +225,6 @@ def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotat
     )
 
 
-def _attribution(assets: Sequence[AssetAnnotation]) -> str:
-    """The assets by licence, with what each licence asks for, and the words of the licence where they are others."""
-    of_licence: dict[str, list[AssetAnnotation]] = defaultdict(list)
-    for a in assets:
-        of_licence[normalise_licence(a.licence) or " ".join((a.licence or "not known").split())].append(a)
-    lines = [
-        "# Attribution",
-        "",
-        "The assets of these scenes. Their meshes were repaired, scaled and posed. The texts of licences are with the sources.",
-        "",
-    ]
-    for licence, own in sorted(of_licence.items()):
-        lines += [f"## {licence}", "", _asked(licence), ""]
-        for a in own:
-            said = "".join(f"; {a.raw[name]}" for name in ("author", "source_url") if a.raw.get(name))
-            if a.licence and " ".join(a.licence.split()) != licence:
-                said += f"; stated as {a.licence}"
-            text = f"- {a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}{said}"
-            lines.append(" ".join(text.split()))
-        lines.append("")
-    return "\n".join(lines)
-
-
-def _asked(licence: str) -> str:
-    terms = licence_terms(licence)
-    if terms is None:
-        return "What this licence asks for is not known: ask the source before you pass these assets on."
-    asked = {
-        "name the author and the licence": terms.is_credited,
-        "give changed assets the same licence": terms.is_share_alike,
-        "do not use them commercially": terms.is_non_commercial,
-        "do not pass changed assets on": terms.is_unchanged,
-    }
-    return f"Asked: {'; '.join(text for text, is_asked in asked.items() if is_asked) or 'nothing'}."
-
-
 def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelection) -> None:
     """Writes the manifest, or refuses a folder that contains another export."""
     settings: dict[str, Any] = {
@@ -267,8 +237,14 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelec
         "settled": choice.settled,
         "joined": choice.joined,
     }
-    content = target.read_bytes(MANIFEST_FILE)
-    if content is None:
+    try:
+        document = target.read_document(MANIFEST_FILE)
+        previous = None if document is None else dict(document)
+    except ConfigError:
+        raise
+    except (ValueError, TypeError):
+        previous = {}  # a damaged manifest matches no settings
+    if previous is None:
         if any(path.name != ".lock" for path in Path(target.root).iterdir()):
             raise ConfigError(
                 f"{target.uri}: contains other files, expected an empty folder or this export; choose a new folder",
@@ -277,8 +253,4 @@ def _check_same(target: RunFolder, run: RunFolder, name: str, choice: SceneSelec
         text = json.dumps(settings | {"code_version": code_version()}, indent=2, sort_keys=True, ensure_ascii=False)
         target.write_bytes(MANIFEST_FILE, (text + "\n").encode())
         return
-    try:
-        previous = dict(json.loads(content))
-    except (ValueError, TypeError):
-        previous = {}  # a damaged manifest matches no settings
     refuse_changed(target.uri, {key: previous.get(key) for key in settings}, settings)

@@ -24,6 +24,7 @@ from stable_data.geometry.mesh import (
     weld_vertices,
 )
 from stable_data.geometry.surface import Surface
+from stable_data.limits import LIMITS, MeshLimits, at_most
 from stable_data.scene import FloatArray, IntArray
 
 _FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
@@ -63,32 +64,7 @@ _ADDRESS = re.compile(re.escape(TEXTURE) + "([0-9a-f]{64})")
 _Result = TypeVar("_Result")
 
 
-@dataclass(frozen=True, slots=True)
-class MeshLimits:
-    """Limits on the size of a mesh file. A file beyond a limit is refused before memory for the excess is allocated.
-
-    Attributes:
-        max_bytes: Size of the file.
-        max_json_bytes: Size of its JSON chunk.
-        max_json_levels: Nesting of lists and objects in the JSON.
-        max_nodes: Nodes of its scene.
-        max_primitives: Primitives, counted once for each node that shows their mesh.
-        max_corners: Vertices of those primitives, counted in the same way.
-        max_faces: Triangles of those primitives, counted in the same way.
-        max_colliders: Convex parts in the file.
-    """
-
-    max_bytes: int = 128 * 2**20
-    max_json_bytes: int = 4 * 2**20
-    max_json_levels: int = 64
-    max_nodes: int = 10_000
-    max_primitives: int = 20_000
-    max_corners: int = 3_000_000
-    max_faces: int = 1_000_000
-    max_colliders: int = 1_000
-
-
-def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, tuple[Notice, ...]]:
+def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = LIMITS.mesh) -> tuple[Mesh, tuple[Notice, ...]]:
     """Reads a binary glTF as one mesh: geometry only, no texture, no second file.
 
     Args:
@@ -125,7 +101,7 @@ class PlacedNode:
     mesh: int | None
 
 
-def placed_nodes(document: dict[str, Any], asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[PlacedNode, ...]:
+def placed_nodes(document: dict[str, Any], asset_id: str, *, limits: MeshLimits = LIMITS.mesh) -> tuple[PlacedNode, ...]:
     """Returns the nodes of the default scene of a glTF document, each after the node above it, in file order.
 
     Args:
@@ -140,7 +116,7 @@ def placed_nodes(document: dict[str, Any], asset_id: str, *, limits: MeshLimits 
 
 
 def load_meshes(
-    data: bytes | Path, asset_id: str, indices: Sequence[int], *, limits: MeshLimits = MeshLimits()
+    data: bytes | Path, asset_id: str, indices: Sequence[int], *, limits: MeshLimits = LIMITS.mesh
 ) -> tuple[dict[int, Mesh], tuple[Notice, ...]]:
     """Reads meshes of a file by their numbers; other arguments are those of :func:`load_glb`.
 
@@ -164,7 +140,7 @@ def load_meshes(
     return _read(data, _GlbReader(asset_id, limits), extract)
 
 
-def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits()) -> tuple[Mesh, ...]:
+def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = LIMITS.mesh) -> tuple[Mesh, ...]:
     """Reads the convex parts of a file, as :func:`stable_data.geometry.gltf_writer.write_glb` stores them.
 
     The arguments are those of :func:`load_glb`.
@@ -179,7 +155,7 @@ def load_colliders(data: bytes | Path, asset_id: str, *, limits: MeshLimits = Me
 
 
 def load_surfaces(
-    data: bytes | Path, asset_id: str, *, limits: MeshLimits = MeshLimits(), textures: TextureLookup | None = None
+    data: bytes | Path, asset_id: str, *, limits: MeshLimits = LIMITS.mesh, textures: TextureLookup | None = None
 ) -> list[Surface]:
     """Reads the surfaces of a file with their colours and textures; other arguments are those of :func:`load_glb`.
 
@@ -204,7 +180,7 @@ def texture_addresses(look: bytes | None) -> tuple[str, ...]:
         look: A value of the column ``look``. One that cannot be read, which is shown nowhere, has no images.
     """
     try:
-        return () if look is None else _read(look, _GlbReader("", MeshLimits()), _GlbReader.addresses)
+        return () if look is None else _read(look, _GlbReader("", LIMITS.mesh), _GlbReader.addresses)
     except MeshError:
         return ()
 
@@ -248,10 +224,10 @@ class _GlbReader:
         raise MeshError(f"asset {self.asset_id}: {found:.300}, expected {expected}", code)
 
     def check_limit(self, name: str, found: int) -> None:
-        """Refuses a file that exceeds a field of :class:`MeshLimits`."""
-        if found > (most := getattr(self.limits, name)):
+        """Refuses a file that exceeds a field of its limits."""
+        if found > getattr(self.limits, name):
             what = name.removeprefix("max_").replace("_", " ")
-            self.fail("glb_too_large", f"has {found} {what}", f"at most {most} ({name}); simplify it")
+            self.fail("glb_too_large", f"has {found} {what}", f"{at_most(self.limits, name)}; simplify it")
 
     def note(self, code: str, message: str) -> None:
         self.notices.append(Notice(self.asset_id, "mesh", code, f"asset {self.asset_id}: {message}"))

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import MeshError
+from stable_data.limits import LIMITS, at_most
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -22,9 +23,6 @@ TEXTURE_SIDE = 1024
 # Formats of textures, as Pillow names them: those of glTF, and two that are usual beside other mesh files. For some of the others
 # Pillow may start Ghostscript.
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA")
-_MAX_BYTES = 64 * 2**20  # of one file that is encoded again
-_MAX_SCANS = 100  # of a progressive JPEG; encoders write about 10
-_MOST_PIXELS = 2**27  # of all images that are decoded together, before they are reduced
 _ALPHA = ("LA", "PA", "RGBA", "La", "RGBa")  # Pillow's modes with transparency
 _QUALITY = 90  # of a JPEG
 _SMALL = 2**15  # bytes up to which an image is kept exact, whatever a JPEG would save
@@ -67,8 +65,8 @@ def encode_texture(content: bytes, name: str, *, side: int = TEXTURE_SIDE, has_a
     Raises:
         MeshError: The image cannot be read (``texture_invalid``), or is too large (``texture_too_large``).
     """
-    if len(content) > _MAX_BYTES:
-        found = f"has {len(content)} bytes, expected at most {_MAX_BYTES}"
+    if len(content) > LIMITS.image.max_bytes:
+        found = f"has {len(content)} bytes, expected {at_most(LIMITS.image, 'max_bytes')}"
         raise MeshError(f"{name}: a texture {found}; reduce it", "texture_too_large")
     (picture,) = decode_images({0: content}, name, side=side, has_alpha=has_alpha).values()
     if picture.mode == "RGBA" and picture.getchannel("A").getextrema() == (255, 255):
@@ -99,7 +97,7 @@ def decode_images(images: Mapping[K, bytes], name: str, *, side: int, has_alpha:
     """Decodes image files within bounds.
 
     Args:
-        images: The files, PNG, JPEG, WEBP, BMP or TGA, by any key; not trusted. All of them together have at most 2^27 pixels.
+        images: The files, PNG, JPEG, WEBP, BMP or TGA, by any key; not trusted. The pixels of all of them together are limited.
         name: What they belong to, in messages.
         side: Larger images are reduced to this, pixels.
         has_alpha: Whether transparency is kept.
@@ -120,12 +118,13 @@ def decode_images(images: Mapping[K, bytes], name: str, *, side: int, has_alpha:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             for key, content in images.items():
                 # Each scan of a progressive JPEG decodes the whole picture again. The marker cannot occur in coded data.
-                if content.startswith(b"\xff\xd8") and content.count(b"\xff\xda") > _MAX_SCANS:
-                    raise ValueError(f"a JPEG with more than {_MAX_SCANS} scans")
+                if content.startswith(b"\xff\xd8") and content.count(b"\xff\xda") > LIMITS.image.max_scans:
+                    raise ValueError(f"a JPEG with more scans, expected {at_most(LIMITS.image, 'max_scans')}")
                 with Image.open(io.BytesIO(content), formats=_FORMATS) as picture:  # reads only the header
                     num_pixels += picture.width * picture.height
-                    if num_pixels > _MOST_PIXELS:
-                        raise Image.DecompressionBombError(f"{num_pixels} pixels in all textures, of at most {_MOST_PIXELS}")
+                    if num_pixels > LIMITS.image.max_pixels:
+                        most = at_most(LIMITS.image, "max_pixels")
+                        raise Image.DecompressionBombError(f"{num_pixels} pixels in all textures, expected {most}")
                     decoded[key] = _reduced(picture, side, has_alpha=has_alpha)
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         message = f"{name}: a texture is too large ({type(error).__name__}: {error!s:.200}), expected fewer pixels; reduce it"

@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from stable_data.errors import MeshError, Notice
 from stable_data.geometry.mesh import Edges, Mesh, area_vectors, center_vertices, double_areas, signed_volumes, unit_normals
 from stable_data.geometry.shape import winding_number
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import FloatArray, IntArray
 
 _CRACK = 0.03  # a narrower hole, share of the largest extent, is damage and not a mouth
@@ -21,9 +22,6 @@ _SMALL_MOUTH = 0.02  # share of the surface up to which a hole that does not ope
 # Winding number at a mouth's centre above which the mouth is inside the object: 0.5 alone, 1.5 inside another part.
 _BURIED_WINDING = 0.75
 _NUM_PROBES = 512
-_MAX_PARTS = 50_000  # parts, and holes
-_MAX_PAIRS = 2_000_000  # pairs of parts whose boxes overlap, and pairs of a face and a hole
-_MAX_SUMMED = 50_000_000  # faces summed for winding numbers over all points: about 10 s
 
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
@@ -86,7 +84,7 @@ def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Noti
         actions.append(f"dropped {len(mesh.faces) - len(faces)} duplicate faces")
     original, faces = faces, _orient_faces(faces)
     part = _part_of_faces(faces)
-    _check_limit(asset_id, "parts", int(part.max()) + 1, _MAX_PARTS)
+    _check_limit(asset_id, "parts", int(part.max()) + 1, "max_repair_parts")
     vertices, caps = _caps(mesh.vertices, faces, part, asset_id)
     is_reversed = _is_inside_out(vertices, faces, part, caps, asset_id)
     faces = np.where(is_reversed[part][:, None], faces[:, ::-1], faces)
@@ -125,9 +123,9 @@ def drop_duplicate_faces(faces: IntArray) -> IntArray:
     return faces[np.sort(first)]
 
 
-def _check_limit(asset_id: str, what: str, count: int, limit: int) -> None:
-    if count > limit:
-        message = f"asset {asset_id}: repair found {count} {what}, expected at most {limit}; simplify the mesh"
+def _check_limit(asset_id: str, what: str, count: int, limit: str) -> None:
+    if count > getattr(LIMITS.work, limit):
+        message = f"asset {asset_id}: repair found {count} {what}, expected {at_most(LIMITS.work, limit)}; simplify the mesh"
         raise MeshError(message, "mesh_too_complex")
 
 
@@ -218,7 +216,7 @@ def _caps(vertices: FloatArray, faces: IntArray, part: IntArray, asset_id: str) 
     owner[faces] = part[:, None]
     rims, hole = _rims(Edges.of(faces).boundary())
     count = np.bincount(hole)
-    _check_limit(asset_id, "holes", len(count), _MAX_PARTS)
+    _check_limit(asset_id, "holes", len(count), "max_repair_parts")
     start = np.cumsum(count) - count
     caps = np.concatenate([rims, len(vertices) + hole[:, None]], axis=1)
     centres = _sums(vertices[rims[:, 0]], hole) / count[:, None]
@@ -255,14 +253,14 @@ def _winding_of_others(
     low, high = np.minimum.reduceat(corners.min(axis=1), start), np.maximum.reduceat(corners.max(axis=1), start)
     tree, centre, reach = KDTree(points), (low + high) / 2, (high - low).max(axis=1) * (0.5 + 1e-9)
     num_near = tree.query_ball_point(centre, reach, p=np.inf, return_length=True)
-    _check_limit(asset_id, "pairs of parts in each other's boxes", int(num_near.sum()), _MAX_PAIRS)
+    _check_limit(asset_id, "pairs of parts in each other's boxes", int(num_near.sum()), "max_repair_pairs")
     winding, num_asked = np.zeros(len(points)), 0
     for k in np.flatnonzero(num_near):
         near = np.array(tree.query_ball_point(centre[k], reach[k], p=np.inf, return_sorted=True))
         inside = near[((points[near] >= low[k]) & (points[near] <= high[k])).all(axis=1) & (own[near] != k)]
         if len(inside):
             num_asked += len(inside) * int(count[k])
-            _check_limit(asset_id, "faces around points in other parts", num_asked, _MAX_SUMMED)
+            _check_limit(asset_id, "faces around points in other parts", num_asked, "max_repair_sums")
             winding[inside] += winding_number(points[inside], corners[start[k] : start[k] + count[k]])
     return winding
 
@@ -288,7 +286,7 @@ def _beneath(num_vertices: int, faces: IntArray, caps: _Caps, asset_id: str) -> 
     start = np.cumsum(count) - count
     # The corner that is on the fewest rims gives the fewest candidates.
     rarest = np.take_along_axis(faces, count[faces].argmin(axis=1)[:, None], axis=1)[:, 0]
-    _check_limit(asset_id, "pairs of a face and a hole that touch", int(count[rarest].sum()), _MAX_PAIRS)
+    _check_limit(asset_id, "pairs of a face and a hole that touch", int(count[rarest].sum()), "max_repair_pairs")
     face = np.repeat(np.arange(len(faces)), count[rarest])
     step = np.arange(len(face)) - np.repeat(np.cumsum(count[rarest]) - count[rarest], count[rarest])
     hole = on_rim[start[rarest[face]] + step] % num
@@ -313,7 +311,7 @@ def _is_safe_to_fill(vertices: FloatArray, faces: IntArray, caps: _Caps, is_aske
     # At the centre of its mouth a part alone has winding number 0.5; a larger one means that another part surrounds the mouth.
     rest = np.flatnonzero(is_cut_end & is_asked & ~is_safe)
     if len(rest):
-        _check_limit(asset_id, "faces around holes, hole by hole", len(rest) * len(faces), _MAX_SUMMED)
+        _check_limit(asset_id, "faces around holes, hole by hole", len(rest) * len(faces), "max_repair_sums")
         # Exact sums: at a point in the plane of a rim, libigl's tree gives a different number each time.
         is_safe[rest] = winding_number(corners[caps.start[rest], 2], vertices[faces]) > _BURIED_WINDING
     return is_safe

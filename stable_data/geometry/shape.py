@@ -15,6 +15,7 @@ from stable_data.scene import FloatArray, IntArray, QuatXyzw, Vec3
 _BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _BOX_SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
 _BOX_FACES = _BOX_SIDES[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)  # each side is split along a diagonal
+_MOST_ANGLES = 1 << 14  # solid angles that are computed at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,14 +103,15 @@ class Shape:
 def winding_number(points: FloatArray, triangles: FloatArray) -> FloatArray:
     """How often triangles (F, 3, 3) wind around points (P, 3), (P,) float64: 1 inside, 0 outside of a closed outward mesh.
 
-    Sums exact solid angles (Van Oosterom and Strackee 1983), so holes in the mesh change the result only gradually. Meant for one
-    or two points: libigl first builds a tree, which takes ten times as long.
+    Sums exact solid angles (Van Oosterom and Strackee 1983), so holes in the mesh change the result only gradually. Meant for a few
+    points: libigl first builds a tree, which takes ten times as long.
     """
     total = np.empty(len(points))
-    for k, point in enumerate(points):
-        a, b, c = (triangles[:, n] - point for n in range(3))
-        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-        numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
-        denominator = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
-        total[k] = 2 * np.arctan2(numerator, denominator).sum()
+    step = max(1, _MOST_ANGLES // max(1, len(triangles)))
+    for start in range(0, len(points), step):
+        a, b, c = (triangles[None, :, n] - points[start : start + step, None] for n in range(3))  # (P, F, 3) each
+        la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
+        numerator = np.einsum("pij,pij->pi", a, np.cross(b, c))
+        denominator = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
+        total[start : start + step] = 2 * np.arctan2(numerator, denominator).sum(1)
     return total / (4 * np.pi)

@@ -5,31 +5,17 @@ import re
 import stat
 import unicodedata
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Any
 from urllib.parse import unquote
 
 from stable_data.errors import ConfigError, MeshError, Notice
 from stable_data.json_text import quote_value
+from stable_data.limits import LIMITS, FileLimits, at_most
 
 _SCHEME = re.compile(r"^[a-zA-Z][a-zA-Z0-9+.-]+:")  # at least two letters: one is a drive
 _DRIVE = re.compile(r"^(?:[a-zA-Z]:|\\\\)")
 _NOT_OF_AN_ID = re.compile(r"[^A-Za-z0-9._-]+")
-
-
-@dataclass(frozen=True, slots=True)
-class FileLimits:
-    """Limits on the files of one asset.
-
-    Attributes:
-        max_file_bytes: Size of one file.
-        max_bytes: Size of all files that were read for an asset.
-        max_files: Number of these files.
-    """
-
-    max_file_bytes: int = 512 * 2**20
-    max_bytes: int = 1024 * 2**20
-    max_files: int = 500
 
 
 class Boundary:
@@ -48,7 +34,7 @@ class Boundary:
         ConfigError: The folder does not exist (``source_missing``).
     """
 
-    def __init__(self, root: Path, limits: FileLimits = FileLimits()) -> None:
+    def __init__(self, root: Path, limits: FileLimits = LIMITS.file) -> None:
         if not root.is_dir():
             raise ConfigError(f"{root}: no folder, expected the source folder of assets; check the path", "source_missing")
         self.root = root.resolve()
@@ -157,12 +143,13 @@ class Boundary:
             found /= name if name in near else near[0]
         return found
 
-    def read_bytes(self, path: str, *, most: int | None = None) -> bytes:
+    def read_bytes(self, path: str, limit: str = "max_file_bytes", group: Any = None) -> bytes:
         """Reads a file that :meth:`resolve` or :meth:`files` returned.
 
         Args:
             path: Relative to the folder.
-            most: Largest size, if it is smaller than that of the limits.
+            limit: The limit on its size, besides that on any file.
+            group: The group of limits that has it; by default that of the boundary.
 
         Raises:
             MeshError: ``path_outside``, ``file_missing``, or ``file_too_large``.
@@ -170,24 +157,25 @@ class Boundary:
         place = self._inside(path, path)
         if place is None:
             raise self._error(path, "does not exist", "a file of the folder; add it or correct the name", "file_missing")
-        limit = self.limits.max_file_bytes if most is None else min(most, self.limits.max_file_bytes)
+        group = self.limits if group is None else group
+        if getattr(group, limit) > self.limits.max_file_bytes:
+            limit, group = "max_file_bytes", self.limits
+        num_bytes = getattr(group, limit)
         try:
             with (self.root / place).open("rb") as file:
                 if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                     raise self._error(path, "is no regular file", "a file", "file_missing")
-                content = file.read(limit + 1)
+                content = file.read(num_bytes + 1)
         except OSError as error:
             raise MeshError(f"{path}: cannot be read ({error.strerror or error})", "file_missing") from error
-        if len(content) > limit:
-            raise self._error(path, f"has more than {limit} bytes", "a smaller file", "file_too_large")
+        if len(content) > num_bytes:
+            raise self._error(path, "is larger", f"{at_most(group, limit, 'bytes')}", "file_too_large")
         if place not in self.opened:
             self.opened.add(place)
             self._bytes += len(content)
             if self._bytes > self.limits.max_bytes or len(self.opened) > self.limits.max_files:
-                most_said = f"at most {self.limits.max_bytes} bytes in {self.limits.max_files} files for an asset"
-                raise self._error(
-                    path, f"is one of {len(self.opened)} files with {self._bytes} bytes", most_said, "file_too_large"
-                )
+                most = f"{at_most(self.limits, 'max_bytes', 'bytes')} in {at_most(self.limits, 'max_files')} files for an asset"
+                raise self._error(path, f"is one of {len(self.opened)} files with {self._bytes} bytes", most, "file_too_large")
         return content
 
     def read_head(self, path: str, size: int) -> bytes:

@@ -14,7 +14,6 @@ from stable_data.importers.mesh_files import SUFFIXES
 from stable_data.importers.source import Axis
 from stable_data.json_text import json_value, number, quote_value
 
-_MOST_BYTES = 256 * 2**20  # of a manifest
 _MOST_TEXT = 2000  # characters of a value that is kept
 _SEPARATORS = re.compile(r"[\s,;x×]+")
 _TEXTS = ("category", "description", "licence", "author", "url", "set")
@@ -89,7 +88,7 @@ def manifest_entries(root: Boundary, manifest: str) -> Iterator[tuple[str, str, 
         ConfigError: ``manifest_unreadable``: it does not exist, is too large, no UTF-8, or has no column ``file``.
     """
     try:
-        text = root.read_bytes(root.resolve(manifest), most=_MOST_BYTES).decode("utf-8-sig")
+        text = root.read_bytes(root.resolve(manifest), "max_manifest_bytes").decode("utf-8-sig")
     except (MeshError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"manifest {manifest}: {error}; expected a CSV or JSONL file in the folder", "manifest_unreadable"

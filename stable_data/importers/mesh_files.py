@@ -1,10 +1,12 @@
 """Reads one mesh file of a source folder, with its materials and textures, inside the folder's boundary."""
 
 import html
+import itertools
 import re
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import PurePosixPath
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +19,13 @@ from stable_data.importers.formats.mesh_file import MeshFile
 from stable_data.importers.formats.obj import read_obj, texture_name
 from stable_data.importers.formats.scans import read_ply, read_stl
 from stable_data.importers.source import Axis
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import FloatArray
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".ply", ".stl")
 """Mesh files that are read; of several of one name the first of this order has the most of its look."""
 
-_MOST_IMAGE = 64 * 2**20  # bytes of an image file
-_MOST_LIBRARY = 8 * 2**20  # bytes of a file of materials
-_MOST_BYTES = {".dae": 64 * 2**20, ".gltf": 64 * 2**20}  # of formats that are read as text of nested parts
+_NESTED = (".dae", ".gltf")  # formats that are read as text of nested parts
 _ARCHIVES = {
     b"\x1f\x8b": "gzip",
     b"PK\x03\x04": "zip",
@@ -47,19 +48,21 @@ class _FilesBeside:
         self.shown = shown
         self.notices: list[Notice] = []
         self._optional: dict[str, bytes | None] = {}
+        self._named: set[str] = set()
 
     def image(self, reference: str) -> bytes | None:
         if self.shown is not None or not reference:
             return self.shown
-        return self._asked(reference, "texture", "the surface is drawn without it", _MOST_IMAGE)
+        return self._asked(reference, "texture", "the surface is drawn without it", "max_bytes", LIMITS.image)
 
     def material_library(self, reference: str) -> bytes | None:
+        self._check_count(reference)
         try:
             self.root.resolve(reference, self.folder)
             names = [reference]
         except MeshError:
             names = reference.split()  # a line may name several files, or one with spaces
-        found = [self._asked(name, "material", "its materials are left out", _MOST_LIBRARY) for name in names]
+        found = [self._asked(name, "material", "its materials are left out", "max_material_bytes") for name in names]
         return b"\n".join(content for content in found if content is not None) or None
 
     def note_lost_look(self, reason: str) -> None:
@@ -75,11 +78,19 @@ class _FilesBeside:
             code = "include_missing" if error.code == "file_missing" else error.code
             raise MeshError(f"{self.path}: {error}", code) from error
 
-    def _asked(self, reference: str, what: str, effect: str, most: int) -> bytes | None:
+    def _check_count(self, reference: str) -> None:
+        """Refuses a file that names very many others: each is looked for in several places."""
+        self._named.add(reference)
+        if len(self._named) > self.root.limits.max_files:
+            found = f"{self.path}: names more files, expected {at_most(self.root.limits, 'max_files')}; simplify it"
+            raise MeshError(found, "file_too_large")
+
+    def _asked(self, reference: str, what: str, effect: str, limit: str, group: Any = None) -> bytes | None:
         """Content of a file without which the mesh can be used, or a notice."""
         if reference not in self._optional:
+            self._check_count(reference)
             try:
-                content = self.root.read_bytes(self.root.resolve(reference, self.folder), most=most)
+                content = self.root.read_bytes(self.root.resolve(reference, self.folder), limit, group)
             except MeshError as error:
                 reason = {"path_outside": "outside", "file_too_large": "too_large"}.get(error.code, "missing")
                 message = f"asset {self.asset_id}: {self.path} refers to a {what}: {error}; {effect}"
@@ -120,7 +131,7 @@ def read_mesh_file(
             f"{path}: the format {suffix or 'without a suffix'} is not read, expected one of {', '.join(SUFFIXES)}; convert it"
         )
         raise MeshError(message, "model_unreadable")
-    content = root.read_bytes(path, most=_MOST_BYTES.get(suffix))
+    content = root.read_bytes(path, "max_nested_bytes" if suffix in _NESTED else "max_file_bytes")
     _refuse_archives(content, path)
     beside = _FilesBeside(root, path, asset_id, image)
     if suffix in (".glb", ".gltf"):
@@ -167,7 +178,8 @@ def files_beside(root: Boundary, path: str) -> tuple[str, ...]:
         suffix = PurePosixPath(current).suffix.lower()
         if suffix not in _NAMES:
             continue
-        for name in dict.fromkeys(_NAMES[suffix].findall(root.read_head(current, _SCANNED))):
+        named = dict.fromkeys(_NAMES[suffix].findall(root.read_head(current, _SCANNED)))
+        for name in itertools.islice(named, root.limits.max_files):  # a file with more is refused when it is read
             text = html.unescape(name.decode("utf-8", "replace")).strip()
             if text.startswith("data:"):
                 continue

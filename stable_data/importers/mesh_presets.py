@@ -12,6 +12,7 @@ from stable_data.importers.boundary import Boundary
 from stable_data.importers.mesh_entries import MeshEntry, number_of, words_of
 from stable_data.importers.mesh_files import SUFFIXES
 from stable_data.json_text import json_value
+from stable_data.limits import LIMITS, at_most
 
 Found: TypeAlias = tuple[str, str, MeshEntry]
 """A mesh file, relative to the folder, the identifier that the set gives it (empty for none), and what is known about it."""
@@ -25,8 +26,6 @@ _YCB_FOLDER = re.compile(r"^\d{3}(?:-[a-z])?_")
 _SCANS = ("google_16k", "google_64k", "google_512k", "tsdf", "poisson")
 _PROPERTY = re.compile(r"^([A-Za-z]{1,40})(?:#(\d{1,6}))?[ \t]*=([^\r\n]*)", re.MULTILINE)
 _UNICODE_ESCAPE = re.compile(r"\\u([0-9a-fA-F]{4})")
-_MOST_CATALOGUE = 16 * 2**20  # bytes of a catalogue of furniture
-_MOST_METADATA = 512 * 2**20  # bytes of a file of annotations after it is unpacked
 
 
 def plain_meshes(root: Boundary) -> Iterator[Found]:
@@ -175,7 +174,7 @@ def _sweethome3d(root: Boundary) -> Iterator[Found]:
         place = PurePosixPath(path)
         if place.name != "PluginFurnitureCatalog.properties":
             continue
-        text = Boundary(root.root, root.limits).read_bytes(path, most=_MOST_CATALOGUE).decode("latin-1")
+        text = Boundary(root.root, root.limits).read_bytes(path, "max_catalogue_bytes").decode("latin-1")
         items: dict[int, dict[str, str]] = {}
         title = ""
         for key, number, value in _PROPERTY.findall(text):
@@ -248,9 +247,9 @@ def _metadata(root: Boundary, path: str) -> dict[str, Any]:
         try:
             if name.endswith(".gz"):
                 unpacking = zlib.decompressobj(wbits=31)
-                content = unpacking.decompress(content, _MOST_METADATA + 1)
-            if len(content) > _MOST_METADATA:
-                raise ValueError(f"has more than {_MOST_METADATA} bytes")
+                content = unpacking.decompress(content, LIMITS.file.max_metadata_bytes + 1)
+            if len(content) > LIMITS.file.max_metadata_bytes:
+                raise ValueError(f"is larger, expected {at_most(LIMITS.file, 'max_metadata_bytes', 'bytes')}")
             document = json_value(content.decode())
         except (ValueError, zlib.error) as error:
             raise ConfigError(

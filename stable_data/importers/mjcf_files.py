@@ -16,18 +16,12 @@ from xml.parsers import expat
 from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
 from stable_data.json_text import quote_value
+from stable_data.limits import LIMITS, at_most
 
 if TYPE_CHECKING:
     import mujoco  # takes long to import
 
-MAX_XML_BYTES = 8 * 2**20
-"""Size of one XML file."""
-
-_MAX_DEPTH = 64  # elements within one another
-_MAX_ELEMENTS = 200_000  # elements of one XML file
-_MAX_INCLUDES = 200  # files that a model includes or attaches
 _COPYING = frozenset({"replicate", "composite", "flexcomp"})
-_MAX_COPIES = 10_000
 FILE_ATTRIBUTES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 """Attributes of an element that name files."""
 
@@ -167,8 +161,7 @@ def collect_files(boundary: Boundary, path: str) -> ModelFiles:
             folder (``path_outside``) or is too large (``file_too_large``), or files include each other (``cyclic_reference``).
     """
     scan = _Scan(boundary)
-    elements = _collect_model(scan, path, ())
-    _check_copies(path, elements)
+    elements, _ = _collect_model(scan, path, ())
     return ModelFiles(path, scan.contents, elements)
 
 
@@ -230,9 +223,15 @@ def refused_model(path: str, error: Exception) -> MeshError:
     )
 
 
-def _check_copies(path: str, elements: Sequence[Element]) -> None:
-    """Refuses elements that make very many bodies out of a few words."""
-    copies = [1] * len(elements)
+def _num_copied(path: str, elements: Sequence[Element], attached: int) -> int:
+    """Counts the elements of a model with the copies that others make of them; refuses very many out of a few words.
+
+    Args:
+        path: The model.
+        elements: Its elements.
+        attached: Elements of the largest model that it attaches, with their copies.
+    """
+    copies, num = [1] * len(elements), 0
     for k, element in enumerate(elements):
         count = 1
         for word in element.tag.attributes.get("count", "").split() if element.tag.name in _COPYING else ():
@@ -241,16 +240,28 @@ def _check_copies(path: str, elements: Sequence[Element]) -> None:
             except (ValueError, OverflowError):
                 continue  # MuJoCo refuses it
         copies[k] = count * (copies[element.parent] if element.parent >= 0 else 1)
-        if copies[k] > _MAX_COPIES:
+        if copies[k] > LIMITS.model.max_copies:
             found = f"element {element.tag.name} makes {copies[k]} copies"
-            raise MeshError(f"{element.path}: {found}, expected at most {_MAX_COPIES}; make fewer", "file_too_large")
+            raise MeshError(
+                f"{element.path}: {found}, expected {at_most(LIMITS.model, 'max_copies')}; make fewer", "file_too_large"
+            )
+        num += copies[k] * (attached if element.tag.name == "attach" else 1)
+    if num > LIMITS.model.max_elements:
+        found = f"{path}: has {num} elements with their copies"
+        raise MeshError(f"{found}, expected {at_most(LIMITS.model, 'max_elements')}; make fewer", "file_too_large")
+    return num
 
 
-def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> list[Element]:
-    """Collects a model file with what it includes, then the assets that all of these name; returns its elements."""
+def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> tuple[list[Element], int]:
+    """Collects a model file with what it includes, then the assets that all of these name.
+
+    Returns:
+        Its elements, and their number with copies.
+    """
     scan.collected.append(path)
-    if len(scan.collected) > _MAX_INCLUDES:
-        raise MeshError(f"{path}: is one of over {_MAX_INCLUDES} attached models, expected fewer", "file_too_large")
+    if len(scan.collected) > LIMITS.file.max_files:
+        most = at_most(LIMITS.file, "max_files")
+        raise MeshError(f"{path}: is one of the models that are attached, expected {most}", "file_too_large")
     _collect_document(scan, path, path, set(above))
     elements = merged_elements(path, scan.tags, scan.included)
     tags = [element.tag for element in elements]
@@ -258,7 +269,7 @@ def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> list[Eleme
     for tag in tags:
         if tag.name == "compiler":
             compiler |= tag.attributes
-    folder = posixpath.dirname(path)
+    folder, attached_elements = posixpath.dirname(path), 1
     for tag in tags:
         names = [value for key, value in tag.attributes.items() if key in FILE_ATTRIBUTES and value.strip()]
         for name in names:
@@ -266,20 +277,21 @@ def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> list[Eleme
                 attached = _place(scan, path, folder, name)
                 if attached in (path, *above):
                     raise _read_twice(path, attached)
-                _collect_model(scan, attached, (*above, path))
+                attached_elements = max(attached_elements, _collect_model(scan, attached, (*above, path))[1])
                 continue
             _place(scan, path, folder, file_reference(tag.name, name, compiler))
-    return elements
+    return elements, _num_copied(path, elements, attached_elements)
 
 
 def _collect_document(scan: _Scan, main: str, path: str, seen: set[str]) -> None:
     if path in seen:  # MuJoCo refuses it too
         raise _read_twice(main, path)
     seen.add(path)
-    if len(scan.tags) > _MAX_INCLUDES:
-        raise MeshError(f"{main}: names more than {_MAX_INCLUDES} XML files, expected fewer; merge them", "file_too_large")
+    if len(scan.tags) > LIMITS.file.max_files:
+        most = at_most(LIMITS.file, "max_files")
+        raise MeshError(f"{main}: names more XML files, expected {most}; merge them", "file_too_large")
     if path not in scan.tags:
-        scan.contents[path] = content = scan.boundary.read_bytes(path, most=MAX_XML_BYTES)
+        scan.contents[path] = content = scan.boundary.read_bytes(path, "max_xml_bytes")
         scan.tags[path] = start_tags(content, path)
     for k, tag in enumerate(scan.tags[path]):
         if tag.name == "include":
@@ -324,9 +336,10 @@ def start_tags(content: bytes, path: str) -> tuple[StartTag, ...]:
     parser = expat.ParserCreate()
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        if len(found) >= _MAX_ELEMENTS or len(stack) >= _MAX_DEPTH:
-            most = f"at most {_MAX_ELEMENTS} elements, {_MAX_DEPTH} deep"
-            raise MeshError(f"{path}: has more elements than can be read, expected {most}", "model_unreadable")
+        for limit, count in (("max_elements", len(found)), ("max_element_levels", len(stack))):
+            if count >= getattr(LIMITS.model, limit):
+                what = "more elements" if limit == "max_elements" else "elements that nest deeper"
+                raise MeshError(f"{path}: has {what}, expected {at_most(LIMITS.model, limit)}", "model_unreadable")
         found.append(StartTag(name, attributes, parser.CurrentByteIndex, stack[-1] if stack else -1))
         stack.append(len(found) - 1)
 

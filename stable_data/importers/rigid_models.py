@@ -1,6 +1,8 @@
 """Rigid models of links, shapes and joints, as SDFormat and URDF describe them, and how one becomes an asset."""
 
 import math
+import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
@@ -13,10 +15,11 @@ from stable_data.geometry.mesh import Mesh, is_closed
 from stable_data.geometry.primitive_shapes import box_triangles, capsule_triangles, cylinder_triangles, sphere_triangles
 from stable_data.geometry.surface import Surface
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.formats.mesh_file import MeshFile
+from stable_data.importers.formats.mesh_file import MeshFile, check_face_count
 from stable_data.importers.mesh_files import files_beside, joined_triangles, read_mesh_file, transformed, z_up
 from stable_data.importers.source import GivenInertial, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import FloatArray, Vec3
 
 WORLD = "world"
@@ -24,11 +27,8 @@ WORLD = "world"
 
 ShapeKind: TypeAlias = Literal["mesh", "box", "cylinder", "sphere", "capsule", "ellipsoid"]
 
-MOST_LINKS = 2000
-"""Largest number of links of a model."""
-
-_MOST_SHAPES = 2000  # of a model
 _AGREE = 1.1  # ratio of the boxes of what is seen and what collides
+_PARTS = ("link", "joint", "frame", "model", "include")
 _TORSIONAL, _ROLLING = 0.005, 0.0001  # m; MuJoCo's defaults: neither format states friction of these kinds in its units
 _WELD = 1e-6  # corners nearer than this share of the largest extent are one vertex
 _IS_MOVABLE_TO_NOTHING = ("floating", "free")
@@ -135,6 +135,24 @@ class RigidModel:
     notices: tuple[Notice, ...] = ()
 
 
+def check_parts(root: ET.Element, path: str) -> None:
+    """Refuses a model with very many parts, before they are read: each is looked up among the others.
+
+    Args:
+        root: The outermost element of its file.
+        path: The file, for the message.
+
+    Raises:
+        MeshError: ``mesh_too_large``.
+    """
+    count = Counter(element.tag for element in root.iter())
+    shapes = {"visual": "max_shapes", "collision": "max_shapes"}
+    for tag, limit in {**dict.fromkeys(_PARTS, "max_links"), **shapes}.items():
+        if count[tag] > getattr(LIMITS.model, limit):
+            most = at_most(LIMITS.model, limit)
+            raise MeshError(f"{path}: has {count[tag]} elements {tag}, expected {most}; simplify it", "mesh_too_large")
+
+
 def assemble(model: RigidModel, root: Boundary, asset_id: str, *, max_faces: int) -> SourceAsset:
     """Reads the meshes of a model and joins its links, at zero of all joints, to one asset.
 
@@ -159,9 +177,9 @@ def assemble(model: RigidModel, root: Boundary, asset_id: str, *, max_faces: int
     reading = _Reading(root, asset_id, max_faces, list(model.notices))
     visuals = [(link, shape) for link in model.links for shape in link.visuals]
     collisions = [(link, shape) for link in model.links for shape in link.collisions]
-    if len(visuals) + len(collisions) > _MOST_SHAPES:
+    if len(visuals) + len(collisions) > LIMITS.model.max_shapes:
         found = f"asset {asset_id}: has {len(visuals) + len(collisions)} shapes"
-        raise MeshError(f"{found}, expected at most {_MOST_SHAPES}; simplify it", "mesh_too_large")
+        raise MeshError(f"{found}, expected {at_most(LIMITS.model, 'max_shapes')}; simplify it", "mesh_too_large")
     solid = [reading.surfaces(link, shape) for link, shape in collisions]
     surfaces = _seen(reading, visuals, solid)
     colliders, refused = _colliders(collisions, solid)
@@ -193,9 +211,9 @@ def _connections(model: RigidModel, asset_id: str) -> tuple[int, bool]:
     Raises:
         MeshError: ``composite``, ``mesh_too_large``, or ``model_unreadable`` for a joint of a link that is not there.
     """
-    if len(model.links) > MOST_LINKS:
-        message = f"asset {asset_id}: has {len(model.links)} links, expected at most {MOST_LINKS}; simplify it"
-        raise MeshError(message, "mesh_too_large")
+    if len(model.links) > LIMITS.model.max_links:
+        most = at_most(LIMITS.model, "max_links")
+        raise MeshError(f"asset {asset_id}: has {len(model.links)} links, expected {most}; simplify it", "mesh_too_large")
     group = {name: name for name in (WORLD, *(link.name for link in model.links))}
 
     def root_of(name: str) -> str:
@@ -248,10 +266,7 @@ class _Reading:
         geometry, matrix = shape.geometry, link.model_from_link @ shape.link_from_shape
         found = self._mesh(shape, is_turned) if geometry.kind == "mesh" else (Surface(_primitive(geometry)),)
         self.num_faces += sum(len(surface.triangles) for surface in found)
-        if self.num_faces > 4 * self.max_faces:  # shapes of what is seen, of what collides, and again if turned
-            raise MeshError(
-                f"asset {self.asset_id}: its shapes have more than {self.max_faces:,} triangles; simplify it", "mesh_too_large"
-            )
+        check_face_count(f"asset {self.asset_id}: all its shapes", self.num_faces, self.max_faces)
         return transformed(tuple(_with_look(surface, shape) for surface in found), matrix)
 
     def _mesh(self, shape: LinkShape, is_turned: bool) -> tuple[Surface, ...]:

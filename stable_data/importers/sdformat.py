@@ -21,10 +21,9 @@ from stable_data.importers.formats.model_xml import (
     rotation_of_rpy,
     text_of,
 )
-from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
+from stable_data.importers.formats.xml_text import parse_xml
 from stable_data.importers.mesh_files import SUFFIXES
 from stable_data.importers.rigid_models import (
-    MOST_LINKS,
     WORLD,
     Geometry,
     Joint,
@@ -32,17 +31,17 @@ from stable_data.importers.rigid_models import (
     LinkShape,
     RigidModel,
     assemble,
+    check_parts,
     found_model,
 )
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licence_of_text, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
+from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import normalise_quat, rotation_matrix
 from stable_data.scene import FloatArray
 
 CONFIG = "model.config"
-_DEPTH = 8  # of includes
-_MOST_FRAMES = 100  # that are relative to each other in a row
 _OF_A_MODEL = (
     *SUFFIXES,
     ".mtl",
@@ -128,7 +127,7 @@ class _Config:
         Raises:
             MeshError: ``model_unreadable`` or ``include_missing``.
         """
-        element = parse_xml(root.read_bytes(path, most=MOST_BYTES), path)
+        element = parse_xml(root.read_bytes(path, "max_xml_bytes"), path)
         files = [(_version(sdf.get("version", "")), (sdf.text or "").strip()) for sdf in element.findall("sdf")]
         if not files:
             raise MeshError(f"{path}: names no SDFormat file, expected <sdf>model.sdf</sdf>; add it", "model_unreadable")
@@ -176,21 +175,27 @@ class _SdfFile:
     asset_id: str
     trail: tuple[str, ...]
     notices: list[Notice] = field(default_factory=list)
-    read: list[str] = field(default_factory=list)  # files that were read for the whole model, one for each time
+    read: list[int] = field(default_factory=list)  # bytes of the files that were read for the whole model, one for each time
 
     def fail(self, found: str, expected: str, code: str = "model_unreadable") -> MeshError:
         return MeshError(f"{self.path}: {found}, expected {expected}", code)
 
     def model(self) -> RigidModel:
-        if self.path in self.trail or len(self.trail) >= _DEPTH:
-            found = "includes itself" if self.path in self.trail else f"is included over {_DEPTH} levels"
-            raise self.fail(found, "models that end", "cyclic_reference")
-        self.read.append(self.path)
-        if len(self.read) > MOST_LINKS:
-            raise self.fail(f"is one of over {MOST_LINKS} files that are included", "fewer", "mesh_too_large")
-        root = parse_xml(self.root.read_bytes(self.path, most=MOST_BYTES), self.path)
+        if self.path in self.trail or len(self.trail) >= LIMITS.model.max_levels:
+            found = "includes itself" if self.path in self.trail else "is included over more levels"
+            raise self.fail(found, f"{at_most(LIMITS.model, 'max_levels')} levels of models that end", "cyclic_reference")
+        content = self.root.read_bytes(self.path, "max_xml_bytes")
+        self.read.append(len(content))
+        if len(self.read) > LIMITS.model.max_links:
+            found = "is one of the files that are included, each as often as it is named"
+            raise self.fail(found, at_most(LIMITS.model, "max_links"), "mesh_too_large")
+        if sum(self.read) > LIMITS.file.max_nested_bytes:
+            found = f"is the last of {len(self.read)} files that are included"
+            raise self.fail(found, f"{at_most(LIMITS.file, 'max_nested_bytes', 'bytes')} in all", "mesh_too_large")
+        root = parse_xml(content, self.path)
         if root.tag != "sdf":
             raise self.fail(f"starts with <{root.tag[:40]}>", "<sdf>; is it another format?")
+        check_parts(root, self.path)
         places = [root, *root.findall("world")]
         models = [(place, model) for place in places for model in place.findall("model")]
         included = [include for place in places for include in place.findall("include")]
@@ -247,6 +252,8 @@ class _ModelElement:
             self._add_nested(_ModelElement(self.file, inner).model(), inner)
         links = [self._link(link) for link in self.element.findall("link")]
         joints = [self._joint(joint) for joint in self.element.findall("joint")]
+        if len(links) + sum(len(model.links) for _, model in self.nested) > LIMITS.model.max_links:
+            raise self.file.fail("has more links with its parts", at_most(LIMITS.model, "max_links"), "mesh_too_large")
         notices: list[Notice] = []
         is_static = _is_true(text_of(self.element, "static"))
         for name, model in self.nested:
@@ -304,8 +311,10 @@ class _ModelElement:
         """Pose of a frame in the frame of the model, (4, 4)."""
         if name == _MODEL:
             return np.eye(4)
-        if name in trail or len(trail) > _MOST_FRAMES:
-            raise self.file.fail(f"frame {name} is relative to itself", "frames that end at the model", "cyclic_reference")
+        if name in trail or len(trail) > LIMITS.model.max_frames:
+            found = f"frame {name} is relative to itself, or at the end of a long row"
+            expected = f"{at_most(LIMITS.model, 'max_frames')} frames that end at the model"
+            raise self.file.fail(found, expected, "cyclic_reference")
         if name not in self.frames:
             raise self.file.fail(
                 f"a pose is relative to {name}, which is not in the model", "a link, joint or frame; correct the name"

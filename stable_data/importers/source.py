@@ -8,6 +8,7 @@ from stable_data.errors import Notice
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.surface import Surface
 from stable_data.importers.boundary import Boundary
+from stable_data.limits import LIMITS
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 
 Axis: TypeAlias = Literal["", "x", "y", "z", "-x", "-y", "-z"]
@@ -32,7 +33,7 @@ class ReaderOptions:
     up: Axis = ""
     front: Axis = ""
     unit_m: float = 0.0
-    max_faces: int = 12_000_000
+    max_faces: int = LIMITS.model.max_faces
 
     @property
     def front_direction(self) -> Vec3 | None:

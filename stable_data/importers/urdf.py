@@ -19,8 +19,17 @@ from stable_data.importers.formats.model_xml import (
     positive,
     rotation_of_rpy,
 )
-from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
-from stable_data.importers.rigid_models import MOST_LINKS, Geometry, Joint, Link, LinkShape, RigidModel, assemble, found_model
+from stable_data.importers.formats.xml_text import parse_xml
+from stable_data.importers.rigid_models import (
+    Geometry,
+    Joint,
+    Link,
+    LinkShape,
+    RigidModel,
+    assemble,
+    check_parts,
+    found_model,
+)
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
@@ -91,18 +100,17 @@ class _UrdfFile:
         return MeshError(f"{self.path}: {found}, expected {expected}", code)
 
     def model(self) -> RigidModel:
-        robot = parse_xml(self.root.read_bytes(self.path, most=MOST_BYTES), self.path)
+        robot = parse_xml(self.root.read_bytes(self.path, "max_xml_bytes"), self.path)
         if any(element.tag.startswith("xacro:") for element in robot.iter()):
             raise self.fail("holds xacro macros", f"a URDF; {_XACRO}")
         if robot.tag != "robot":
             raise self.fail(f"starts with <{robot.tag[:40]}>", "<robot>; is it another format?")
+        check_parts(robot, self.path)
         self.materials = {m.get("name", ""): m for m in robot.iter("material") if len(m)}
         self.friction = self._gazebo_friction(robot)
         elements = {link.get("name", ""): link for link in robot.findall("link")}
         if len(elements) < len(robot.findall("link")) or "" in elements:
             raise self.fail("has two links of one name or one without", "unique names; rename one")
-        if len(elements) > MOST_LINKS:
-            raise self.fail(f"has {len(elements)} links", f"at most {MOST_LINKS}; simplify it", "mesh_too_large")
         joints = [(self._joint(joint), self._origin(joint)) for joint in robot.findall("joint")]
         parents: dict[str, tuple[str, FloatArray]] = {}
         for joint, origin in joints:

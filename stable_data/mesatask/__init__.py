@@ -7,7 +7,6 @@
 
 from stable_data.assets.annotation import AssetAnnotation, category_of
 from stable_data.mesatask.dataset import TABLE_TYPES, MesaTaskDataset
-from stable_data.mesatask.entry import LayoutLimits
 from stable_data.mesatask.features import read_text_features, write_text_features
 from stable_data.mesatask.layout import read_layout, read_reply_layout
 from stable_data.mesatask.library import AssetFolder, read_annotation, write_annotation
@@ -20,7 +19,6 @@ __all__ = [
     "TABLE_TYPES",
     "AssetAnnotation",
     "AssetFolder",
-    "LayoutLimits",
     "MesaTaskDataset",
     "PositionConvention",
     "category_of",

@@ -7,7 +7,7 @@ from pathlib import Path
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.json_text import ReadLog, read_bounded
-from stable_data.mesatask.entry import LayoutLimits
+from stable_data.limits import LIMITS, LayoutLimits
 from stable_data.mesatask.layout import LAYOUT_FILE, read_layout
 from stable_data.mesatask.library import AssetFolder
 from stable_data.mesatask.task_info import TASK_INFO_FILE, read_task_info
@@ -16,8 +16,6 @@ from stable_data.scene import Scene, SceneObject, TaskInfo
 
 TABLE_TYPES = ("bathroom_vanity", "coffee_table", "dining_table", "dressing_table", "kitchen_counter", "office_table")
 """The kinds of table in MesaTask-10K."""
-
-_MAX_TASK_INFO_BYTES = 1 << 20
 
 
 class MesaTaskDataset:
@@ -38,7 +36,7 @@ class MesaTaskDataset:
 
     def __init__(self, root: Path, limits: LayoutLimits | None = None) -> None:
         self.root = Path(root)
-        self._limits = limits or LayoutLimits()
+        self._limits = limits or LIMITS.layout
         log = ReadLog(self.root.name)
         self._folders = _scene_folders(self.root, log)
         self.scene_ids: tuple[str, ...] = tuple(sorted(self._folders))
@@ -93,7 +91,7 @@ class MesaTaskDataset:
         """
         path = self.layout_path(scene_id)
         log = ReadLog(scene_id)
-        data = read_bounded(path, self._limits.max_bytes, log)
+        data = read_bounded(path, self._limits, "max_bytes", log)
         table_type = path.parent.parent.name
         scene, notices = read_layout(data, scene_id, table_type, annotations=self.annotations, limits=self._limits)
         objects = tuple(self._with_known_asset(scene_object, log) for scene_object in scene.objects)
@@ -158,7 +156,7 @@ def _task_beside(layout_path: Path, log: ReadLog) -> TaskInfo | None:
     if not path.exists():
         return None
     try:
-        return read_task_info(read_bounded(path, _MAX_TASK_INFO_BYTES, log), log.item_id)
+        return read_task_info(read_bounded(path, LIMITS.layout, "max_task_bytes", log), log.item_id)
     except SceneError as error:
         log.warn("task_info_invalid", f"{str(error).removeprefix(log.item_id + ': ')}; the scene is read without it")
         return None

@@ -7,6 +7,7 @@ from typing import Any
 
 from stable_data.assets.annotation import AssetAnnotation, category_of
 from stable_data.json_text import ReadLog, are_finite, number, numbers, quote_value
+from stable_data.limits import LIMITS, LayoutLimits, at_most
 from stable_data.mesatask.library import is_inside, stem_of
 from stable_data.rotations import heading, is_upright, is_yaw_of, normalise_quat, rotated_extents, tilt_of
 from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
@@ -19,21 +20,6 @@ MAX_NAME_LENGTH = 200
 
 _UNIT_TOLERANCE = 1e-3
 _SIZE_ROUNDING = 2e-3  # largest difference between a size, rounded to 1 mm, and the exact product, metres
-
-
-@dataclass(frozen=True, slots=True)
-class LayoutLimits:
-    """Limits beyond which a layout is refused.
-
-    Attributes:
-        max_bytes: Size of a file.
-        max_objects: Objects of a scene.
-        max_reach: Largest distance of an object from the table, and largest extent of an object, metres.
-    """
-
-    max_bytes: int = 64 << 20
-    max_objects: int = 500
-    max_reach: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +40,7 @@ class ReadContext:
     size_xy: tuple[float, float]
     is_reply: bool = False
     annotations: Mapping[str, AssetAnnotation] = field(default_factory=dict)
-    limits: LayoutLimits = field(default_factory=LayoutLimits)
+    limits: LayoutLimits = field(default_factory=lambda: LIMITS.layout)
 
 
 def read_object(entry: Mapping[str, Any], instance: str, context: ReadContext) -> SceneObject:
@@ -116,7 +102,8 @@ def _position(entry: Mapping[str, Any], instance: str, context: ReadContext) -> 
     beyond = max(max(-p, p - side) for p, side in zip(position, (*context.size_xy, 0.0), strict=True))
     if beyond > reach:
         message = (
-            f"object {instance} has position {quote_value(value)} cm, {beyond:g} m off the table; expected at most {reach:g} m"
+            f"object {instance} has position {quote_value(value)} cm, {beyond:g} m off the table; "
+            f"expected {at_most(context.limits, 'max_reach', 'm')}"
         )
         raise log.error("coordinates_huge", message)
     return position
@@ -201,7 +188,8 @@ def _size(entry: Mapping[str, Any], instance: str, scale: Vec3 | None, tilt: Qua
         return rotated_extents(exact, tilt)
     size = (found[0] / 100, found[1] / 100, found[2] / 100)
     if max(size) > reach:
-        raise log.error("size_huge", f"object {instance} has size {quote_value(value)} cm, expected at most {reach:g} m")
+        most = at_most(context.limits, "max_reach", "m")
+        raise log.error("size_huge", f"object {instance} has size {quote_value(value)} cm, expected {most}")
     if exact is None or not is_upright(tilt):  # only upright is the product the box in the yaw frame
         return size
     if max(abs(a - b) for a, b in zip(exact, size, strict=True)) <= _SIZE_ROUNDING:

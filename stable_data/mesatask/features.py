@@ -19,14 +19,9 @@ import numpy.typing as npt
 
 from stable_data.errors import ConfigError
 from stable_data.json_text import quote_value
+from stable_data.limits import LIMITS, at_most
 
 FEATURES_FILE = "sbert_text_features.pkl"
-_MAX_BYTES = 1 << 28
-_MAX_MEMO = 1 << 22  # the unpickler allocates memory up to the largest index
-_MAX_OPERATIONS = 1 << 24  # one operation creates an object of up to 100 bytes; a list of floats needs one per number
-_MAX_ROWS = 1 << 20
-_MAX_NUMBERS = 1 << 26  # in all rows together
-_MAX_DEPTH = 64  # of tuples
 _GZIP_MAGIC = b"\x1f\x8b"
 _PARSE_ERRORS = (
     pickle.UnpicklingError,
@@ -46,12 +41,11 @@ _MULTIARRAY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
 
 
-def read_text_features(path: Path, max_bytes: int = _MAX_BYTES) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
+def read_text_features(path: Path) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
     """Reads the text features of assets, plain or gzip-compressed.
 
     Args:
         path: A pickle of {"uids": list of N strings, "text_features": array (N, D)}.
-        max_bytes: Largest size, also after decompression.
 
     Returns:
         The uids and their features, (N, D) float32.
@@ -60,7 +54,7 @@ def read_text_features(path: Path, max_bytes: int = _MAX_BYTES) -> tuple[tuple[s
         ConfigError: The file is missing, too big or not a pickle, refers to anything except numpy arrays (``pickle_refused``), or
             does not have the expected content.
     """
-    data = _read_unpacked(path, max_bytes)
+    data = _read_unpacked(path)
     try:
         _check_operations(data, path)
         document = _PlainUnpickler(data, path).load()
@@ -166,7 +160,7 @@ class _PlainUnpickler(pickle.Unpickler):
         raise ConfigError(message, "pickle_refused")
 
 
-def _read_unpacked(path: Path, max_bytes: int) -> bytes:
+def _read_unpacked(path: Path) -> bytes:
     """Reads the bytes of the pickle, decompressed, up to a limit."""
     if not path.is_file():
         raise ConfigError(f"{path} is missing or not a regular file", "features_missing")
@@ -174,29 +168,29 @@ def _read_unpacked(path: Path, max_bytes: int) -> bytes:
         with path.open("rb") as file:
             is_gzip = file.read(2) == _GZIP_MAGIC
         with gzip.open(path) if is_gzip else path.open("rb") as file:
-            data = file.read(max_bytes + 1)
+            data = file.read(LIMITS.features.max_bytes + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise ConfigError(f"{path} cannot be read: {error}; fetch it again", "features_invalid") from error
-    if len(data) > max_bytes:
-        raise ConfigError(f"{path} has more than {max_bytes} bytes; raise the limit if the file is correct", "file_too_big")
+    if len(data) > LIMITS.features.max_bytes:
+        raise ConfigError(f"{path} is larger, expected {at_most(LIMITS.features, 'max_bytes', 'bytes')}", "file_too_big")
     return data
 
 
 def _check_operations(data: bytes, path: Path) -> None:
     """Refuses a pickle that needs much more memory than its bytes, or nests so deep that it would crash the process."""
-    num_tuples, found = 0, ""
+    limits, num_tuples, found = LIMITS.features, 0, ""
     for number, (operation, argument, _) in enumerate(pickletools.genops(data), 1):
-        if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument is not None and argument > _MAX_MEMO:
-            found = f"contains memo index {argument}, expected at most {_MAX_MEMO}"
+        if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument is not None and argument > limits.max_memo:
+            found = f"contains memo index {argument}, expected {at_most(limits, 'max_memo')}"
         elif operation.name in _SETS:
             found = "contains a set"
-        elif number > _MAX_OPERATIONS:
-            found = f"contains more than {_MAX_OPERATIONS:,} operations, expected features as one array"
+        elif number > limits.max_operations:
+            found = f"contains more operations, expected {at_most(limits, 'max_operations')} and features as one array"
         if found:
             break
         num_tuples += operation.name in _TUPLES
-    if not found and num_tuples > _MAX_DEPTH and _tuple_depth(data) > _MAX_DEPTH:
-        found = f"nests tuples deeper than {_MAX_DEPTH}, expected at most 4"
+    if not found and num_tuples > limits.max_levels and _tuple_depth(data) > limits.max_levels:
+        found = f"nests tuples deeper, expected {at_most(limits, 'max_levels', 'levels')}"
     if found:
         message = f"{path} {found}; expected numpy arrays in plain containers; it was not read, do not trust it"
         raise ConfigError(message, "pickle_refused")
@@ -249,8 +243,8 @@ def _check_content(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ..
 def _check_rows(rows: list[Any]) -> None:
     """Refuses rows that are not rows of numbers, or too many: a pickle may refer to one list or array many times."""
     num_numbers = sum(len(row) for row in rows)
-    if num_numbers > _MAX_NUMBERS:
-        raise ValueError(f"{num_numbers:,} numbers, expected at most {_MAX_NUMBERS:,}")
+    if num_numbers > LIMITS.features.max_numbers:
+        raise ValueError(f"{num_numbers:,} numbers, expected {at_most(LIMITS.features, 'max_numbers')}")
     for row in rows:
         if row.ndim != 1 if isinstance(row, np.ndarray) else not all(isinstance(x, int | float) for x in row):
             raise ValueError(f"a row of type {type(row).__name__}, expected a row of numbers")
@@ -264,8 +258,8 @@ def _invalid(path: Path, what: str) -> ConfigError:
 def _to_plain(value: Any, path: Path) -> Any:
     """Converts described arrays to lists or arrays, one level of nesting down."""
     if isinstance(value, (list, tuple)):
-        if len(value) > _MAX_ROWS:
-            raise _invalid(path, f"has a list of {len(value):,}, expected at most {_MAX_ROWS:,}")
+        if len(value) > LIMITS.features.max_rows:
+            raise _invalid(path, f"has a list of {len(value):,}, expected {at_most(LIMITS.features, 'max_rows')}")
         return [_to_plain_array(item, path) if isinstance(item, _Described) else item for item in value]
     return _to_plain_array(value, path) if isinstance(value, _Described) else value
 
@@ -306,8 +300,8 @@ def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_
     is_big = bool(dtype.state) and dtype.state[1] == ">"  # the byte order is part of the state
     if kind not in _FLOATS and not (kind[:1] == "U" and kind[1:].isdigit()):
         raise ValueError(f"dtype {quote_value(kind)}, expected floats or strings")
-    if kind[0] == "U" and size > _MAX_ROWS:
-        raise ValueError(f"{size:,} strings, expected at most {_MAX_ROWS:,}")
+    if kind[0] == "U" and size > LIMITS.features.max_rows:
+        raise ValueError(f"{size:,} strings, expected {at_most(LIMITS.features, 'max_rows')}")
     array = np.frombuffer(content, np.dtype((">" if is_big else "<") + kind))
     array = array.reshape(shape, order="F" if is_fortran else "C")
     return array.tolist() if kind[0] == "U" else array

@@ -14,7 +14,8 @@ from typing import Any
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import Notice
 from stable_data.json_text import ReadLog, are_finite, numbers, parse_object, quote_value
-from stable_data.mesatask.entry import MAX_NAME_LENGTH, POSE_KEYS, LayoutLimits, ReadContext, read_object
+from stable_data.limits import LIMITS, LayoutLimits, at_most
+from stable_data.mesatask.entry import MAX_NAME_LENGTH, POSE_KEYS, ReadContext, read_object
 from stable_data.scene import TABLE, Rectangle, Scene, Tabletop
 
 LAYOUT_FILE = "layout.json"
@@ -46,7 +47,7 @@ def read_layout(
         SceneError: The layout cannot be used; ``code`` gives the reason.
     """
     log = ReadLog(scene_id)
-    limits = limits or LayoutLimits()
+    limits = limits or LIMITS.layout
     document = _document(data, limits, log)
     scene = _read(document, table_type, ReadContext(log, (0, 0), (0, 0), is_reply_form(document), annotations or {}, limits))
     return scene, tuple(log.notices)
@@ -80,7 +81,7 @@ def read_reply_layout(
     if isinstance(reply, str):
         reply = _json_of_reply(reply)
     log = ReadLog(scene_id)
-    limits = limits or LayoutLimits()
+    limits = limits or LIMITS.layout
     document = _document(reply, limits, log)
     context = ReadContext(log, (0, 0), (0, 0), not _has_key(document, POSE_KEYS), annotations or {}, limits)
     return _read(document, TABLE, context, table)
@@ -111,8 +112,7 @@ def _document(data: bytes | str | Mapping[str, Any], limits: LayoutLimits, log: 
     if isinstance(data, Mapping):
         return data
     if len(data) > limits.max_bytes:
-        message = f"{LAYOUT_FILE} has more than {limits.max_bytes} bytes; raise the limit if the file is correct"
-        raise log.error("file_too_big", message)
+        raise log.error("file_too_big", f"{LAYOUT_FILE} is larger, expected {at_most(limits, 'max_bytes', 'bytes')}")
     return parse_object(data, LAYOUT_FILE, log)
 
 
@@ -170,7 +170,7 @@ def _entries(document: Mapping[str, Any], context: ReadContext) -> list[dict[str
     if not entries and not context.is_reply:
         raise log.error("objects_empty", "objects is an empty list, expected at least one object; nothing to load")
     if len(entries) > limits.max_objects:
-        message = f"{len(entries)} objects, expected at most {limits.max_objects}; raise max_objects if the scene is correct"
+        message = f"{len(entries)} objects, expected {at_most(limits, 'max_objects')}; raise it if the scene is correct"
         raise log.error("too_many_objects", message)
     for index, entry in enumerate(entries):
         if not isinstance(entry, dict):

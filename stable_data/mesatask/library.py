@@ -11,12 +11,15 @@ from typing import Any
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, SceneError
 from stable_data.json_text import ReadLog, are_finite, number, numbers, parse_object, quote_value, read_bounded
+from stable_data.limits import LIMITS
 from stable_data.scene import Vec3
 
 ANNOTATION_FILE = "Asset_annotation.json"
 LIBRARY_FOLDER = "Assets_library"
 
-_MAX_ANNOTATION_BYTES = 1 << 27
+MAX_NAME_BYTES = 200
+"""Longest name of a file or folder: file systems allow 255 bytes, and a file has a longer name while it is written."""
+
 # A rotated variant, such as ``_x_90_y_0``.
 _VARIANT_SUFFIX = re.compile(r"_x_-?\d+(?:\.\d+)?(?:_[yz]_-?\d+(?:\.\d+)?)+$")
 _HEX = "[0-9a-fA-F]"
@@ -74,6 +77,11 @@ def write_annotation(annotation: AssetAnnotation) -> dict[str, Any]:
 def is_inside(asset_id: str) -> bool:
     """Whether an asset id is a plain name, with no part that leads to another folder."""
     return not (re.search(r"[/\\\x00]", asset_id) or asset_id in {".", ".."})
+
+
+def is_file_name(name: str) -> bool:
+    """Whether a file or folder can have a name on every file system: a plain name, not too long, that can be printed."""
+    return is_inside(name) and name.isprintable() and len(name.encode()) <= MAX_NAME_BYTES
 
 
 def stem_of(asset_id: str) -> str:
@@ -176,7 +184,7 @@ def _read_annotations(path: Path, log: ReadLog) -> dict[str, AssetAnnotation]:
         log.warn("annotation_missing", f"{path} is missing: categories come from instance names, descriptions are empty")
         return {}
     try:
-        data = read_bounded(path, _MAX_ANNOTATION_BYTES, log)
+        data = read_bounded(path, LIMITS.layout, "max_annotation_bytes", log)
         document = parse_object(data, ANNOTATION_FILE, log, repeated_code="annotation_duplicate")
     except SceneError as error:
         raise ConfigError(f"{error}; fetch {path} again", error.code) from error

@@ -15,7 +15,7 @@ def read_task_info(data: bytes | str, scene_id: str) -> TaskInfo:
     """Reads the task of a scene from its file (bytes are UTF-8); unknown keys stay in ``source``.
 
     Raises:
-        SceneError: ``task_info_invalid``: not JSON, no task, one longer than MAX_INSTRUCTION, or a field of the wrong type.
+        SceneError: ``task_info_invalid``: not JSON, no task, one that is too long, or a field of the wrong type.
     """
     log = ReadLog(scene_id)
     try:

@@ -13,10 +13,11 @@ from typing import Any
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, SceneError
-from stable_data.json_text import ReadLog, exact_preimage, json_text
-from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, LayoutLimits, ReadContext, read_object, scaled_extents
+from stable_data.json_text import ReadLog, exact_preimage, json_text, quote_value
+from stable_data.limits import LayoutLimits
+from stable_data.mesatask.entry import BOX_YAW, POSE_KEYS, ReadContext, read_object, scaled_extents
 from stable_data.mesatask.layout import LAYOUT_FILE, read_table
-from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, is_inside, write_annotation
+from stable_data.mesatask.library import ANNOTATION_FILE, LIBRARY_FOLDER, MAX_NAME_BYTES, is_file_name, write_annotation
 from stable_data.mesatask.task_info import TASK_INFO_FILE, write_task_info
 from stable_data.rotations import is_upright, is_yaw_of, normalise_quat, quat_product, yaw_quat
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Vec3
@@ -121,8 +122,9 @@ def scene_folder(root: Path, scene: Scene) -> Path:
     """
     name = scene.scene_id.removeprefix(f"{scene.table.table_type}/")
     for part in (name, scene.table.table_type):
-        if not part or not is_inside(part):
-            raise SceneError(f"{scene.scene_id}: {part!r} cannot name a folder, expected a plain name", "scene_id_invalid")
+        if not part or not is_file_name(part):
+            found = f"{scene.scene_id}: {quote_value(part)} cannot name a folder"
+            raise SceneError(f"{found}, expected a plain name of at most {MAX_NAME_BYTES} bytes", "scene_id_invalid")
     return root / LAYOUT_FOLDER / scene.table.table_type / name
 
 
@@ -140,8 +142,9 @@ def write_asset(root: Path, asset_id: str, glb: bytes) -> Path:
     Raises:
         ConfigError: ``uid_path_traversal``: the id cannot be the name of a file.
     """
-    if not asset_id or not is_inside(asset_id):
-        raise ConfigError(f"asset id {asset_id!r} cannot name a file, expected a plain name", "uid_path_traversal")
+    if not asset_id or not is_file_name(asset_id):
+        found = f"asset id {quote_value(asset_id)} cannot name a file"
+        raise ConfigError(f"{found}, expected a plain name of at most {MAX_NAME_BYTES} bytes", "uid_path_traversal")
     folder = root / LIBRARY_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{asset_id}.glb"

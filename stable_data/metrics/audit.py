@@ -7,190 +7,30 @@ the work limit of a scene are unknown too. Objects with the same triangles in th
 
 import hashlib
 import itertools
-import math
 from collections import Counter
 from collections.abc import Iterator, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import networkx as nx
 import numpy as np
 
-from stable_data.errors import Notice
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import bottom_points
+from stable_data.limits import LIMITS
 from stable_data.metrics.bounds import enters_zone, leaves_table
-from stable_data.metrics.card import MetricCard
-from stable_data.metrics.collision import LEVELS, NEAR, ROUNDING, TOLERANCE, penetration
+from stable_data.metrics.collision import LEVELS, NEAR, penetration
 from stable_data.metrics.support import carries, distance_to_surface
 from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, WorkBudget, WorkLimitError
+from stable_data.metrics.verdicts import ROUNDING, TOLERANCE, Audit, ObjectVerdict, PairVerdict, num_tilted
 from stable_data.scene import TABLE, FloatArray, Scene, SceneObject
 
 BOUNDS_SLACK = 1e-3
 """How far a footprint may reach over an edge, metres: the rounding of the format."""
 
-MAX_WORK = 300_000_000
-"""Work limit of a scene's exact tests, in triangles that they examine: about 25 s. The fullest tables need 40 million."""
-
 _GAP_WORK = 4  # work of one distance to a triangle, in triangles tested for a crossing
 _MAX_CACHED = 2_000_000  # triangles of the cached pairs
 _GAP_RANGE = 0.1  # the paper's gap is searched up to this distance, metres
-
-
-@dataclass(frozen=True, slots=True)
-class PairVerdict:
-    """The penetration of two objects.
-
-    Attributes:
-        first: Instance.
-        second: Instance.
-        penetration: Metres; None if the boxes meet and a mesh is missing or the audit was cut short.
-    """
-
-    first: str
-    second: str
-    penetration: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectVerdict:
-    """The verdict on one object.
-
-    Attributes:
-        instance: Its name.
-        floats: Lowered by the tolerance, it meets no support, or only objects that it supports itself. None if a missing mesh,
-            or an audit that was cut short, leaves this open.
-        supports: The supports that it meets when lowered: instances, or ``table``.
-        gap: The paper's smallest distance of the bottom region to a support, metres; None if unknown.
-        table_penetration: How far it reaches below the table top, metres.
-        leaves_table: Its footprint reaches over the edge; None if only the box of a missing mesh does.
-        enters_restricted_zone: Its footprint reaches into the restricted zone; None as for ``leaves_table``.
-        has_mesh: Whether its mesh is available.
-    """
-
-    instance: str
-    floats: bool | None
-    supports: tuple[str, ...]
-    gap: float | None
-    table_penetration: float
-    leaves_table: bool | None
-    enters_restricted_zone: bool | None
-    has_mesh: bool
-
-    @property
-    def is_outside(self) -> bool | None:
-        """Whether it is out of bounds in either way."""
-        if self.leaves_table or self.enters_restricted_zone:
-            return True
-        return None if self.leaves_table is None or self.enters_restricted_zone is None else False
-
-
-@dataclass(frozen=True)
-class Audit:
-    """All verdicts on one scene.
-
-    Attributes:
-        scene_id: The scene.
-        pairs: Pairs that touch or are unknown; every other pair is apart.
-        objects: One verdict for each object, in the scene's order.
-        num_tilted: Objects tilted by more than 5 degrees.
-        tolerance: The tolerance of floating and of the card's headline figures, metres.
-        is_cut_short: Whether the work limit was reached, so that verdicts are unknown.
-        fixed: Objects of the surroundings (``Scene.fixed``): they count in no share, and have no fault of their own.
-    """
-
-    scene_id: str
-    pairs: tuple[PairVerdict, ...]
-    objects: tuple[ObjectVerdict, ...]
-    num_tilted: int
-    tolerance: float = TOLERANCE
-    is_cut_short: bool = False
-    fixed: frozenset[str] = frozenset()
-
-    @property
-    def num_judged(self) -> int:
-        """Number of objects that are judged: all but the fixed ones."""
-        return len(self.objects) - len(self.fixed)
-
-    @property
-    def num_pairs(self) -> int:
-        """Number of pairs that are judged: all but those of two fixed objects."""
-        return math.comb(len(self.objects), 2) - math.comb(len(self.fixed), 2)
-
-    @property
-    def notices(self) -> tuple[Notice, ...]:
-        """The warning that the audit was cut short, if it was."""
-        if not self.is_cut_short:
-            return ()
-        unknown = sum(p.penetration is None for p in self.pairs)
-        message = (
-            f"{self.scene_id}: work limit reached with {unknown} pairs of objects unknown, expected at most {MAX_WORK} triangles "
-            "to test; separate the objects that overlap, or use simpler meshes"
-        )
-        return (Notice(self.scene_id, "audit", "audit_cut_short", message),)
-
-    def share_deeper(self, depth: float) -> float | None:
-        """The share of all pairs that collide deeper than a depth in metres; None if a pair is unknown."""
-        if any(p.penetration is None for p in self.pairs):
-            return None
-        return sum(p.penetration is not None and p.penetration > depth for p in self.pairs) / max(1, self.num_pairs)
-
-    def card(self) -> MetricCard:
-        """The metric card of the scene. Counts that need the scene graph are None, see :func:`stable_data.metrics.card.add_counts`."""
-        depths = [p.penetration for p in self.pairs if p.penetration is not None]
-        unknown = len(self.pairs) - len(depths)
-        collisions = sum(d > self.tolerance for d in depths)
-        sunk = max((o.table_penetration for o in self.objects), default=0.0)
-        floats = [o.floats for o in self.objects]
-        outside = [o.is_outside for o in self.objects]
-        gaps = [o.gap for o in self.objects]
-        num_without_mesh = sum(not o.has_mesh for o in self.objects)
-        count = max(1, self.num_judged)
-        fails = collisions > 0 or any(floats) or sunk > self.tolerance + ROUNDING or any(outside)
-        # Only an exact mesh can be found clean.
-        is_uncertain = num_without_mesh > 0 or unknown > 0 or None in floats
-        return MetricCard(
-            num_objects=self.num_judged,
-            num_stacked=None,
-            num_contained=None,
-            num_tilted=self.num_tilted,
-            num_without_mesh=num_without_mesh,
-            num_unknown_pairs=unknown,
-            num_collisions=collisions,
-            oc=self.share_deeper(self.tolerance),
-            oc_0mm=self.share_deeper(0.0),
-            oc_1mm=self.share_deeper(1e-3),
-            oc_10mm=self.share_deeper(1e-2),
-            float_gap=None if None in gaps else sum(g is not None and g > TOLERANCE + ROUNDING for g in gaps) / count,
-            max_penetration_mm=None if unknown else 1e3 * max(depths, default=0.0),
-            table_penetration_mm=1e3 * sunk,
-            float_rate=None if None in floats else sum(map(bool, floats)) / count,
-            max_gap_mm=None if None in gaps else 1e3 * max((g for g in gaps if g is not None), default=0.0),
-            out_of_bounds_rate=None if None in outside else sum(map(bool, outside)) / count,
-            clean=False if fails else None if is_uncertain else True,
-        )
-
-    def rows(self) -> dict[str, list[dict[str, Any]]]:
-        """The columns ``pairs`` and ``verdicts`` of the table ``scenes``; fixed objects have no verdict."""
-        pairs = [(p.first, p.second, None if p.penetration is None else 1e3 * p.penetration) for p in self.pairs]
-        return {
-            "pairs": [dict(zip(("first", "second", "penetration_mm"), pair, strict=True)) for pair in pairs],
-            "verdicts": [
-                {
-                    "instance": o.instance,
-                    "floats": o.floats,
-                    "supports": o.supports,
-                    "gap_mm": None if o.gap is None else 1e3 * o.gap,
-                    "table_penetration_mm": 1e3 * o.table_penetration,
-                    "leaves_table": o.leaves_table,
-                    "enters_restricted_zone": o.enters_restricted_zone,
-                    "has_mesh": o.has_mesh,
-                }
-                for o in self.objects
-                if o.instance not in self.fixed
-            ],
-        }
 
 
 class PosedScene:
@@ -209,7 +49,7 @@ class PosedScene:
         # Column by column: reducing along the long axis of (V, 3) is slow.
         self.low = np.array([[v[:, axis].min() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
         self.high = np.array([[v[:, axis].max() for axis in range(3)] for v in self.vertices]).reshape(-1, 3)
-        self.budget = WorkBudget(MAX_WORK)
+        self.budget = WorkBudget(LIMITS.work.max_audit_triangles)
         self._surfaces: dict[int, PosedTriangles] = {}
         self._pairs: dict[tuple[int, int], MeshPair] = {}
         self._num_cached = 0
@@ -414,8 +254,8 @@ def audit_posed_scene(posed: PosedScene, tolerance: float = TOLERANCE) -> Audit:
         for index in range(len(posed.instances))
     ]
     objects = _mark_support_cycles(tuple(o for o, _ in judged), {o.instance for o, is_uncertain in judged if is_uncertain})
-    num_tilted = sum(o.tilt_angle > math.radians(5) for o in posed.scene.objects if o.instance not in posed.scene.fixed)
-    return Audit(posed.scene.scene_id, tuple(pairs), objects, num_tilted, tolerance, posed.budget.is_spent, fixed)
+    tilted = num_tilted(posed.scene)
+    return Audit(posed.scene.scene_id, tuple(pairs), objects, tilted, tolerance, posed.budget.is_spent, fixed)
 
 
 def _geometry(o: SceneObject) -> tuple[object, ...]:

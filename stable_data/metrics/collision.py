@@ -8,18 +8,12 @@ import numpy as np
 from stable_data.geometry.mesh import Mesh, is_closed
 from stable_data.geometry.shape import winding_number
 from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, posed_triangles
+from stable_data.metrics.verdicts import ROUNDING, TOLERANCE
 from stable_data.scene import FloatArray
 
 _axes = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 DIRECTIONS: FloatArray = _axes / np.linalg.norm(_axes, axis=1, keepdims=True)
 """The 26 fixed directions along which a pair may be separated, (26, 3) float64, unit, world frame."""
-
-TOLERANCE = 5e-4
-"""The headline tolerance of collision, table penetration and floating, metres."""
-
-ROUNDING = 1e-9
-"""Added to the limit in every comparison with a tolerance, metres. Layouts are written to half a millimetre, and a sum of such
-lengths that equals the tolerance comes out a little above or below it."""
 
 LEVELS = (1e-5, TOLERANCE, 1e-3, 2e-3, 3e-3, 5e-3, 1e-2, 2e-2, 5e-2)
 """Translations that are tested directly, metres; every reported tolerance is among them."""

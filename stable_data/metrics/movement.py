@@ -1,13 +1,16 @@
 """Movement of the objects of a scene between two of its states."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stable_data.metrics.card import MetricCard
-from stable_data.metrics.relations_kept import RelationsKept
 from stable_data.rotations import wrap_angle
 from stable_data.scene import Scene
+
+if TYPE_CHECKING:  # movement itself needs no mesh
+    from stable_data.metrics.relations_kept import RelationsKept
 
 
 def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
@@ -29,7 +32,7 @@ def movement(before: Scene, after: Scene) -> tuple[float, float, float]:
     return float(lengths.mean()), float(lengths.max()), float(turns.max())
 
 
-def add_movement(card: MetricCard, before: Scene, after: Scene, kept: RelationsKept) -> MetricCard:
+def add_movement(card: MetricCard, before: Scene, after: Scene, kept: "RelationsKept") -> MetricCard:
     """Adds the movement of the objects from ``before`` to ``after``, and the shares of kept relations, to the card of ``after``."""
     mean, farthest, turn = movement(before, after)
     return replace(

@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from stable_data.metrics.audit import Audit, PosedScene
+from stable_data.metrics.audit import PosedScene
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import TABLE, FloatArray, Scene
 from stable_data.scene_graph.relations import SceneGraph, relations_of, scene_graph, supports
 

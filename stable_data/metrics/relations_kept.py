@@ -7,8 +7,8 @@ from typing import TypeAlias
 import numpy as np
 
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import Audit, PosedScene
-from stable_data.metrics.collision import ROUNDING, TOLERANCE
+from stable_data.metrics.audit import PosedScene
+from stable_data.metrics.verdicts import ROUNDING, TOLERANCE, Audit
 from stable_data.scene import TABLE, Relation, RelationKind, Scene
 from stable_data.scene_graph.relations import direction_of, is_held, relations_of, scene_graph
 

@@ -17,8 +17,8 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf.exact import SignedDistance
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import surface_points
-from stable_data.metrics.audit import Audit
 from stable_data.metrics.card import MetricCard
+from stable_data.metrics.verdicts import Audit
 from stable_data.rotations import rotate_xy
 from stable_data.scene import FloatArray, Scene
 

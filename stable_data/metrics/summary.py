@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from stable_data.metrics.collision import DEEPEST, ROUNDING, TOLERANCE
+from stable_data.metrics.collision import DEEPEST
+from stable_data.metrics.verdicts import ROUNDING, TOLERANCE
 
 _NUM_WORST = 5  # scenes listed for each kind of defect
 _BOUND = 1e3 * (TOLERANCE + ROUNDING)  # millimetres: the limit of the verdicts

@@ -3,9 +3,9 @@
 Boxes are left, top, right and bottom. The overlap of two boxes is the area of their intersection divided by that of their union (IoU).
 """
 
-import json
 import math
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +14,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from stable_data.errors import ConfigError
+from stable_data.json_text import number, quote_value, read_json
 
 Box: TypeAlias = tuple[float, float, float, float]
 
 OVERLAPS = (0.5, 0.75)
 """Overlaps at which a detected box counts as right."""
 
+_LONGEST_ANSWER = 1000  # characters of a question or an answer that are read
 _QUESTION = re.compile(r"handle of an? (?P<name>[^.?!]+)")
 
 
@@ -121,10 +123,14 @@ def score_detections(
         overlaps: The overlaps from which a box counts as right.
     """
     scores = []
-    for category in sorted({label.category for label in labels}):
-        own = [label for label in labels if label.category == category]
+    labels_of, boxes_of = defaultdict[str, list[LabelledBox]](list), defaultdict[str, list[DetectedBox]](list)
+    for label in labels:
+        labels_of[label.category].append(label)
+    for box in found:
+        boxes_of[box.category].append(box)
+    for category, own in sorted(labels_of.items()):
         asked = {label.image for label in own}
-        boxes = [box for box in found if box.category == category and box.image in asked]
+        boxes = [box for box in boxes_of[category] if box.image in asked]
         precision = {at: average_precision(own, boxes, at) for at in overlaps}
         running = {at: _running_precision(own, boxes, at) for at in overlaps}
         scores.append(DetectionScore(category, len(own), len(boxes), precision, running))
@@ -146,10 +152,10 @@ def read_labels(path: Path) -> list[LabelledBox]:
         ConfigError: The file cannot be read or has another form (``file_invalid``).
     """
     labels = []
-    for number, item in enumerate(_items(path)):
-        where = f"{path}: item {number}"
+    for k, item in enumerate(_items(path)):
+        where = f"{path}: item {k}"
         said = _turn(item, 1, where)
-        numbers = [float(value) for value in re.findall(r"-?\d+\.?\d*", said)]
+        numbers = [float(value) for value in re.findall(r"-?\d+\.?\d*", said[:_LONGEST_ANSWER])]
         labels.append(LabelledBox(str(item.get("image")), _category(item, where), _box(numbers, where)))
     if not labels:
         raise ConfigError(f"{path}: has no questions, expected some", "file_invalid")
@@ -166,27 +172,27 @@ def read_detections(path: Path) -> list[DetectedBox]:
         ConfigError: The file cannot be read or has another form (``file_invalid``).
     """
     found = []
-    for number, item in enumerate(_items(path)):
-        where = f"{path}: item {number}"
+    for k, item in enumerate(_items(path)):
+        where = f"{path}: item {k}"
         if not {"box", "format_answer"} & item.keys():
             raise ConfigError(f"{where} has neither box nor format_answer, expected one of them", "file_invalid")
         values = item.get("box", item.get("format_answer"))
         if not isinstance(item.get("image"), str):
-            raise ConfigError(f"{where} has image {item.get('image')!r}, expected a name", "file_invalid")
+            raise ConfigError(f"{where} has image {quote_value(item.get('image'))}, expected a name", "file_invalid")
         score = item.get("score", 1.0)
         if not _is_number(score):
-            raise ConfigError(f"{where} has score {score!r}, expected a number", "file_invalid")
+            raise ConfigError(f"{where} has score {quote_value(score)}, expected a number", "file_invalid")
         category = _category(item, where)
         if isinstance(values, list) and len(values) == 4 and all(map(_is_number, values)):
             found.append(DetectedBox(item["image"], category, _box(values, where), float(score)))
         elif not isinstance(values, list | str | None):
-            raise ConfigError(f"{where} has box {values!r}, expected four numbers", "file_invalid")
+            raise ConfigError(f"{where} has box {quote_value(values)}, expected four numbers", "file_invalid")
     return found
 
 
 def _items(path: Path) -> Iterable[dict[str, Any]]:
     try:
-        content = json.loads(path.read_text("utf-8"))
+        content = read_json(path)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: cannot be read ({error}), expected a JSON list", "file_invalid") from error
     if not isinstance(content, list) or not all(isinstance(item, dict) for item in content):
@@ -205,17 +211,18 @@ def _category(item: Mapping[str, Any], where: str) -> str:
     if isinstance(item.get("category"), str):
         return str(item["category"])
     asked = item.get("question") or _turn(item, 0, where)
-    found = _QUESTION.search(str(asked))
+    found = _QUESTION.search(str(asked)[:_LONGEST_ANSWER])
     if found is None:
-        raise ConfigError(f"{where} has no category, and none follows from its question {asked!r}", "file_invalid")
+        raise ConfigError(f"{where} has no category, and none follows from its question {quote_value(asked)}", "file_invalid")
     return found["name"].strip().replace(" ", "_")
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    found = number(value)  # infinite for an integer beyond the range of a double
+    return found is not None and math.isfinite(found)
 
 
 def _box(values: Sequence[float], where: str) -> Box:
-    if len(values) != 4 or not (values[0] <= values[2] and values[1] <= values[3]):
-        raise ConfigError(f"{where} has box {list(values)}, expected left, top, right and bottom", "file_invalid")
+    if len(values) != 4 or not (values[0] <= values[2] and values[1] <= values[3]) or not all(map(math.isfinite, values)):
+        raise ConfigError(f"{where} has box {quote_value(list(values))}, expected left, top, right and bottom", "file_invalid")
     return (float(values[0]), float(values[1]), float(values[2]), float(values[3]))

@@ -5,7 +5,7 @@ it, but no part of it is executed. Arrow evaluates it, and skips the parts of a 
 unknown value (null) does not pass: if stability was never judged, neither ``stable`` nor ``not stable`` is true. Only
 ``is None`` and ``is not None`` test for null: ``aws is None or aws >= 1`` also selects rows with unknown ``aws``.
 
-A condition has at most :data:`LONGEST_QUERY` characters and :data:`DEEPEST_QUERY` levels. Many comparisons, and lists of many
+The length and the levels of a condition are limited (:class:`stable_data.limits.TextLimits`). Many comparisons, and lists of many
 constants, are one level.
 """
 
@@ -22,12 +22,7 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from stable_data.errors import ConfigError
-
-LONGEST_QUERY = 1_000_000
-"""Maximum number of characters of a condition: enough for 10,000 ids of 96 characters each."""
-
-DEEPEST_QUERY = 30
-"""Maximum depth of a condition's syntax tree. The reader in this module and the evaluation in Arrow recurse once per level."""
+from stable_data.limits import LIMITS, at_most
 
 _WIDEST = 8  # maximum number of operands in one chain of Arrow's expression
 _LONGEST_SHOWN = 200  # maximum number of characters of a condition in a message
@@ -82,8 +77,8 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
     Raises:
         ConfigError: The text cannot be parsed, is too long or too deep, or names an unknown column (``query_invalid``).
     """
-    if len(text) > LONGEST_QUERY:
-        raise _invalid(text, f"has {len(text)} characters, expected at most {LONGEST_QUERY}; use several queries")
+    if len(text) > LIMITS.text.max_query:
+        raise _invalid(text, f"has {len(text)} characters, expected {at_most(LIMITS.text, 'max_query')}; use several queries")
     tree: ast.expr | None
     try:
         # A condition may have several lines; spaces within its text constants stay as they are.
@@ -91,9 +86,10 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
     except (SyntaxError, ValueError) as error:
         raise _invalid(text, f"cannot be read ({getattr(error, 'msg', error)})") from error
     except (RecursionError, MemoryError):
-        tree = None  # too deep for Python's parser, whose limits are higher than DEEPEST_QUERY
+        tree = None  # too deep for Python's parser
     if tree is None or _is_deep(tree):
-        raise _invalid(text, f"nests deeper than {DEEPEST_QUERY} levels; use fewer parentheses")
+        levels = at_most(LIMITS.text, "max_query_levels", "levels")
+        raise _invalid(text, f"nests deeper, expected {levels}; use fewer parentheses")
     reader = _Reader(text, schema)
     try:
         expression = reader.truth(tree)
@@ -207,9 +203,9 @@ def _is_in(value: pc.Expression, constants: list[Any]) -> pc.Expression:
 
 
 def _is_deep(tree: ast.expr) -> bool:
-    """Whether a syntax tree has more than DEEPEST_QUERY levels."""
+    """Whether a syntax tree has too many levels: the reader in this module and the evaluation in Arrow recurse once per level."""
     level: list[ast.AST] = [tree]
-    for _ in range(DEEPEST_QUERY):
+    for _ in range(LIMITS.text.max_query_levels):
         level = [child for node in level for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
         if not level:
             return False

@@ -3,7 +3,7 @@
 Both replace one file after another, each at once. A change that was stopped is completed by the same call.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError, cannot_read
+from stable_data.storage.checksums import take_checksums
 from stable_data.storage.manifest import read_manifest, write_manifest
 from stable_data.storage.run_folder import RunFolder, read_row_groups
 from stable_data.storage.schema_checks import check_required, check_schema, conform_to_schema, is_older_version, version_of
@@ -43,10 +44,11 @@ def upgrade(run: RunFolder) -> int:
     count = 0
     with run.locked():
         manifest = _manifest_of(run)
+        known = take_checksums(run, SCHEMAS)
         for table in SCHEMAS:
-            count += _change(run, table, partial(_to_present_version, table, f"{run.uri}/{table}"))
-        if manifest.get("table_version") != TABLE_VERSION:
-            write_manifest(run, manifest | {"upgraded_to": TABLE_VERSION})
+            count += _change(run, table, partial(_to_present_version, table, f"{run.uri}/{table}"), known)
+        manifest |= {"upgraded_to": TABLE_VERSION} if manifest.get("table_version") != TABLE_VERSION else {}
+        write_manifest(run, manifest)
     return count
 
 
@@ -73,14 +75,14 @@ def prune(run: RunFolder) -> dict[str, int]:
         before = {table: run.num_rows(table) for table in tables}
         write_manifest(run, manifest | {PRUNED: dict(manifest.get(PRUNED, {}))})  # from now on, shards do not contain all rows
         scenes, asset_ids = _in_use(run)
-        kept = pa.array(sorted(asset_ids), pa.string())
+        kept, known = pa.array(sorted(asset_ids), pa.string()), take_checksums(run, tables)
         for table in ASSET_TABLES:
-            _change(run, table, lambda rows: rows.filter(pc.is_in(rows["asset_id"], kept)))
+            _change(run, table, lambda rows: rows.filter(pc.is_in(rows["asset_id"], kept)), known)
         if "textures" in tables:
             images = pa.array(sorted(images_of(run, asset_ids)), pa.string())
-            _change(run, "textures", lambda rows: rows.filter(pc.is_in(rows["sha256"], images)))
+            _change(run, "textures", lambda rows: rows.filter(pc.is_in(rows["sha256"], images)), known)
         for table in _OF_SCENES:  # rejected last: as long as its rows are there, a repeated call deletes the rest
-            _change(run, table, lambda rows: rows.filter(pc.is_in(rows["scene_id"], scenes)))
+            _change(run, table, lambda rows: rows.filter(pc.is_in(rows["scene_id"], scenes)), known)
         deleted = {table: count - run.num_rows(table) for table, count in before.items()}
         was = manifest.get(PRUNED, {})
         counts = manifest["counts"] | {table: count - deleted[table] for table, count in before.items()}
@@ -96,8 +98,11 @@ def _manifest_of(run: RunFolder) -> dict[str, Any]:
     return found
 
 
-def _change(run: RunFolder, table: str, change: Callable[[pa.Table], pa.Table]) -> int:
-    """Replaces the files of a table of which a function changes the rows or the schema; returns their number."""
+def _change(run: RunFolder, table: str, change: Callable[[pa.Table], pa.Table], known: Mapping[str, str]) -> int:
+    """Replaces the files of a table of which a function changes the rows or the schema; returns their number.
+
+    Other files keep the checksum that is known of them.
+    """
     count = 0
     for path in run.files(table):
         try:
@@ -109,6 +114,8 @@ def _change(run: RunFolder, table: str, change: Callable[[pa.Table], pa.Table]) 
         if changed.num_rows != rows.num_rows or not changed.schema.equals(rows.schema, check_metadata=True):
             run.write_file(table, Path(path).name, changed)
             count += 1
+        elif (name := f"{table}/{Path(path).name}") in known:
+            run.written[name] = known[name]
     return count
 
 

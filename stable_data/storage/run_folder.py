@@ -3,6 +3,7 @@
 A run folder::
 
     manifest.json                  resolved configuration, input fingerprint, code and table versions
+    SHA256SUMS                     checksums of the shards
     <table>/part-<id>.parquet      shards, named by a hash of their inputs
     report/index.html
 
@@ -10,11 +11,13 @@ A shard is written to a temporary file and then renamed, so a shard that exists 
 """
 
 import fcntl
+import hashlib
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
@@ -26,6 +29,8 @@ import pyarrow.parquet as pq
 
 from stable_data.atomic_files import temporary_path
 from stable_data.errors import ConfigError, cannot_read, cannot_write
+from stable_data.json_text import document_of
+from stable_data.limits import LIMITS, at_most
 from stable_data.storage.schema_checks import check_schema, conform_to_schema, missing_columns, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.table_rows import arrow_table
@@ -38,8 +43,8 @@ _Columns: TypeAlias = list[str] | Mapping[str, pc.Expression] | None
 MAX_BYTES = 96 * 10**6
 """Maximum bytes of a file before compression, so that no file exceeds 100 MB."""
 
-MAX_DECODED = 2**30
-"""Maximum memory for the decoded content of one file, bytes: ten times the content of a file that this module writes."""
+PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
+"""Names of the files of shards: the id of the shard, and from the second file on its number."""
 
 _ROW_GROUP = 1024
 _GROUP_ROWS = {"scenes": 128, "settled": 128}  # of tables that are read by scene: one row costs the decoding of its group
@@ -49,7 +54,7 @@ _GROUP_BYTES = dict.fromkeys(
 )  # of a row group: a reader of one row reads its group
 _FILES_AT_ONCE = 32  # files of one dataset: their footers are in memory together, and are read concurrently
 _AHEAD = 8  # files of an object store that are fetched while another one is processed
-_PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
+_FILE = re.compile(r"[^/]+/" + PART.pattern)
 
 
 def absolute_uri(place: str) -> str:
@@ -64,12 +69,17 @@ class RunFolder:
         uri: A local path, or a URI that pyarrow supports such as
             ``s3://bucket/prefix?endpoint_override=http%3A//host%3A9000``; credentials are read from the environment.
 
+    Attributes:
+        written: File of a shard, ``table/part-id.parquet`` -> SHA-256, of those that this object has written. What other processes
+            wrote is added by whoever learns of it.
+
     Raises:
         ConfigError: No file system supports the URI.
     """
 
     def __init__(self, uri: Uri) -> None:
         self.uri = uri = os.fspath(uri)
+        self.written = dict[str, str]()
         try:
             if "://" in uri:
                 self.filesystem, self.root = pafs.FileSystem.from_uri(uri)
@@ -150,9 +160,15 @@ class RunFolder:
                 with suppress(OSError):  # if a folder of the path is a file, there is nothing to remove
                     aside.unlink()
             raise cannot_write(f"{self.uri}/{name}", error) from error
+        if _FILE.fullmatch(name):
+            self.written[name] = hashlib.sha256(content).hexdigest()
 
-    def read_bytes(self, name: str) -> bytes | None:
+    def read_bytes(self, name: str, most: int | None = None) -> bytes | None:
         """Returns the content of a file, or None if the file does not exist.
+
+        Args:
+            name: The file, relative to the folder.
+            most: The number of first bytes that are read; None: all.
 
         Raises:
             ConfigError: The file cannot be read.
@@ -162,9 +178,19 @@ class RunFolder:
             if self.filesystem.get_file_info(path).type != pafs.FileType.File:
                 return None
             with self.filesystem.open_input_stream(path) as stream:
-                return cast(bytes, stream.read())
+                return cast(bytes, stream.read(most))
         except OSError as error:
             raise _unreachable(f"{self.uri}/{name}", error) from error
+
+    def read_document(self, name: str) -> Any:
+        """Returns the content of a JSON file, such as the manifest, or None if the file does not exist.
+
+        Raises:
+            ConfigError: The file cannot be read.
+            ValueError: It is no JSON, or too large (:func:`stable_data.json_text.document_of`).
+        """
+        content = self.read_bytes(name, LIMITS.text.max_document_bytes + 1)
+        return None if content is None else document_of(content)
 
     def write_shard(self, table: str, shard_id: str, rows: Sequence[Mapping[str, Any]]) -> None:
         """Writes one shard of a table, as several files if it exceeds MAX_BYTES.
@@ -207,6 +233,19 @@ class RunFolder:
             except OSError as error:
                 raise cannot_write(path, error) from error
 
+    def tables(self) -> list[str]:
+        """Returns the names of the folders that have files of shards, sorted; those of unknown tables too.
+
+        Raises:
+            ConfigError: The folder cannot be read.
+        """
+        try:
+            infos = self.filesystem.get_file_info(pafs.FileSelector(self.root, allow_not_found=True))
+        except OSError as error:
+            raise _unreachable(self.uri, error) from error
+        names = sorted(info.base_name for info in infos if info.type == pafs.FileType.Directory)
+        return [name for name in names if not name.startswith(".") and self.files(name)]
+
     def shard_ids(self, table: str) -> set[str]:
         """Returns the ids of the complete shards of a table; see :meth:`files`."""
         names = (Path(path).name for path in self.files(table))
@@ -230,7 +269,7 @@ class RunFolder:
             infos = self.filesystem.get_file_info(pafs.FileSelector(self._path(table), allow_not_found=True))
         except OSError as error:
             raise _unreachable(f"{self.uri}/{table}", error) from error
-        matches = ((_PART.fullmatch(info.base_name), info) for info in infos)
+        matches = ((PART.fullmatch(info.base_name), info) for info in infos)
         found = {(match[1], int(match[2] or 0)): info for match, info in matches if match}
         return [
             (info.path, int(info.size or 0), int(info.mtime_ns or 0))
@@ -264,13 +303,21 @@ class RunFolder:
         object store are read several at a time, since each one has a latency.
 
         Raises:
-            ConfigError: As :meth:`dataset`.
+            ConfigError: As :meth:`dataset`; a file needs too much memory (``shard_too_big``).
         """
         wanted = SCHEMAS[table].names if columns is None else list(columns)
-        ahead = {"batch_readahead": 1, "fragment_readahead": 1 if self.is_local else _AHEAD, "cache_metadata": False}
-        for part in self._parts(table):
-            with self._naming_what_is_broken(part):
-                yield from part.to_batches(wanted, filter=where, **ahead)
+        at_once = 1 if self.is_local else _AHEAD
+        ahead = {"batch_readahead": 1, "fragment_readahead": at_once, "cache_metadata": False}
+        with ThreadPoolExecutor(_AHEAD) as pool:
+            for part in self._parts(table):
+                with self._naming_what_is_broken(part):
+                    if all(pool.map(_is_small, part.get_fragments())):
+                        yield from part.to_batches(wanted, filter=where, **ahead)
+                        continue
+                    for start in range(0, len(part.files), at_once):  # a scan would decode a row group as a whole
+                        streams = (self._stream(table, path, wanted, where) for path in part.files[start : start + at_once])
+                        for stream in pool.map(_begin, streams):
+                            yield from stream
 
     def table(
         self,
@@ -281,7 +328,7 @@ class RunFolder:
     ) -> pa.Table:
         """Returns a table of the run, or some of its columns (or expressions of them), rows and shards.
 
-        See :meth:`dataset`. A file that needs more than MAX_DECODED is refused (``shard_too_big``); :meth:`batches` reads it.
+        See :meth:`dataset`. A file that needs too much memory is refused (``shard_too_big``); see :class:`stable_data.limits.TableLimits`.
         """
         wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
         files = [path for path in self.dataset(table).files if shard_ids is None or _shard_of(path) in shard_ids]
@@ -306,7 +353,7 @@ class RunFolder:
             columns: Columns, or None for all.
 
         Raises:
-            ConfigError: The file cannot be read, or needs more than MAX_DECODED.
+            ConfigError: The file cannot be read, or needs too much memory (``shard_too_big``).
         """
         return self._read(table, path, None if columns is None else list(columns), None)
 
@@ -335,18 +382,29 @@ class RunFolder:
 
     def _read(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
         """Reads the requested columns and rows of one file."""
-        schema = SCHEMAS[table]
-        names = _names_in(schema.names if wanted is None else wanted, where)
-        needed = [name for name in schema.names if name in names]
+        known = _needed(SCHEMAS[table], wanted, where)
         try:
-            fragment = ds.ParquetFileFormat().make_fragment(path, self.filesystem)
-            fragment = fragment if where is None else fragment.subset(where, schema=schema)
-            with pq.ParquetFile(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
-                rows = read_row_groups(file, path, [group.id for group in fragment.row_groups], needed)
+            with self._open(table, path, where) as (file, groups):
+                rows = read_row_groups(file, path, groups, known.names)
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(self.uri, path, error) from error
-        known = pa.schema([schema.field(name) for name in needed], schema.metadata)
         return _chosen(conform_to_schema(rows, known), wanted, where)
+
+    def _stream(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> Iterator[pa.RecordBatch]:
+        """As :meth:`_read`, a few rows at a time."""
+        known = _needed(SCHEMAS[table], wanted, where)
+        with self._open(table, path, where) as (file, groups):
+            for batch in bounded_batches(file, path, groups, known.names):
+                rows = conform_to_schema(pa.Table.from_batches([batch]), known)
+                yield from _chosen(rows, wanted, where).to_batches()
+
+    @contextmanager
+    def _open(self, table: str, path: str, where: pc.Expression | None) -> Iterator[tuple[pq.ParquetFile, list[int]]]:
+        """Opens a file, and names its row groups that may contain requested rows."""
+        fragment = ds.ParquetFileFormat().make_fragment(path, self.filesystem)
+        fragment = fragment if where is None else fragment.subset(where, schema=SCHEMAS[table])
+        with pq.ParquetFile(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
+            yield file, [group.id for group in fragment.row_groups]
 
     def _parts(self, table: str, files: Sequence[str] | None = None) -> Iterator[ds.Dataset]:
         """Yields a table of the run, or some of its files, as datasets of a few files.
@@ -392,35 +450,75 @@ def read_row_groups(
         use_threads: Whether columns are decoded in parallel.
 
     Raises:
-        ConfigError: The row groups need more than MAX_DECODED (``shard_too_big``).
+        ConfigError: The row groups need too much memory (``shard_too_big``).
     """
     batches, size = list[pa.RecordBatch](), 0
-    for group in groups:
-        footer = file.metadata.row_group(group)
-        stated = footer.total_byte_size
-        found: Iterable[pa.RecordBatch] = ()
-        if footer.num_rows * stated <= MAX_DECODED:  # no value is larger than the bytes of its row group
-            found = file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
-        elif stated <= MAX_DECODED:
-            found = file.iter_batches(max(1, MAX_DECODED // stated), [group], columns, use_threads=use_threads)
-        for batch in found:
-            size += batch.nbytes
-            if size > MAX_DECODED:
-                break
-            batches.append(batch)
-        if max(size, stated) > MAX_DECODED:
-            raise ConfigError(
-                f"{path}: needs more than {MAX_DECODED:,} bytes of memory, expected at most this for one file of a table; "
-                "the file may be malicious; if you trust it, write its rows to several files",
-                "shard_too_big",
-            )
+    for batch in bounded_batches(file, path, groups, columns, use_threads=use_threads):
+        size += batch.nbytes
+        if size > LIMITS.table.max_decoded_bytes:
+            raise _too_big(path, "one file of a table")
+        batches.append(batch)
     # Batches, not tables: a concatenation of tables without columns loses the number of their rows.
     return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
 
 
+def bounded_batches(
+    file: pq.ParquetFile,
+    path: str,
+    groups: Iterable[int],
+    columns: Sequence[str] | None = None,
+    *,
+    most_rows: int | None = None,
+    use_threads: bool = True,
+) -> Iterator[pa.RecordBatch]:
+    """Yields the rows of row groups in batches that need little memory each; see :func:`read_row_groups`.
+
+    Args:
+        file: The file.
+        path: Path of the file, for the message.
+        groups: Indices of the row groups.
+        columns: Columns or leaves of columns, as Parquet names them, or None for all.
+        most_rows: Rows of a batch, or None for all of a row group if they need little memory.
+        use_threads: Whether columns are decoded in parallel.
+
+    Raises:
+        ConfigError: A row group states more bytes than the limit (``shard_too_big``).
+    """
+    limit = LIMITS.table.max_decoded_bytes
+    for group in groups:
+        footer = file.metadata.row_group(group)
+        if (stated := footer.total_byte_size) > limit:
+            raise _too_big(path, "one row group")
+        rows = limit // max(stated, 1)  # no value is larger than the bytes of its row group
+        if most_rows is None and footer.num_rows <= rows:
+            yield from file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
+        else:
+            yield from file.iter_batches(max(1, min(rows, most_rows or rows)), [group], columns, use_threads=use_threads)
+
+
+def _begin(stream: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """The same stream; its first batch, in most files all rows, is read now."""
+    return chain(list(islice(stream, 1)), stream)
+
+
+def _needed(schema: pa.Schema, wanted: _Columns, where: pc.Expression | None) -> pa.Schema:
+    """The columns that the requested ones and the condition need."""
+    names = _names_in(schema.names if wanted is None else wanted, where)
+    return pa.schema([field for field in schema if field.name in names], schema.metadata)
+
+
+def _too_big(path: str, of: str) -> ConfigError:
+    return ConfigError(
+        f"{path}: needs more memory, expected {at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')} for {of}; "
+        "the file may be malicious; if you trust it, write its rows to several files",
+        "shard_too_big",
+    )
+
+
 def _is_small(fragment: ds.ParquetFileFragment) -> bool:
-    """Whether a file cannot exceed MAX_DECODED; no value is larger than the bytes of its row group."""
-    return bool(sum(group.num_rows * group.total_byte_size for group in fragment.row_groups) <= MAX_DECODED)
+    """Whether a file cannot need too much memory; no value is larger than the bytes of its row group."""
+    most = sum(group.num_rows * group.total_byte_size for group in fragment.row_groups)
+    return bool(most <= LIMITS.table.max_decoded_bytes)
 
 
 def _shard_of(path: str) -> str:

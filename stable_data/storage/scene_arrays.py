@@ -6,6 +6,7 @@ it; ``stable_data.storage.torch_dataset`` makes tensors from it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -15,6 +16,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from stable_data.errors import ConfigError
 from stable_data.scene import IntArray, Relation, RelationKind, Scene, SceneObject, Stage, Tabletop
 from stable_data.storage.schemas import OBJECT, TASK
 from stable_data.storage.table_rows import surface_from_row, task_from_row
@@ -60,7 +62,26 @@ def scenes_from_table(table: pa.Table) -> list[Scene]:
 
     Args:
         table: Rows with at least SCENE_LEAVES.
+
+    Raises:
+        ConfigError: A value is missing or none of a scene (``rows_invalid``).
     """
+    with _naming_what_is_broken():
+        return _scenes(table)
+
+
+@contextmanager
+def _naming_what_is_broken() -> Iterator[None]:
+    """Says that rows are not those of a job: a run may come from anywhere."""
+    try:
+        yield
+    except (pa.ArrowException, LookupError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        message = f"table scenes: rows cannot be used ({reason:.200}), expected what a job writes; make the run again"
+        raise ConfigError(message, "rows_invalid") from error
+
+
+def _scenes(table: pa.Table) -> list[Scene]:
     sizes, zones = _vectors(table["table_size"], 2), _vectors(table["restricted_zone"], 4)
     surfaces = [surface_from_row(row) for row in table["surface"].to_pylist()]
     tables = map(Tabletop, table["table_type"].to_pylist(), sizes, zones, (clearance for _, clearance in surfaces))
@@ -119,13 +140,22 @@ class SceneArrays:
 
     @classmethod
     def from_table(cls, table: pa.Table) -> "SceneArrays":
-        """Returns the arrays of rows of ``scenes`` with at least ARRAY_LEAVES, equal to those of the scenes themselves."""
+        """Returns the arrays of rows of ``scenes`` with at least ARRAY_LEAVES, equal to those of the scenes themselves.
+
+        Raises:
+            ConfigError: A value is missing or none of a scene (``rows_invalid``).
+        """
+        with _naming_what_is_broken():
+            return cls._from_table(table)
+
+    @classmethod
+    def _from_table(cls, table: pa.Table) -> "SceneArrays":
         objects = _flat(table["objects"])
         position, yaw = _numbers(objects, "position", 3), _numbers(objects, "yaw", 1)
         return cls(
             scene_ids=table["scene_id"].to_pylist(),
             instructions=pc.struct_field(table["task"], "task").to_pylist(),
-            table_size=_flat(table["table_size"]).to_numpy().astype(np.float32).reshape(-1, 2),
+            table_size=_flat(_of_length(table["table_size"], 2)).to_numpy().astype(np.float32).reshape(-1, 2),
             counts=_counts(table["objects"]),
             instances=pc.struct_field(objects, "instance").to_pylist(),
             asset_ids=pc.struct_field(objects, "asset_id").to_pylist(),
@@ -156,15 +186,24 @@ def _split(items: Sequence[T], column: pa.ChunkedArray) -> Iterator[tuple[T, ...
 def _numbers(objects: pa.StructArray, name: str, width: int) -> npt.NDArray[np.float32]:
     """Returns a numeric field of every object, (M, width) float32."""
     values = pc.struct_field(objects, name)
-    flat = values if width == 1 else values.flatten()
+    flat = values if width == 1 else _of_length(values, width).flatten()
+    if values.null_count:
+        raise ValueError(f"an object has no {name}")
     numbers: npt.NDArray[np.float32] = flat.to_numpy().astype(np.float32).reshape(-1, width)
     return numbers
+
+
+def _of_length(column: Any, width: int) -> Any:
+    """The column, whose lists have one length: another one would shift the numbers of all that follow."""
+    if not pc.all(pc.equal(pc.list_value_length(column), width), min_count=0).as_py():
+        raise ValueError(f"a list has another length than {width}")
+    return column
 
 
 def _vectors(column: pa.Array | pa.ChunkedArray, width: int) -> Iterator[Any]:
     """Yields lists of one length as tuples, and None for null."""
     array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-    whole = zip(*[iter(array.flatten().to_numpy().tolist())] * width, strict=True)
+    whole = zip(*[iter(_of_length(array, width).flatten().to_numpy().tolist())] * width, strict=True)
     return (next(whole) if valid else None for valid in column.is_valid().to_pylist())
 
 

@@ -14,7 +14,7 @@ OLDEST_VERSION = 1
 
 def version_of(schema: pa.Schema) -> str:
     """The version of the tables with which a file was written, as text; ``none`` if the file does not say."""
-    return str((schema.metadata or {}).get(b"stable_data.version", b"none").decode(errors="replace"))
+    return str((schema.metadata or {}).get(b"stable_data.version", b"none").decode("utf-8", "backslashreplace"))[:40]
 
 
 def is_older_version(version: str) -> bool:
@@ -39,7 +39,7 @@ def check_schema(schema: pa.Schema, table: str, where: str) -> None:
             "bring the run up to date with: stable-data upgrade RUN"
             if is_older_version(found)
             else "install the version of stable-data that wrote it, or a newer one"
-            if found.isdigit() and int(found) > TABLE_VERSION
+            if found.isascii() and found.isdigit() and int(found) > TABLE_VERSION
             else "run the job again into a new folder"
         )
         raise ConfigError(f"{where}: written as table version {found}, expected {TABLE_VERSION}; {remedy}", "table_version")

@@ -1,6 +1,5 @@
 """Copies the scenes of runs that pass a condition to another run, with their assets and rows of other tables."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -13,8 +12,8 @@ from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import texture_addresses
-from stable_data.storage.id_hashes import Hashes, id_hashes
-from stable_data.storage.manifest import write_manifest
+from stable_data.storage.id_hashes import IdSet, id_hashes
+from stable_data.storage.manifest import COMPLETE, MANIFEST, PLANNED, write_manifest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.storage.table_scan import TableScan
@@ -71,6 +70,7 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
         "input_fingerprint": content_id(*read),
         "inputs": {"run": run.uri} | ({"joined": [one.uri for one in joined]} if joined else {}),
         "settings": {"where": where},
+        PLANNED: [],  # what is selected is what there is
     }
     previous = _previous_manifest(target, manifest)
     if previous and previous["code_version"] != manifest["code_version"]:
@@ -88,7 +88,7 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
             _write(table, _without_doubles(parts, "sha256") if table == "textures" else parts, target)
     counts = {table: target.num_rows(table) for table in tables}
     left_out = {"doubles": {"scenes": doubles.count, "different": doubles.num_different}} if joined else {}
-    write_manifest(target, manifest | {"status": "complete", "counts": counts} | left_out)
+    write_manifest(target, manifest | {"status": COMPLETE, "counts": counts} | left_out)
     return counts
 
 
@@ -174,41 +174,24 @@ class _Doubles:
 
 
 class _Chosen:
-    """The ids of the selected scenes and of their assets; scenes and assets may be very many, and 16 bytes stand for a scene.
-
-    A scene is known by a hash of 128 bits of its id: two ids of a run with one hash are less likely than an error of the memory.
-    """
+    """The ids of the selected scenes and of their assets; scenes and assets may be very many, and 16 bytes stand for a scene."""
 
     def __init__(self) -> None:
-        self.asset_ids = set[str]()
-        self._parts = list[Hashes]()
-        self._first = self._second = np.zeros(0, np.uint64)
+        self.asset_ids, self._names = set[str](), IdSet()
 
     def noted(self, part: pa.Table) -> pa.Table:
         """Notes the scenes of a part of the table ``scenes``, and returns the part."""
-        self._parts.append(id_hashes(part["scene_id"]))
+        self._names.add(part["scene_id"])
         self.asset_ids |= used_assets(part)
         return part
 
     def close(self) -> None:
-        """Makes the scenes known; the ids of assets are ids of rows too, in tables such as ``warnings``."""
-        hashes = np.concatenate([*self._parts, id_hashes(_texts(self.asset_ids))])
-        self._parts.clear()
-        order = np.argsort(hashes[:, 0])
-        self._first, self._second = hashes[order, 0], hashes[order, 1]
+        """Makes the assets known too: their ids are ids of rows in tables such as ``warnings``."""
+        self._names.add(_texts(self.asset_ids))
 
     def has(self, names: pa.ChunkedArray) -> pa.Array:
         """Whether each name is that of a selected scene or of an asset in use, booleans."""
-        first, second = id_hashes(names).T
-        places = np.searchsorted(self._first, first)
-        found, is_open = np.zeros(len(first), bool), np.ones(len(first), bool)
-        while is_open.any():  # one round, unless two ids share half of their hash
-            is_open &= places < len(self._first)
-            is_open[is_open] = self._first[places[is_open]] == first[is_open]
-            found[is_open] = self._second[places[is_open]] == second[is_open]
-            is_open &= ~found
-            places += 1
-        return pa.array(found)
+        return pa.array(self._names.has(names))
 
 
 def used_assets(scenes: pa.Table | pa.RecordBatch) -> set[str]:
@@ -275,13 +258,15 @@ def _previous_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[s
     Raises:
         ConfigError: The target has other content, or an incomplete selection of another code version.
     """
-    content = target.read_bytes("manifest.json")
-    if content is None and not any(target.files(table) for table in SCHEMAS):
-        return {}
     try:
-        previous = {} if content is None else dict(json.loads(content))
+        document = target.read_document(MANIFEST)
+        if document is None and not any(target.files(table) for table in SCHEMAS):
+            return {}
+        previous = dict(document or {})
+    except ConfigError:
+        raise
     except (ValueError, TypeError):
-        previous = {}
+        previous = {}  # a damaged manifest matches no settings
     keys = ("job", "table_version", "input_fingerprint", "settings")
     refuse_changed(target.uri, {key: previous.get(key) for key in keys}, {key: manifest[key] for key in keys})
     if previous.get("code_version") != manifest["code_version"] and not _is_complete(target, previous):
@@ -297,7 +282,7 @@ def _previous_manifest(target: RunFolder, manifest: dict[str, object]) -> dict[s
 def _is_complete(target: RunFolder, previous: Mapping[str, Any]) -> bool:
     counts = previous.get("counts")
     return (
-        previous.get("status") == "complete"
+        previous.get("status") == COMPLETE
         and isinstance(counts, dict)
         and counts == {table: target.num_rows(table) for table in counts if target.files(table)}
     )

@@ -1,6 +1,7 @@
 """Rows of tables from scenes, tasks, cards and notices, and back, without loss."""
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any
@@ -8,8 +9,9 @@ from typing import Any
 import pyarrow as pa
 
 from stable_data.condition import condition_document, condition_of
-from stable_data.errors import Notice
-from stable_data.json_text import json_text
+from stable_data.errors import Notice, SceneError
+from stable_data.json_text import json_text, quote_value
+from stable_data.limits import LIMITS, at_most
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.judge_columns import FURTHER_COLUMNS
 from stable_data.metrics.reach_columns import REACH_COLUMNS
@@ -119,7 +121,55 @@ def scene_row(scene: Scene) -> Row:
 
 
 def scene_from_row(row: Mapping[str, Any]) -> Scene:
-    """Returns the scene of a row that :func:`scene_row` made; other columns are ignored."""
+    """Returns the scene of a row that :func:`scene_row` made; other columns are ignored.
+
+    Raises:
+        SceneError: ``row_invalid``: a value is missing or none of a scene. A run may come from anywhere.
+    """
+    try:
+        scene = _scene_of(row)
+        _check_scene(scene)
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        message = f"{quote_value(row.get('scene_id'))}: the row of its scene cannot be used ({reason:.200})"
+        raise SceneError(f"{message}, expected what a job writes; make the run again", "row_invalid") from error
+    return scene
+
+
+def _check_scene(scene: Scene) -> None:
+    """Refuses values that no scene has.
+
+    Raises:
+        TypeError, ValueError: See above.
+    """
+    texts = [scene.scene_id, scene.table.table_type]
+    width, depth = scene.table.size_xy
+    numbers = [width, depth, *_several(scene.table.restricted_zone, 4)]
+    for o in scene.objects:
+        texts += (o.instance, o.category, o.description)
+        numbers += (*_several(o.position, 3), *_several(o.size, 3), o.yaw)
+        numbers += (*_several(o.scale, 3), *_several(o.tilt_quat_xyzw, 4))
+    if scene.frame is not None:
+        texts += (scene.frame.support, scene.frame.surface)
+        numbers += (*_several(scene.frame.origin, 3), scene.frame.yaw)
+    if scene.task is not None:
+        texts += (scene.task.environment, scene.task.task)
+        if len(scene.task.task) > LIMITS.text.max_instruction:
+            most = at_most(LIMITS.text, "max_instruction", "characters")
+            raise ValueError(f"a task of {len(scene.task.task):,} characters, expected {most}")
+    if not all(type(text) is str for text in texts):
+        raise TypeError("a text is null")
+    if not (all(map(math.isfinite, numbers)) and width > 0 and depth > 0):
+        raise ValueError("a number is not finite, or the table has no extents")
+
+
+def _several(values: Sequence[float] | None, count: int) -> Sequence[float]:
+    if values is not None and len(values) != count:
+        raise ValueError(f"a list of {len(values)} numbers, expected {count}")
+    return values or ()
+
+
+def _scene_of(row: Mapping[str, Any]) -> Scene:
     zone, source = row["restricted_zone"], row["source_json"]
     frame, clearance = surface_from_row(row.get("surface"))
     size_x, size_y = row["table_size"]

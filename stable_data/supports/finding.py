@@ -17,6 +17,7 @@ import shapely
 
 from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh, join_meshes, unit_normals
+from stable_data.limits import LIMITS, SETTING
 from stable_data.rotations import rotate_xy
 from stable_data.scene import FloatArray
 from stable_data.supports.shadow import Shadows, common, grown, union, without
@@ -53,7 +54,7 @@ class SupportLimits:
     fin: float = 0.02
     margin: float = 0.002
     reach: float = 0.02
-    max_faces: int = 1_000_000
+    max_faces: int = LIMITS.work.max_support_faces
 
 
 _LEAST_CEILING = 0.1  # share of a plane that must be covered so that the covered part is a surface of its own
@@ -88,7 +89,9 @@ def find_surfaces(
         raise MeshError("the support has corners that are not finite, expected finite metres; repair it", "not_finite")
     if len(whole.faces) > limits.max_faces:
         raise MeshError(
-            f"the support has {len(whole.faces)} faces, expected at most {limits.max_faces}; reduce it", "mesh_too_large"
+            f"the support has {len(whole.faces)} faces, expected at most {limits.max_faces:,} (work.max_support_faces in {SETTING}); "
+            "reduce it",
+            "mesh_too_large",
         )
     if not len(whole.faces):
         return ()

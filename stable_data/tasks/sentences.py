@@ -12,6 +12,8 @@ from stable_data.errors import GoalError
 from stable_data.instructions.naming import ObjectNamer
 from stable_data.instructions.wording.vocabulary import answers_to
 from stable_data.instructions.wording.words import category_words, singular, type_words
+from stable_data.json_text import quote_value
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import TABLE, RelationKind, Scene, TaskInfo
 from stable_data.scene_graph.relations import SceneGraph
 from stable_data.tasks.regions import DIRECTIONS
@@ -153,6 +155,9 @@ class GoalSentences:
         Raises:
             GoalError: ``goal_not_checkable``: a sentence or action has no checkable form; ``goal_unresolved``.
         """
+        for words in (*self._task.goal, *self._task.action_sequence):
+            if len(words) > LIMITS.text.max_instruction:  # the time of the forms grows with the third power of the length
+                raise not_checkable(words, f"it is longer, expected {at_most(LIMITS.text, 'max_instruction', 'characters')}")
         for action in self._task.action_sequence:
             if _UNCHECKABLE.match(action):
                 raise not_checkable(action, "no state of the scene shows that it was done")
@@ -357,7 +362,7 @@ class GoalSentences:
 
 def not_checkable(words: str, reason: str) -> GoalError:
     """Returns the error for a sentence or action that cannot be checked."""
-    return GoalError(f"{words!r} cannot be checked ({reason}); leave the task out", "goal_not_checkable")
+    return GoalError(f"{quote_value(words)} cannot be checked ({reason}); leave the task out", "goal_not_checkable")
 
 
 _UNCHECKABLE = re.compile(r"\s*(?!Pick\b|PlaceOn\b|PlaceAt\b|Push\b)\w+\(|.*\(above .*\)")

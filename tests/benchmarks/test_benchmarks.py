@@ -14,7 +14,7 @@ from benchmarks import __main__ as benchmarks
 from benchmarks.audit import readable_scenes
 from benchmarks.generalisation import CASES, outcome
 from benchmarks.meshes import repaired_meshes
-from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED
+from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
 from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop

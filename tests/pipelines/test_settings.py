@@ -23,6 +23,7 @@ from pipelines.retired import RETIRED
 from pipelines.settings import JOBS, list_settings, resolve_settings
 from stable_data.config_diff import config_differences
 from stable_data.errors import ConfigError
+from tests.bounds import soon
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESETS = [(verb, "") for verb in JOBS]
@@ -280,3 +281,11 @@ def test_a_table_of_settings_has_no_key_that_is_not_there(doc: str) -> None:
 def test_every_key_that_a_document_sets_is_there(file: Path) -> None:
     keys = {setting.key for verb in JOBS for setting in list_settings(verb)}
     assert set(re.findall(r"--set '?(?!key=)([\w.]+)=", file.read_text("utf-8"))) <= keys
+
+
+def test_a_large_file_is_not_parsed(tmp_path: Path) -> None:
+    """The time of the parser grows with the square of a key's length: 100,000 parts took minutes."""
+    file = tmp_path / "run.toml"
+    file.write_text("[sample]\na" + ".a" * 100_000 + " = 1\n", "utf-8")
+    with soon(2.0), pytest.raises(ConfigError, match=r"at most 65,536 bytes \(text\.max_config_bytes in STABLE_DATA_LIMITS\)"):
+        resolve_settings(Sample, "sample", file, [])

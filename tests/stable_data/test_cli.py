@@ -11,7 +11,8 @@ import typer
 from typer.testing import CliRunner, Result
 
 import stable_data.mesatask.lint
-from stable_data.cli import DEBUG, INTERRUPTED, NOT_STARTED, app, with_clear_errors
+from stable_data.cli import app
+from stable_data.commands.command_line import DEBUG, INTERRUPTED, NOT_STARTED, with_clear_errors
 from stable_data.extras import EXTRA_OF_MODULE
 from stable_data.mesatask.lint import LintResult
 from stable_data.storage.run_folder import RunFolder

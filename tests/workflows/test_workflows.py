@@ -20,7 +20,7 @@ from ray.autoscaler._private.util import prepare_config, validate_config
 
 from benchmarks.chaos import below, compared
 from pipelines.__main__ import app
-from stable_data.cli import DONE, SOME_FAILED
+from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.storage.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,8 +15,8 @@ from models.physics_corrector.certify.options import CertificationResult, Certif
 from models.physics_corrector.certify.support_inference import expected_carriers, infer_carriers, known_carriers
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import BOUNDS_SLACK, Audit, audit_scene
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.audit import BOUNDS_SLACK, audit_scene
+from stable_data.metrics.verdicts import TOLERANCE, Audit
 from stable_data.scene import Scene
 
 _DEFAULT = CertifyOptions()

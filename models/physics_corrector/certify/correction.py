@@ -9,10 +9,11 @@ from models.physics_corrector.certify import CertificationResult, CorrectionStat
 from stable_data.assets.store import AssetStore
 from stable_data.errors import Notice
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.movement import add_movement
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Relation, Scene
 
 if TYPE_CHECKING:  # MuJoCo takes long to import

@@ -15,8 +15,8 @@ from models.physics_corrector.certify.support_inference import TABLE_TOP, Suppor
 from models.physics_corrector.packing.packing_problem import AXES, PackingProblem, holds_relation
 from models.physics_corrector.packing.separation import separate_bodies
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import Audit, audit_scene
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import TOLERANCE, Audit
 from stable_data.scene import FloatArray, Scene
 
 # If the total footprint is over _OVERFULL of the table area, objects are dropped before the search until it is under _PACKED

@@ -7,9 +7,10 @@ import fcl
 import numpy as np
 
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.collision import DIRECTIONS, NEAR, ROUNDING, TOLERANCE, is_nested
+from stable_data.metrics.collision import DIRECTIONS, NEAR, is_nested
 from stable_data.metrics.support import carries
 from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles
+from stable_data.metrics.verdicts import ROUNDING, TOLERANCE
 from stable_data.scene import FloatArray, IntArray
 
 _ANY = fcl.CollisionRequest()

@@ -5,8 +5,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Literal
 
 from stable_data.errors import ConfigError
-from stable_data.metrics.audit import Audit
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.verdicts import TOLERANCE, Audit
 from stable_data.scene import Relation, Scene
 
 if TYPE_CHECKING:

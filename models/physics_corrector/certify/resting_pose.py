@@ -12,7 +12,7 @@ from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.static_stability import centre_of_mass, stands_alone, steadiness
 from models.physics_corrector.certify.support_inference import SupportEdge, distance_outside
 from stable_data.geometry.leaning import RIM_MARGIN
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.verdicts import TOLERANCE
 from stable_data.scene import FloatArray
 from stable_data.scene_graph.relations import INSIDE_SLACK
 

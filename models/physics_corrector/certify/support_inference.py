@@ -19,7 +19,7 @@ from models.physics_corrector.certify.static_stability import stands_alone, stea
 from models.physics_corrector.packing.slab_outline import BoolArray
 from stable_data.geometry.leaning import RIM_MARGIN
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.verdicts import TOLERANCE
 from stable_data.scene import TABLE, FloatArray, RelationKind, Scene
 from stable_data.scene_graph.relations import INSIDE_SLACK
 from stable_data.scene_graph.support_tree import ancestors

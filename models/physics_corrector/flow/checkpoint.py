@@ -12,7 +12,7 @@ from torch import Tensor
 from models.physics_corrector.flow.flow_matching import FlowMatching
 from models.physics_corrector.flow.presets import CorrectorSettings
 from models.physics_corrector.flow.velocity_network import VelocityNetwork
-from models.training.weights_file import fill_network, read_notes, save_weights
+from models.training.weights_file import build_no_larger_than, fill_network, read_notes, save_weights
 from stable_data.errors import ConfigError
 
 DEFAULT_WEIGHTS = Path(__file__).resolve().parents[2] / "weights" / "physics_corrector.safetensors"
@@ -78,6 +78,6 @@ def load_corrector(path: Path, expected: CorrectorSettings | None = None) -> Che
             "train again or use the settings of the file",
             "checkpoint_mismatch",
         )
-    network, flow = settings.build()
+    network, flow = build_no_larger_than(path, settings.build)
     fill_network(path, network)
     return Checkpoint(settings, network.eval(), flow, notes)

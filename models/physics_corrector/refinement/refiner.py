@@ -30,8 +30,8 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import MeshError
 from stable_data.geometry.leaning import RIM_MARGIN
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import Audit, audit_scene
-from stable_data.metrics.collision import ROUNDING, TOLERANCE
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import ROUNDING, TOLERANCE, Audit
 from stable_data.rotations import YAW_ARM
 from stable_data.scene import TABLE, FloatArray, Scene
 

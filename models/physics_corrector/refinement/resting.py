@@ -8,7 +8,7 @@ from torch import Tensor
 from models.physics_corrector.refinement.contacts import Contacts, find_contacts, pairs_in_bodies
 from models.physics_corrector.refinement.problem import RefinementProblem
 from models.physics_corrector.refinement.separation import combined_steps, parting, posed_outlines
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.verdicts import TOLERANCE
 
 # Tuned on: the proposals of generated scenes, see docs/refinement.md. Lengths in metres.
 _LEVEL = 0.9 * TOLERANCE  # a root whose underside is this near to the table top keeps its height

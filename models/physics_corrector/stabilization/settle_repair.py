@@ -26,7 +26,7 @@ from models.physics_corrector.stabilization.settle_trial import SettleTrial
 from stable_data.errors import SceneError
 from stable_data.geometry.leaning import RIM_MARGIN
 from stable_data.metrics.audit import BOUNDS_SLACK, audit_scene
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.verdicts import TOLERANCE
 from stable_data.scene import FloatArray, Relation, Scene
 from stable_data.scene_graph.relations import INSIDE_SLACK
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, settle

@@ -27,8 +27,8 @@ from models.physics_corrector.training.stage_prefixes import drop_empty_slots, p
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import PosedScene, audit_posed_scene
-from stable_data.metrics.collision import TOLERANCE
 from stable_data.metrics.relations_kept import DIRECTIONAL
+from stable_data.metrics.verdicts import TOLERANCE
 from stable_data.rotations import YAW_ARM
 from stable_data.scene import FloatArray, Relation, RelationKind, Scene
 from stable_data.scene_graph.relations import relations_of, scene_graph

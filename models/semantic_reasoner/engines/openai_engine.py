@@ -12,19 +12,21 @@ import secrets
 import threading
 import time
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import replace
 from typing import Any
 from urllib.parse import urlsplit
 
+import httpx2
 import openai
 
 from models.semantic_reasoner.engines.http_settings import CONNECT_SECONDS, HttpSettings
 from models.semantic_reasoner.engines.protocol import OFF, Completion, Request, Sampling
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, one_line
+from stable_data.limits import LIMITS, at_most
 
 AMBIGUOUS = ("connection_failed", "endpoint_error", "endpoint_timeout", "request_refused")
 """Codes of failures that either the endpoint or a single request may cause."""
@@ -146,6 +148,8 @@ class OpenAIEngine:
                 answer = (await create(model=s.model, messages=messages, extra_body=sent_fields)).http_response
         except TimeoutError:
             return self._failure("endpoint_timeout", f"no answer within {s.total_s:g} s")
+        except _UnreadableAnswer as error:
+            return self._failure("response_invalid", str(error))
         except openai.APIError as error:
             code, what = failure_reason(error)
             return self._failure(code, what, _NO_SIGHT if request.pictures and code == "request_refused" else "")
@@ -169,7 +173,8 @@ def _client(settings: HttpSettings, key: str) -> openai.AsyncOpenAI:
         more: dict[str, Any] = {
             "timeout": openai.Timeout(settings.read_s, connect=CONNECT_SECONDS),
             "max_retries": settings.tries - 1,
-            "http_client": openai.DefaultAsyncHttpxClient(follow_redirects=False),
+            "default_headers": {"Accept-Encoding": "identity"},
+            "http_client": openai.DefaultAsyncHttpxClient(follow_redirects=False, event_hooks={"response": [_bound_answer]}),
         }
         if version := settings.azure_api_version:
             return openai.AsyncAzureOpenAI(azure_endpoint=settings.base_url, api_version=version, api_key=key, **more)
@@ -177,6 +182,36 @@ def _client(settings: HttpSettings, key: str) -> openai.AsyncOpenAI:
     except (ImportError, OSError, ValueError) as error:
         message = f"a client for {settings.base_url} cannot be made ({first_line(str(error))})"
         raise ConfigError(f"{message}; check the proxies and SSL_CERT_FILE of the environment", "config_invalid") from error
+
+
+class _UnreadableAnswer(openai.OpenAIError):
+    """An answer that is not read. The client passes this error on, and does not ask again."""
+
+
+class _BoundedStream(httpx2.AsyncByteStream):
+    """The body of an answer, up to the limit: an endpoint could send one without an end."""
+
+    def __init__(self, stream: httpx2.AsyncByteStream) -> None:
+        self._stream = stream
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        size = 0
+        async for chunk in self._stream:
+            size += len(chunk)
+            if size > LIMITS.text.max_answer_bytes:
+                raise _UnreadableAnswer(f"the answer is larger, expected {at_most(LIMITS.text, 'max_answer_bytes', 'bytes')}")
+            yield chunk
+
+    async def aclose(self) -> None:
+        await self._stream.aclose()
+
+
+async def _bound_answer(answer: httpx2.Response) -> None:
+    """Bounds the body of an answer before it is read; nobody asked for a compressed one, which could become very large."""
+    assert isinstance(answer.stream, httpx2.AsyncByteStream)
+    answer.stream = _BoundedStream(answer.stream)
+    if answer.headers.get("Content-Encoding", "identity") != "identity":
+        raise _UnreadableAnswer("the answer is compressed, expected plain JSON")
 
 
 def _run(loop: asyncio.AbstractEventLoop) -> None:
@@ -276,4 +311,4 @@ def failure_reason(error: openai.APIError) -> tuple[str, str]:
 
 def first_line(words: str) -> str:
     """Returns text from outside as one line of at most 300 characters."""
-    return " ".join(words.split())[:300]
+    return one_line(" ".join(words.split())[:300])

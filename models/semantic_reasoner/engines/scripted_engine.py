@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 from models.semantic_reasoner.engines.protocol import Completion, Request
 from stable_data.errors import ConfigError, StableDataError
+from stable_data.json_text import read_json
 
 Reply: TypeAlias = str | Completion
 """A text, or a whole completion, with which tests inject failures."""
@@ -48,8 +49,8 @@ class ScriptedEngine:
             ConfigError: The file cannot be read, or has neither (``script_invalid``).
         """
         try:
-            script = json.loads(path.read_bytes())
-        except (OSError, ValueError, RecursionError) as error:
+            script = read_json(path)
+        except (OSError, ValueError) as error:
             raise ConfigError(
                 f"{path}: cannot be read as JSON ({error}); expected a list or an object", "script_invalid"
             ) from error

@@ -16,6 +16,7 @@ import numpy as np
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.text.reply_json import layout_names
 from stable_data.errors import ConfigError
+from stable_data.json_text import read_json
 from stable_data.scene import SceneObject, Stage, Vec3
 from stable_data.storage.row_groups import TableFiles, rows_from_table
 from stable_data.storage.run_folder import RunFolder
@@ -134,7 +135,7 @@ class CategoryStatistics:
         """
         path = folder / FILE
         try:
-            data = json.loads(path.read_text("utf-8"))
+            data = read_json(path)
         except OSError as error:
             raise ConfigError(
                 f"{path}: cannot be read ({error.strerror or error}), expected the statistics of categories; "

@@ -12,7 +12,8 @@ from typing import Literal, TypeAlias
 
 from models.semantic_reasoner.text.reply_json import DECIMALS, LayoutObject, render_objects, sanitise_words
 from stable_data.errors import SceneError
-from stable_data.scene import MAX_INSTRUCTION, Relation, Stage, Tabletop, TaskInfo
+from stable_data.limits import LIMITS, at_most
+from stable_data.scene import Relation, Stage, Tabletop, TaskInfo
 
 PROMPT_VERSION = 1
 """Raised whenever a fixed part changes, since models are trained on one version."""
@@ -154,11 +155,9 @@ def check_instruction(words: str) -> str:
     instruction = sanitise_words(words)
     if not instruction:
         raise SceneError("instruction is empty, expected what is to be done on the table", "instruction_invalid")
-    if len(instruction) > MAX_INSTRUCTION:
-        raise SceneError(
-            f"instruction has {len(instruction):,} characters, expected at most {MAX_INSTRUCTION:,}; shorten it",
-            "instruction_invalid",
-        )
+    if len(instruction) > LIMITS.text.max_instruction:
+        most = at_most(LIMITS.text, "max_instruction")
+        raise SceneError(f"instruction has {len(instruction):,} characters, expected {most}; shorten it", "instruction_invalid")
     return instruction
 
 

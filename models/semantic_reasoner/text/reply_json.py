@@ -15,14 +15,12 @@ from typing import Any
 
 from stable_data.errors import SceneError
 from stable_data.json_text import json_value
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import Relation, SceneObject, Stage, Vec3
 from stable_data.storage.json_schemas import LEAST_SIDE_CM, LONGEST_CM, MOST_ENTRIES
 
 DECIMALS = 1
 """Decimals of a length in centimetres."""
-
-LONGEST_REPLY = 2**18
-"""The largest reply, bytes; a layout of 60 objects has about 20,000."""
 
 _INSTANCE = re.compile(r"[^\W\d_]\w*?_[0-9]+")
 # A whole string or a comma before a closing bracket; possessive, so that a string without an end costs linear time.
@@ -231,8 +229,9 @@ def json_of_reply(text: str, keys: Sequence[str] = ("objects", "remove")) -> Any
     """
     # Lone surrogates are passed, so that their size is counted and not an encoding error.
     num_bytes = len(text.encode("utf-8", "surrogatepass"))
-    if num_bytes > LONGEST_REPLY:
-        raise SceneError(f"reply has {num_bytes} bytes, expected at most {LONGEST_REPLY}; ask again", "reply_too_long")
+    if num_bytes > LIMITS.text.max_reply_bytes:
+        most = at_most(LIMITS.text, "max_reply_bytes", "bytes")
+        raise SceneError(f"reply has {num_bytes} bytes, expected {most}; ask again", "reply_too_long")
     end = text.rfind("}") + 1 or len(text)
     opening = re.compile(rf'\{{\s*"(?:{"|".join(map(re.escape, keys))})"\s*:')
     starts = [max(0, text.find("{")), *(m.start() for m in opening.finditer(text))]

@@ -11,6 +11,7 @@ from transformers import AutoConfig, AutoModelForCausalLM, AutoTokenizer, PreTra
 
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.json_text import read_json
 
 NOTES = "reasoner.json"
 """File in a folder of weights that states how they were made."""
@@ -28,7 +29,9 @@ def read_tokenizer(folder: Path) -> PreTrainedTokenizerBase:
     try:
         if not folder.is_dir():
             raise OSError("no such folder")  # transformers would take the path as the name of a model on its hub
-        found: PreTrainedTokenizerBase = AutoTokenizer.from_pretrained(str(folder), local_files_only=True)
+        found: PreTrainedTokenizerBase = AutoTokenizer.from_pretrained(
+            str(folder), local_files_only=True, trust_remote_code=False
+        )
     except _UNREADABLE as error:
         raise _unreadable(folder, "tokenizer", error) from error
     for what, value in (("chat template", found.chat_template), ("token that ends a reply", found.eos_token)):
@@ -50,7 +53,7 @@ def read_config(folder: Path, max_tokens: int) -> Any:
     try:
         if not (folder / "config.json").is_file():
             raise OSError("no config.json")
-        config = AutoConfig.from_pretrained(str(folder), local_files_only=True)
+        config = AutoConfig.from_pretrained(str(folder), local_files_only=True, trust_remote_code=False)
     except _UNREADABLE as error:
         raise _unreadable(folder, "model", error) from error
     longest = getattr(config, "max_position_embeddings", max_tokens)
@@ -68,7 +71,7 @@ def read_model(folder: Path, max_tokens: int) -> PreTrainedModel:
     read_config(folder, max_tokens)
     try:
         found: PreTrainedModel = AutoModelForCausalLM.from_pretrained(
-            str(folder), local_files_only=True, use_safetensors=True, dtype="auto"
+            str(folder), local_files_only=True, trust_remote_code=False, use_safetensors=True, dtype="auto"
         )
     except _UNREADABLE as error:
         raise _unreadable(folder, "model", error) from error
@@ -81,7 +84,7 @@ def read_model(folder: Path, max_tokens: int) -> PreTrainedModel:
 def model_fingerprint(folder: Path) -> str:
     """Returns a fingerprint of the model in a folder: of its configuration, and of the names and sizes of its weight files."""
     try:
-        config = json.loads((folder / "config.json").read_text("utf-8"))
+        config = read_json(folder / "config.json")
         sizes = {path.name: path.stat().st_size for path in sorted(folder.glob("*.safetensors"))}
     except (OSError, ValueError) as error:
         raise _unreadable(folder, "model", error) from error

@@ -14,12 +14,12 @@ from stable_data.geometry.mesh_colors import to_linear
 from stable_data.geometry.surface import Surface
 from stable_data.importers.formats.mesh_file import Companions, FileAxis, MeshFile, check_face_count, parsing, taken
 from stable_data.importers.formats.xml_text import parse_xml
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import FloatArray
 
 _UP: dict[str, FileAxis] = {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}
 _NOT_FINITE = re.compile(r"nan|inf", re.IGNORECASE)
 _LOOKS = ("bind_material", "library_materials", "library_effects", "library_images")
-_MOST_NODES = 10_000  # a node may show another one twice, which shows another one twice, ...
 _LEAST_OPACITY = 0.05  # below it the file means the opposite: many exporters write transparency the wrong way round
 
 
@@ -44,11 +44,13 @@ def read_dae(content: bytes, path: str, companions: Companions, *, max_faces: in
     with parsing(path, "a COLLADA document"):
         _check_positions(tree, path)
         document = _opened(content, tree, path, companions)
-        surfaces, names, num_faces = [], [], 0
+        surfaces, names, num_faces, cut = [], [], 0, dict[int, Any]()
         for node, matrix, called in _placed(document.scene.nodes, path):
             materials = {material.symbol: material.target for material in node.materials}
             for primitive in node.geometry.primitives:
-                triangles = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
+                if id(primitive) not in cut:  # many nodes may show one geometry
+                    cut[id(primitive)] = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
+                triangles = cut[id(primitive)]
                 if isinstance(triangles, collada.triangleset.TriangleSet) and len(triangles.index):
                     num_faces += len(triangles.index)
                     check_face_count(path, num_faces, max_faces)
@@ -136,8 +138,10 @@ def _placed(nodes: list[Any], path: str) -> Iterator[tuple[Any, FloatArray, tupl
     while stack:
         node, matrix, names = stack.pop()
         count += 1
-        if count + len(stack) > _MOST_NODES:
-            raise MeshError(f"{path}: shows more than {_MOST_NODES} nodes, expected fewer; simplify it", "mesh_too_large")
+        if count + len(stack) > LIMITS.model.max_nodes:  # a node may show another one twice, which shows another one twice, ...
+            raise MeshError(
+                f"{path}: shows more nodes, expected {at_most(LIMITS.model, 'max_nodes')}; simplify it", "mesh_too_large"
+            )
         if isinstance(node, collada.scene.GeometryNode):
             yield node, matrix, names
         elif isinstance(node, collada.scene.Node):
@@ -147,8 +151,8 @@ def _placed(nodes: list[Any], path: str) -> Iterator[tuple[Any, FloatArray, tupl
 
 
 def _surface(primitive: Any, matrix: FloatArray, materials: Mapping[str, Any], path: str, companions: Companions) -> Surface:
-    corners = taken(np.asarray(primitive.vertex, np.float64), np.asarray(primitive.vertex_index), path, "vertex")
-    triangles = corners @ matrix[:3, :3].T + matrix[:3, 3]
+    corners = taken(np.asarray(primitive.vertex), np.asarray(primitive.vertex_index), path, "vertex")
+    triangles = corners.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     order = slice(None, None, -1) if np.linalg.det(matrix[:3, :3]) < 0 else slice(None)  # a mirrored mesh would be inside out
     material = materials.get(primitive.material)
     colour, texture, opacity = (None, "", 1.0) if material is None else _look(getattr(material, "effect", material))
@@ -156,8 +160,8 @@ def _surface(primitive: Any, matrix: FloatArray, materials: Mapping[str, Any], p
     if len(primitive.texcoordset):
         image = companions.image(texture)
         if image is not None:
-            uv = np.asarray(primitive.texcoordset[0], np.float64)[:, :2]
-            corner_uv = taken(uv, np.asarray(primitive.texcoord_indexset[0]), path, "texture coordinate")
+            uv = np.asarray(primitive.texcoordset[0])[:, :2]
+            corner_uv = taken(uv, np.asarray(primitive.texcoord_indexset[0]), path, "texture coordinate").astype(np.float64)
             corner_uv = (corner_uv * (1.0, -1.0) + (0.0, 1.0))[:, order]  # its origin is lower left
             colour = (1.0, 1.0, 1.0)
     colours = None if image is not None else _corner_colours(primitive, path)
@@ -190,6 +194,7 @@ def _corner_colours(primitive: Any, path: str) -> FloatArray | None:
     if not found:
         return None
     offset, source = found[0][0], found[0][4]
-    colours = np.asarray(source.data, np.float64)
+    colours = np.asarray(source.data)
     colours = taken(colours.reshape(len(colours), -1)[:, :3], np.asarray(primitive.index)[:, :, offset], path, "colour")
+    colours = colours.astype(np.float64)
     return to_linear(np.clip(colours, 0.0, 1.0)) if colours.shape[-1] == 3 else None

@@ -10,10 +10,11 @@ from typing import Any, NoReturn
 from urllib.parse import unquote_to_bytes
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import MeshLimits, load_surfaces
+from stable_data.geometry.gltf_reader import load_surfaces
 from stable_data.geometry.surface import Surface
 from stable_data.importers.formats.mesh_file import Companions, MeshFile, parsing
 from stable_data.json_text import json_value
+from stable_data.limits import LIMITS, MeshLimits
 
 _MAGIC = b"glTF"
 _JSON_CHUNK, _BIN_CHUNK = 0x4E4F534A, 0x004E4942
@@ -112,7 +113,7 @@ def _opened(content: bytes) -> tuple[dict[str, Any], bytes | None]:
     if not content.startswith(_MAGIC):
         return _object(content), None
     version, _, length, kind = struct.unpack_from("<4I", content, 4)
-    if version != 2 or kind != _JSON_CHUNK or length > min(MeshLimits().max_json_bytes, len(content) - 20):
+    if version != 2 or kind != _JSON_CHUNK or length > min(LIMITS.mesh.max_json_bytes, len(content) - 20):
         raise ValueError(f"version {version}, a first chunk of kind {kind:#x} and {length} bytes")
     document, end = _object(content[20 : 20 + length]), 20 + length
     if end + 8 > len(content):

@@ -9,6 +9,7 @@ import numpy as np
 
 from stable_data.errors import MeshError, StableDataError
 from stable_data.geometry.surface import Surface
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import FloatArray, IntArray
 
 FileAxis: TypeAlias = Literal["", "x", "y", "z"]
@@ -92,7 +93,12 @@ def check_face_count(path: str, count: int, most: int) -> None:
         MeshError: ``mesh_too_large``.
     """
     if count > most:
-        raise MeshError(f"{path}: has {count:,} triangles, expected at most {most:,}; simplify it", "mesh_too_large")
+        raise MeshError(f"{path}: has {count:,} triangles, expected {faces_allowed(most)}; simplify it", "mesh_too_large")
+
+
+def faces_allowed(most: int) -> str:
+    """Says how many triangles a file may have, with the name of the limit if it is that of all files."""
+    return at_most(LIMITS.model, "max_faces") if most == LIMITS.model.max_faces else f"at most {most:,}"
 
 
 def fan(counts: IntArray) -> IntArray:

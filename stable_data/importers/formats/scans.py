@@ -11,13 +11,13 @@ from stable_data.errors import MeshError
 from stable_data.geometry.mesh_colors import to_linear
 from stable_data.geometry.surface import Surface
 from stable_data.importers.formats.mesh_file import Companions, MeshFile, check_face_count, fan, parsing, taken
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import FloatArray, IntArray
 
 _TEXTURE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+([^\r\n]{1,1000})", re.IGNORECASE | re.MULTILINE)
 _COORDINATES = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))  # names of texture coordinates of vertices
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 _MOST_HEADER = 65_536  # bytes of a PLY header
-_MOST_TEXT = 128 * 2**20  # bytes of an ASCII file, which takes many times its size in memory
 
 
 def read_stl(content: bytes, path: str, *, max_faces: int) -> MeshFile:
@@ -89,9 +89,10 @@ def read_ply(content: bytes, path: str, companions: Companions, *, max_faces: in
 
 
 def _check_text(content: bytes, path: str, *, is_text: bool) -> None:
-    if is_text and len(content) > _MOST_TEXT:
+    if is_text and len(content) > LIMITS.file.max_ascii_bytes:
         found = f"{path}: an ASCII file of {len(content)} bytes"
-        raise MeshError(f"{found}, expected at most {_MOST_TEXT}; export it as binary", "mesh_too_large")
+        most = at_most(LIMITS.file, "max_ascii_bytes", "bytes")
+        raise MeshError(f"{found}, expected {most}; export it as binary", "mesh_too_large")
 
 
 def _corner_uv(elements: dict[str, Any], counts: IntArray, rows: IntArray, corners: IntArray) -> FloatArray | None:

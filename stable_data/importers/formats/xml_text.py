@@ -4,12 +4,7 @@ import xml.etree.ElementTree as ET
 from xml.parsers import expat
 
 from stable_data.errors import MeshError
-
-MOST_BYTES = 8 * 2**20
-"""Largest XML of a model."""
-
-_MOST_DEPTH = 64
-_MOST_TAGS = 2_000_000
+from stable_data.limits import LIMITS, at_most
 
 
 class _BoundedTree:
@@ -19,15 +14,23 @@ class _BoundedTree:
         self.path = path
         self.builder = ET.TreeBuilder()
         self.depth = 0
-        self.tags = 0
+        self.elements = 0
+        self.attributes = 0
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         self.depth += 1
-        self.tags += 1
-        if self.depth > _MOST_DEPTH or self.tags > _MOST_TAGS:
-            found = f"nests {self.depth} levels" if self.depth > _MOST_DEPTH else f"has more than {_MOST_TAGS:,} tags"
-            raise MeshError(f"{self.path}: {found}, expected the XML of a model; simplify it", "model_unreadable")
+        self.elements += 1
+        self.attributes += len(attributes)
+        most = LIMITS.model
+        if self.elements > most.max_elements or self.attributes > most.max_attributes or self.depth > most.max_element_levels:
+            self._refuse_size()
         self.builder.start(tag, attributes)
+
+    def _refuse_size(self) -> None:
+        found = {"elements": self.elements, "attributes": self.attributes, "element_levels": self.depth}
+        what = next(name for name, count in found.items() if count > getattr(LIMITS.model, f"max_{name}"))
+        said, most = what.replace("_", " "), at_most(LIMITS.model, f"max_{what}")
+        raise MeshError(f"{self.path}: has {found[what]:,} {said}, expected {most}; simplify it", "model_unreadable")
 
     def end(self, tag: str) -> None:
         self.depth -= 1

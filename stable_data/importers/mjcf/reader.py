@@ -32,11 +32,13 @@ from stable_data.geometry.primitive_shapes import box_triangles, capsule_triangl
 from stable_data.geometry.surface import Surface
 from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary, renamed_notice
+from stable_data.importers.formats.mesh_file import check_face_count
 from stable_data.importers.mjcf.text import IsolatedModel, MjcfText
 from stable_data.importers.model_names import name_of_path, nameless_notice
 from stable_data.importers.source import GivenInertial, GivenLicence, ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
+from stable_data.limits import LIMITS
 from stable_data.scene import FloatArray, Vec3
 
 if TYPE_CHECKING:
@@ -47,7 +49,6 @@ _STATED = 0.99  # share of the mass that must be stated
 _GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's colour of a geom that has none
 _REGION = "reg_"  # RoboCasa's names of regions, which are boxes of no substance
 _OF_A_SHAPE = len(sphere_triangles())  # triangles of a simple shape, about
-_MOST_TEXTURE = 64 * 2**20  # bytes of an image file
 
 
 class MjcfReader:
@@ -123,13 +124,12 @@ class _ModelReader:
         name = name_of_path(self.ref.path, self.root.root.name)
         if (renamed := renamed_notice(self.ref.asset_id, name)) is not None:
             self.notices.append(renamed)
-        isolated = self.text.isolated(self.root)
+        isolated = self.text.isolated(self.root, self.options.max_faces)
         shapes = _compile(isolated, self.ref.path)
         self._check(shapes)
         seen, collides = shapes.seen(), shapes.collides
         num_faces = sum(shapes.num_faces(geom) for geom in {*seen, *np.flatnonzero(collides)})
-        if num_faces > self.options.max_faces:
-            self._fail(f"has {num_faces} triangles", f"at most {self.options.max_faces}; reduce its meshes", "mesh_too_large")
+        check_face_count(quote_value(self.ref.path), num_faces, self.options.max_faces)
         surfaces = tuple(self._surface(shapes, geom, isolated) for geom in seen)
         if not any(len(surface.triangles) for surface in surfaces):
             self._fail("has nothing that is seen", "a geom that is not transparent", "mesh_empty")
@@ -186,7 +186,7 @@ class _ModelReader:
         if reference not in self.images:
             try:
                 path = self.root.resolve(reference, self.text.base)
-                self.images[reference] = self.root.read_bytes(path, most=_MOST_TEXTURE)
+                self.images[reference] = self.root.read_bytes(path, "max_bytes", LIMITS.image)
             except MeshError as error:
                 self.images[reference] = None
                 self._note(_TEXTURE_CODES.get(error.code, "texture_invalid"), f"{error}; the surface keeps its colour alone")

@@ -11,12 +11,12 @@ from xml.etree.ElementTree import Element, tostring
 
 from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.formats.xml_text import MOST_BYTES, parse_xml
+from stable_data.importers.formats.mesh_file import check_face_count
+from stable_data.importers.formats.xml_text import parse_xml
 from stable_data.importers.mjcf_files import FILE_ATTRIBUTES, file_reference
 from stable_data.json_text import quote_value
+from stable_data.limits import LIMITS, at_most
 
-_MOST_LEVELS = 8  # includes within includes
-_MOST_ELEMENTS = 200_000
 _MODEL = re.compile(rb"<mujoco[\s/>]")
 _NOT_FINITE = re.compile(r"(?i)nan|inf")
 _ASSETS = ("mesh", "texture")
@@ -86,7 +86,7 @@ class MjcfText:
         Raises:
             MeshError: ``model_unreadable``, ``cyclic_reference``, or a code of the boundary.
         """
-        content = boundary.read_bytes(path, most=MOST_BYTES)
+        content = boundary.read_bytes(path, "max_xml_bytes")
         if _MODEL.search(content) is None:
             return None
         root = parse_xml(content, path)
@@ -126,15 +126,20 @@ class MjcfText:
 
     def references(self) -> Iterator[str]:
         """The names of files of meshes and textures as they stand in the model, with their directories."""
+        compiler = self._compiler
         for element in self._assets():
-            yield from (self._reference(element, name) for name in FILE_ATTRIBUTES if name in element.attrib)
+            yield from (_reference(element, name, compiler) for name in FILE_ATTRIBUTES if name in element.attrib)
 
-    def isolated(self, boundary: Boundary) -> IsolatedModel:
+    def isolated(self, boundary: Boundary, max_faces: int) -> IsolatedModel:
         """Reads the meshes and returns the model with all names of files replaced.
+
+        Args:
+            boundary: The boundary of the asset.
+            max_faces: Triangles of all meshes beyond which the model is refused.
 
         Raises:
             MeshError: ``model_unsupported``: it has elements that no rigid object needs; ``model_unreadable``: a number is not
-                finite; or a code of the boundary.
+                finite; ``mesh_too_large``; or a code of the boundary.
         """
         for element in self.root.iter():
             if any(map(_is_not_finite, element.attrib.values())):
@@ -144,23 +149,23 @@ class MjcfText:
             if element.tag in _REFUSED or (element.tag == "mesh" and "builtin" in element.attrib):
                 self._fail(f"has an element {quote_value(element.tag)} that is not read", "a rigid object", "model_unsupported")
         model = MjcfText(self.path, copy.deepcopy(self.root), self.includes)
-        meshes: dict[str, bytes] = {}
+        meshes = _Meshes(boundary, max_faces)
         textures: dict[str, Texture] = {}
-        assets = list(model._assets())
+        assets, compiler = list(model._assets()), self._compiler
         for element in assets:
             if element.tag == "mesh":
-                model._replace_mesh(element, meshes, boundary)
+                model._replace_mesh(element, meshes, compiler)
             else:
-                model._replace_texture(element, textures)
+                model._replace_texture(element, textures, compiler)
         known = set(map(id, assets))
         if any(name in element.attrib for element in model.root.iter() if id(element) not in known for name in FILE_ATTRIBUTES):
             self._fail("names a file outside of its assets", "files of meshes and textures alone", "model_unsupported")
-        for compiler in model.root.iter("compiler"):
+        for element in model.root.iter("compiler"):
             for name in _COMPILER_DROPPED:
-                compiler.attrib.pop(name, None)
+                element.attrib.pop(name, None)
         for section in [child for child in model.root if child.tag in _DROPPED]:
             model.root.remove(section)
-        return IsolatedModel(tostring(model.root, encoding="unicode"), meshes, textures)
+        return IsolatedModel(tostring(model.root, encoding="unicode"), meshes.contents, textures)
 
     def _assets(self) -> Iterator[Element]:
         for asset in self.root.iter("asset"):
@@ -170,22 +175,17 @@ class MjcfText:
     def _compiler(self) -> Mapping[str, str]:
         return {name: value for compiler in self.root.iter("compiler") for name, value in compiler.attrib.items()}
 
-    def _reference(self, element: Element, attribute: str) -> str:
-        return file_reference(element.tag, element.attrib[attribute], self._compiler)
-
-    def _replace_mesh(self, element: Element, meshes: dict[str, bytes], boundary: Boundary) -> None:
+    def _replace_mesh(self, element: Element, meshes: "_Meshes", compiler: Mapping[str, str]) -> None:
         if "file" not in element.attrib:
             return
-        path = boundary.resolve(self._reference(element, "file"), self.base)
-        name = f"{len(meshes)}{PurePosixPath(path).suffix.lower()}"
-        meshes[name] = boundary.read_bytes(path)
+        name = meshes.name_of(_reference(element, "file", compiler), self.base)
         element.attrib.setdefault("name", PurePosixPath(element.attrib["file"].replace("\\", "/")).stem)
         element.attrib.pop("content_type", None)
         element.attrib["file"] = name
 
-    def _replace_texture(self, element: Element, textures: dict[str, Texture]) -> None:
+    def _replace_texture(self, element: Element, textures: dict[str, Texture], compiler: Mapping[str, str]) -> None:
         """Records a texture and replaces it by a pixel: MuJoCo would decode images of any size, and PNG alone."""
-        files = [self._reference(element, name) for name in FILE_ATTRIBUTES if name in element.attrib]
+        files = [_reference(element, name, compiler) for name in FILE_ATTRIBUTES if name in element.attrib]
         if "file" in element.attrib:
             element.attrib.setdefault("name", PurePosixPath(element.attrib["file"].replace("\\", "/")).stem)
         mirrored = element.get("hflip", "").lower() == "true", element.get("vflip", "").lower() == "true"
@@ -197,6 +197,43 @@ class MjcfText:
 
     def _fail(self, found: str, expected: str, code: str) -> NoReturn:
         raise MeshError(f"{quote_value(self.path)} {found}, expected {expected}", code)
+
+
+class _Meshes:
+    """The files of meshes of a model: each is read once, and its triangles are counted as often as it is named."""
+
+    def __init__(self, boundary: Boundary, max_faces: int) -> None:
+        self.contents: dict[str, bytes] = {}
+        self._boundary, self._max_faces = boundary, max_faces
+        self._names: dict[str, str] = {}
+        self._faces: dict[str, int] = {}
+        self._num_faces = 0
+
+    def name_of(self, reference: str, base: str) -> str:
+        """Reads a file and returns its name in ``contents``."""
+        path = self._boundary.resolve(reference, base)
+        if path not in self._names:
+            name = f"{len(self.contents)}{PurePosixPath(path).suffix.lower()}"
+            self._names[path], self.contents[name] = name, self._boundary.read_bytes(path)
+            self._faces[name] = _num_faces(name, self.contents[name])
+        name = self._names[path]
+        self._num_faces += self._faces[name]
+        check_face_count(quote_value(path), self._num_faces, self._max_faces)
+        return name
+
+
+def _num_faces(name: str, content: bytes) -> int:
+    """Triangles of a mesh file, about, without a look at its geometry; MuJoCo has no limit."""
+    suffix = PurePosixPath(name).suffix
+    if suffix == ".obj":
+        return content.count(b"\nf ") + content.count(b"\nf\t")
+    if suffix == ".msh":
+        return int.from_bytes(content[12:16], "little")
+    return max(len(content) - 84, 0) // 50  # a binary STL, the only other format that MuJoCo reads
+
+
+def _reference(element: Element, attribute: str, compiler: Mapping[str, str]) -> str:
+    return file_reference(element.tag, element.attrib[attribute], compiler)
 
 
 def _is_not_finite(value: str) -> bool:
@@ -232,16 +269,18 @@ def _put_includes_in_place(boundary: Boundary, root: Element, trail: tuple[str, 
             place = list(parent).index(include)
             parent.remove(include)
             path = _included(boundary, include.get("file", ""), trail)
-            if path in (*trail, *included) or len(trail) > _MOST_LEVELS:
+            if path in (*trail, *included) or len(trail) > LIMITS.model.max_levels:
                 message = f"{quote_value(trail[-1])} includes {quote_value(path)} again or too deep"
-                raise MeshError(f"{message}, expected each file once and at most {_MOST_LEVELS} levels", "cyclic_reference")
+                most = at_most(LIMITS.model, "max_levels", "levels")
+                raise MeshError(f"{message}, expected each file once and {most}", "cyclic_reference")
             included.append(path)
-            fragment = parse_xml(boundary.read_bytes(path, most=MOST_BYTES), path)
+            fragment = parse_xml(boundary.read_bytes(path, "max_xml_bytes"), path)
             _put_includes_in_place(boundary, fragment, (*trail, path), included)
             parent[place:place] = list(fragment)
     num = sum(1 for _ in root.iter())
-    if num > _MOST_ELEMENTS:
-        message = f"{quote_value(trail[0])} has {num} elements with its includes, expected at most {_MOST_ELEMENTS}"
+    if num > LIMITS.model.max_elements:
+        most = at_most(LIMITS.model, "max_elements")
+        message = f"{quote_value(trail[0])} has {num} elements with its includes, expected {most}"
         raise MeshError(message, "model_unreadable")
 
 

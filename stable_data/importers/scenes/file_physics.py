@@ -15,6 +15,7 @@ from stable_data.geometry.mesh import join_meshes
 from stable_data.importers.mjcf_files import compile_model
 from stable_data.importers.scenes.mjcf_scenes import MjcfScene
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
+from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of, wxyz
 from stable_data.scene import FloatArray
 from stable_data.simulation.collision_bodies import DENSITY
@@ -25,7 +26,6 @@ WATCH_SECONDS = 4.0
 """How long a file is watched: as long as the verdict ``stable`` of this library."""
 
 _SAMPLE_SECONDS = 0.02
-_MOST_STEPS = 20_000  # steps of a file with a very small time step
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,9 +142,10 @@ def _watch(
     for q, v in free.values():
         held_q[q : q + 7], held_v[v : v + 6] = False, False
     steps = max(1, round(seconds / model.opt.timestep))
-    if steps > _MOST_STEPS:  # a shorter watch would not show what falls slowly
+    if steps > LIMITS.scene_file.max_steps:  # a shorter watch would not show what falls slowly
         found = f"its time step of {model.opt.timestep:g} s needs {steps} steps for {seconds:g} s"
-        raise MeshError(f"{found}, expected at most {_MOST_STEPS}; use a longer time step", "time_step_too_short")
+        most = at_most(LIMITS.scene_file, "max_steps")
+        raise MeshError(f"{found}, expected {most}; use a longer time step", "time_step_too_short")
     stride = max(1, round(_SAMPLE_SECONDS / model.opt.timestep))
     moves, turns = dict.fromkeys(free, 0.0), dict.fromkeys(free, 0.0)
     flags = int(model.opt.disableflags)

@@ -4,11 +4,11 @@ import posixpath
 from pathlib import Path, PurePosixPath
 
 from stable_data.errors import StableDataError
-from stable_data.geometry.gltf_reader import MeshLimits
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.gltf import gltf_document, json_length
-from stable_data.importers.mjcf_files import MAX_XML_BYTES, start_tags
+from stable_data.importers.mjcf_files import start_tags
 from stable_data.importers.scenes.gltf_nodes import has_free_body
+from stable_data.limits import LIMITS
 
 _GLB_HEAD = 20  # bytes before the JSON of a GLB
 
@@ -56,7 +56,7 @@ def is_scene_candidate(root: Path, path: str) -> bool:
     if is_gltf(path):
         return _is_gltf_candidate(Boundary(root), path)
     try:
-        tags = start_tags(Boundary(root).read_bytes(path, most=MAX_XML_BYTES), path)
+        tags = start_tags(Boundary(root).read_bytes(path, "max_xml_bytes"), path)
     except StableDataError:
         return False
     return bool(tags) and tags[0].name == "mujoco"
@@ -66,7 +66,7 @@ def _is_gltf_candidate(boundary: Boundary, path: str) -> bool:
     size = json_length(boundary.read_head(path, _GLB_HEAD))
     try:
         # Of a GLB only its JSON is read: a folder may hold thousands of single assets.
-        is_small = 0 < size <= MeshLimits().max_json_bytes
+        is_small = 0 < size <= LIMITS.mesh.max_json_bytes
         content = boundary.read_head(path, _GLB_HEAD + size) if is_small else boundary.read_bytes(path)
         return has_free_body(gltf_document(content, path))
     except StableDataError:

@@ -17,8 +17,9 @@ from stable_data.errors import SceneError
 from stable_data.geometry.gltf_reader import PlacedNode, placed_nodes
 from stable_data.importers.formats.gltf import gltf_document, json_span
 from stable_data.importers.scenes.gltf_nodes import is_own_object
-from stable_data.importers.scenes.gltf_scenes import LIMITS, Z_UP, GltfScene, node_pose
+from stable_data.importers.scenes.gltf_scenes import Z_UP, GltfScene, node_pose
 from stable_data.importers.scenes.scene_file import BodyPose
+from stable_data.limits import LIMITS
 from stable_data.scene import FloatArray
 
 _POSE = ("translation", "rotation", "matrix")
@@ -200,7 +201,7 @@ def _compare(scene: GltfScene, content: bytes, poses: Mapping[str, BodyPose], ch
     if document != {**scene.document, "nodes": expected}:
         raise _differs(scene, "more than the poses differs")
     wanted = {body.name: (body.position, body.quat_xyzw) for body in scene.file.bodies if body.is_free} | dict(poses)
-    nodes = {node.index: node for node in placed_nodes(document, scene.file.path, limits=LIMITS)}
+    nodes = {node.index: node for node in placed_nodes(document, scene.file.path, limits=LIMITS.gltf_scene)}
     for name, (position, quat) in wanted.items():
         index = scene.free_nodes[name]
         found, turned = node_pose(nodes[index].world_from_node, is_z_up=is_own_object(document["nodes"][index]))

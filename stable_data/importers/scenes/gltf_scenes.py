@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError, Notice, SceneError
-from stable_data.geometry.gltf_reader import MeshLimits, PlacedNode, load_meshes, placed_nodes
+from stable_data.geometry.gltf_reader import PlacedNode, load_meshes, placed_nodes
 from stable_data.geometry.mass_properties import usable_inertia
 from stable_data.geometry.mesh import Mesh, join_meshes
 from stable_data.importers.boundary import Boundary
@@ -28,18 +28,14 @@ from stable_data.importers.scenes.gltf_nodes import PHYSICS
 from stable_data.importers.scenes.mesh_solids import fixed_parts, solid_parts
 from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
 from stable_data.json_text import number, numbers
+from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of, rotation_matrix
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
-
-LIMITS = MeshLimits(max_bytes=2**30, max_json_bytes=16 * 2**20, max_faces=8_000_000, max_corners=8_000_000)
-"""Sizes beyond which a scene is refused; its file has at most 4 MiB of JSON."""
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """The rotation from the axes of a glTF file, y up, to z up, (3, 3)."""
 
 _FARTHEST = 1e7  # metres
-_MOST_BYTES = 512 * 2**20  # of buffers
-_MOST_FREE = 1000  # free bodies
 _MOST_MESHES = 16  # nodes with a mesh of an object that are cut one by one; more are cut as one
 _MOST_FIXED = 4000  # convex parts of the surroundings; what follows is a hull
 _MOST_CUT = 300  # different meshes of the surroundings that are cut; likewise
@@ -85,10 +81,10 @@ def read_gltf_scene(boundary: Boundary, path: str) -> GltfScene:
     beside = _FilesBeside(boundary, path)
     if not gltf_nodes.has_free_body(gltf_document(content, path)):
         raise _no_free_body(path)
-    document, packed = pack_gltf(content, path, beside, max_bytes=_MOST_BYTES)
+    document, packed = pack_gltf(content, path, beside, max_bytes=LIMITS.file.max_file_bytes)
     notices = list(beside.notices)
     with parsing(path, "glTF 2.0"), codes_of_files():
-        nodes = placed_nodes(document, path, limits=LIMITS)
+        nodes = placed_nodes(document, path, limits=LIMITS.gltf_scene)
         reader = _SceneReader(path, document, packed, nodes, notices)
         bodies, grounds = reader.read()
     if not any(body.is_free for body in bodies):
@@ -120,7 +116,7 @@ class _FilesBeside:
         """The content of a buffer."""
         name = self._place(reference)
         if name not in self.contents:
-            self.contents[name] = self._boundary.read_bytes(name, most=_MOST_BYTES)
+            self.contents[name] = self._boundary.read_bytes(name)
         return self.contents[name]
 
     def image(self, reference: str) -> bytes | None:
@@ -202,6 +198,8 @@ class _SceneReader:
     cache: dict[object, list[Mesh]] = field(default_factory=dict)
     num_cut: int = 0
     coarse: list[str] = field(default_factory=list)
+    num_below: int = 0
+    bent: dict[int, bool] = field(default_factory=dict)
 
     def read(self) -> tuple[list[SceneBody], list[Ground]]:
         if not all((np.abs(node.world_from_node) < _FARTHEST).all() for node in self.nodes):
@@ -211,10 +209,9 @@ class _SceneReader:
         left_out = self._left_out()
         kept = [node for node in self.nodes if node.index not in left_out]
         self.free = {node.index for node in kept if gltf_nodes.is_free(self._entry(node))}
-        if len(self.free) > _MOST_FREE:
-            raise SceneError(
-                f"{self.path}: has {len(self.free)} free bodies, expected at most {_MOST_FREE}; divide it", "file_too_large"
-            )
+        if len(self.free) > LIMITS.scene_file.max_free_bodies:
+            most = at_most(LIMITS.scene_file, "max_free_bodies")
+            raise SceneError(f"{self.path}: has {len(self.free)} free bodies, expected {most}; divide it", "file_too_large")
         self.free -= self._held(kept)
         for node in kept:
             above = None if node.parent is None else self.owners.get(node.parent)
@@ -302,7 +299,7 @@ class _SceneReader:
             if not gltf_nodes.is_named_collider(self._entry(node)) and (mesh := self._shown_mesh(node)) is not None:
                 shown[node.index] = mesh
         wanted = [*shown.values(), *(mesh for tree in trees.values() for mesh, _ in tree)]
-        self.meshes, notices = load_meshes(self.packed, self.path, wanted, limits=LIMITS)
+        self.meshes, notices = load_meshes(self.packed, self.path, wanted, limits=LIMITS.gltf_scene)
         self.notices += [Notice(self.path, "read", n.code, n.message.removeprefix("asset ")) for n in notices]
         above = {node.index: node.parent for node in kept}
         made = {
@@ -344,7 +341,10 @@ class _SceneReader:
             if key in entry or key in extensions:
                 self._note("shape_unknown", f"{self.names[node.index]} is {what}, which is not read; it is no obstacle")
                 return None
-        if any("targets" in primitive for primitive in self.document["meshes"][node.mesh]["primitives"]):
+        if node.mesh not in self.bent:  # many nodes may show one mesh of many primitives
+            primitives = self.document["meshes"][node.mesh]["primitives"]
+            self.bent[node.mesh] = any("targets" in primitive for primitive in primitives)
+        if self.bent[node.mesh]:
             self._note("morph_ignored", f"{self.names[node.index]} has morph targets; its plain shape counts")
         return node.mesh
 
@@ -355,7 +355,12 @@ class _SceneReader:
             yield self.document["nodes"][node.index]["mesh"], np.eye(4)
         elif "node" in geometry:
             alone = {**self.document, "scene": 0, "scenes": [{"nodes": [geometry["node"]]}]}
-            below = placed_nodes(alone, self.path, limits=LIMITS)
+            below = placed_nodes(alone, self.path, limits=LIMITS.gltf_scene)
+            self.num_below += len(below)
+            if self.num_below > LIMITS.gltf_scene.max_nodes:  # many colliders may name one node with all below it
+                most = at_most(LIMITS.gltf_scene, "max_nodes")
+                message = f"{self.path}: its colliders name {self.num_below} nodes, expected {most}; simplify it"
+                raise MeshError(message, "file_too_large")
             own = np.linalg.pinv(below[0].parent_from_node)
             yield from ((n.mesh, own @ n.world_from_node) for n in below if n.mesh is not None)
         elif "mesh" in geometry:  # an earlier draft of the extension

@@ -18,6 +18,7 @@ from stable_data.importers.boundary import Boundary
 from stable_data.importers.mjcf_files import ModelFiles, collect_files, compile_model, read_spec
 from stable_data.importers.scenes import convex_solids
 from stable_data.importers.scenes.scene_file import Ground, SceneBody, SceneFile
+from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.simulation.mujoco_import import mujoco
@@ -25,7 +26,7 @@ from stable_data.simulation.mujoco_import import mujoco
 INITIAL = "initial"
 """Stands for the poses that a file states at its bodies, where a keyframe's name is expected."""
 
-_MOST_MEMORY = 2 * 2**30  # bytes that a model may reserve
+_MOST_QUATS = 16  # other rotations of a body that are kept
 _HOME = "home"  # the keyframe that is used if a file has it
 _LEVEL = np.cos(np.radians(0.1))  # least vertical component of the normal of a level plane
 
@@ -72,8 +73,12 @@ def read_mjcf_scene(boundary: Boundary, path: str, key: str = "") -> MjcfScene:
     files = collect_files(boundary, path)
     with files.placed() as place:
         model = compile_model(read_spec(place, path), path)
-    if model.narena > _MOST_MEMORY:
-        raise SceneError(f"{path}: asks for {model.narena} bytes of memory, expected at most {_MOST_MEMORY}", "file_too_large")
+    num_free = int((model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).sum())
+    sizes = {"max_memory_bytes": model.narena, "max_free_bodies": num_free, "max_poses": model.nkey}
+    for limit, count in sizes.items():
+        if count > getattr(LIMITS.scene_file, limit):
+            said, most = limit.removeprefix("max_").replace("_", " "), at_most(LIMITS.scene_file, limit)
+            raise SceneError(f"{path}: has {count} {said}, expected {most}; divide it", "file_too_large")
     x, y, z = model.opt.gravity
     if z >= 0 or max(abs(x), abs(y)) > 0.01 * abs(z):
         raise SceneError(f"{path}: gravity is {x:g} {y:g} {z:g}, expected downwards, along -z; turn the scene", "gravity_odd")
@@ -127,20 +132,22 @@ def _free_bodies(model: mujoco.MjModel, path: str, notices: list[Notice]) -> dic
         if int(kind) in (int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT))
         for body in pair
     }
+    driven = {
+        int(model.jnt_bodyid[pair[0]])
+        for kind, pair in zip(model.actuator_trntype, model.actuator_trnid, strict=True)
+        if int(kind) == int(mujoco.mjtTrn.mjTRN_JOINT)
+    }
     found = {}
     for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
         index = int(model.jnt_bodyid[joint])
         name = body_name(model, index)
         members = np.flatnonzero(model.body_rootid == index)
         moving = [m for m in members if model.body_jntnum[m] and m != index]
-        if held & set(members.tolist()):
+        if not held.isdisjoint(members.tolist()):
             notices.append(
                 Notice(path, "find", "body_held", f"{path}: {name} is held by an equality constraint; it counts as fixed")
             )
-        elif any(
-            int(kind) == int(mujoco.mjtTrn.mjTRN_JOINT) and model.jnt_bodyid[pair[0]] in members
-            for kind, pair in zip(model.actuator_trntype, model.actuator_trnid, strict=True)
-        ):
+        elif not driven.isdisjoint(members.tolist()):
             notices.append(Notice(path, "find", "body_driven", f"{path}: {name} has motors, as a robot; it counts as fixed"))
         else:
             found[name] = index
@@ -185,7 +192,7 @@ def _bodies(
             yield SceneBody(body_name(model, owner), position, quat, tuple(parts[owner]), is_free=False)
             continue
         mass, com, inertia = _inertial(model, data, owner)
-        geoms = [g for g in np.flatnonzero(collides) if model.body_rootid[model.geom_bodyid[g]] == owner]
+        geoms = np.flatnonzero(collides & (model.body_rootid[model.geom_bodyid] == owner))
         friction = _vec3(model.geom_friction[geoms].max(axis=0))
         known = _known_quats(model, owner, quat)
         yield SceneBody(of_root[owner], position, quat, tuple(parts[owner]), True, mass, com, inertia, friction, known)
@@ -237,11 +244,12 @@ def _inertial(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[fl
 def _known_quats(model: mujoco.MjModel, body: int, present: QuatXyzw) -> tuple[QuatXyzw, ...]:
     """Other rotations that the file states for a free body: in its keyframes and at the body itself."""
     at = int(model.jnt_qposadr[model.body_jntadr[body]]) + 3
+    stated = np.vstack([model.qpos0[None], model.key_qpos])[:, at : at + 4]
+    _, first = np.unique(stated, axis=0, return_index=True)
     found: list[QuatXyzw] = []
-    for qpos in (model.qpos0, *model.key_qpos):
-        quat = qpos[at : at + 4]
+    for quat in stated[np.sort(first)]:
         norm = np.linalg.norm(quat)
-        if norm > 1e-9:
+        if norm > 1e-9 and len(found) < _MOST_QUATS:
             other = _xyzw(quat / norm)
             if all((Rotation.from_quat(other) * Rotation.from_quat(q).inv()).magnitude() > 1e-3 for q in (present, *found)):
                 found.append(other)

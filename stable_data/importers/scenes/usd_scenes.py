@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdUtils
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError, Notice, SceneError, StableDataError
@@ -26,16 +26,15 @@ from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes import convex_solids
 from stable_data.importers.scenes.formats import repaired_name
 from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
+from stable_data.importers.usd.layers import check_prims
 from stable_data.importers.usd.physics import Collider, StageFrame, inertial_of
+from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, Vec3
 
 if TYPE_CHECKING:  # MuJoCo takes long to import
     from stable_data.importers.scenes.file_physics import BodyMotion
 
-_MAX_LAYERS = 500  # layers of one scene
-_MAX_LAYER_BYTES = 256 * 2**20
-_MAX_FACES = 200_000  # triangles of one collider
 _EXACT = 1e-6  # metres, and parts of a unit quaternion: largest difference of a written pose
 _SINGLE = ("convexHull", "boundingCube", "boundingSphere")  # approximations of a collider by one convex shape
 
@@ -112,18 +111,23 @@ def read_usd_scene(boundary: Boundary, path: str) -> UsdScene:
 def _collect_layers(boundary: Boundary, path: str) -> dict[str, bytes]:
     """Reads a layer and all that it composes, before USD does."""
     contents: dict[str, bytes] = {}
+    layers: dict[str, Sdf.Layer] = {}
     waiting = [path]
     with TemporaryDirectory(prefix="stable-data-layers-") as folder:
         while waiting:
             name = waiting.pop()
             if name in contents:
                 continue
-            if len(contents) >= _MAX_LAYERS:
-                raise MeshError(f"{path}: has more than {_MAX_LAYERS} layers, expected fewer; flatten it", "file_too_large")
-            contents[name] = content = boundary.read_bytes(name, most=_MAX_LAYER_BYTES)
+            if len(contents) >= LIMITS.model.max_layers:
+                most = at_most(LIMITS.model, "max_layers")
+                raise MeshError(f"{path}: has more layers, expected {most}; flatten it", "file_too_large")
+            contents[name] = content = boundary.read_bytes(name)
             alone = Path(folder, f"{len(contents)}{posixpath.splitext(name)[1]}")  # no other layer is beside it
             alone.write_bytes(content)
-            for reference in _dependencies(alone, name):
+            layers[name] = layer = _opened(alone, name)
+            places: dict[str, str] = {}
+            # An empty name is a reference within the layer.
+            for reference in sorted(filter(None, layer.GetCompositionAssetDependencies())):
                 try:
                     found = boundary.resolve(reference, posixpath.dirname(name))
                 except MeshError as error:
@@ -133,12 +137,17 @@ def _collect_layers(boundary: Boundary, path: str) -> dict[str, bytes]:
                         f"{name}: {reference!r} is {found} by another spelling or a link, expected its own path",
                         "file_missing",
                     )
+                places[reference] = found
                 waiting.append(found)
+            UsdUtils.ModifyAssetPaths(
+                layer, lambda reference, places=places: places.get(reference, "")
+            )  # of the copy in memory
+    check_prims(layers[path], path, layers)
     return contents
 
 
-def _dependencies(place: Path, name: str) -> Sequence[str]:
-    """The layers that a layer composes."""
+def _opened(place: Path, name: str) -> Sdf.Layer:
+    """A layer alone, without those that it composes."""
     try:
         layer = Sdf.Layer.OpenAsAnonymous(str(place))
     except Exception as error:
@@ -146,7 +155,7 @@ def _dependencies(place: Path, name: str) -> Sequence[str]:
         raise MeshError(f"{name}: USD cannot read it ({found}), expected a USD layer; repair it", "model_unreadable") from error
     if layer is None:
         raise MeshError(f"{name}: USD cannot read it, expected a USD layer; repair it", "model_unreadable")
-    return sorted(name for name in layer.GetCompositionAssetDependencies() if name)  # empty: a reference within the layer
+    return layer
 
 
 def _placed_stage(folder: Path, contents: Mapping[str, bytes], path: str) -> Usd.Stage:
@@ -187,6 +196,9 @@ class _StageReader:
     def read(self) -> tuple[list[SceneBody], list[Ground]]:
         cache = UsdGeom.XformCache()
         rigid = self._rigid_prims()
+        if len(rigid) > LIMITS.scene_file.max_free_bodies:
+            most = at_most(LIMITS.scene_file, "max_free_bodies")
+            raise SceneError(f"{self.path}: has {len(rigid)} rigid bodies, expected {most}; divide it", "file_too_large")
         held = self._held(rigid)
         colliders: dict[str, list[Usd.Prim]] = {}
         shapes: dict[str, list[Usd.Prim]] = {}
@@ -229,10 +241,8 @@ class _StageReader:
         for prim in self.stage.Traverse():
             if prim.IsA(UsdPhysics.Joint):
                 joint = UsdPhysics.Joint(prim)
-                targets = [*joint.GetBody0Rel().GetTargets(), *joint.GetBody1Rel().GetTargets()]
-                held |= {
-                    name for name in rigid for target in targets if str(target) == name or str(target).startswith(f"{name}/")
-                }
+                for target in (*joint.GetBody0Rel().GetTargets(), *joint.GetBody1Rel().GetTargets()):
+                    held |= {str(place) for place in target.GetPrefixes() if str(place) in rigid}
         for name in sorted(held):
             self.notices.append(
                 Notice(self.path, "find", "body_held", f"{self.path}: {name} is held by a joint; it counts as fixed")
@@ -384,9 +394,10 @@ def _triangles(prim: Usd.Prim, path: str) -> Mesh | None:
         )
     if not np.isfinite(points).all():
         raise MeshError(f"{path}: {prim.GetPath()} has points that are not finite, expected numbers", "mesh_not_finite")
-    if len(corners) - 2 * len(counts) > _MAX_FACES:
+    if len(corners) - 2 * len(counts) > LIMITS.model.max_collider_faces:
+        most = at_most(LIMITS.model, "max_collider_faces")
         raise MeshError(
-            f"{path}: {prim.GetPath()} has over {_MAX_FACES} triangles, expected a simpler collider", "mesh_too_large"
+            f"{path}: {prim.GetPath()} has more triangles, expected {most}; simplify the collider", "mesh_too_large"
         )
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     faces = [

@@ -9,7 +9,7 @@ import io
 import posixpath
 import re
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
@@ -19,17 +19,14 @@ from stable_data.errors import ConfigError, MeshError, StableDataError
 from stable_data.extras import install_hint
 from stable_data.importers.boundary import Boundary
 from stable_data.json_text import quote_value
+from stable_data.limits import LIMITS, SETTING, at_most
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 """Files that are read."""
 
 # The exceptions of reading values of other types than the schemas demand.
 _PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
-_MOST_LEVELS = 16  # layers within layers
-_MOST_LAYERS = 200
-_MOST_MEMBERS = 2_000  # of a package
-_MOST_PRIMS = 100_000  # of a composed stage
-_MOST_DEPTH = 200  # of a prim
+_MEMBER = b"PK\x01\x02"  # what the entry of a member in the list of a package begins with
 
 
 @contextmanager
@@ -111,15 +108,16 @@ class LayerLoader:
             MeshError: ``model_unreadable``, ``model_unsupported``, ``cyclic_reference``, ``mesh_too_large``, or a code of the boundary.
         """
         layer = self._load(self.place(path), ())
-        _PrimCount(self).check(layer, path)
+        check_prims(layer, path, {one.identifier: one for one in self.layers.values()})
         return layer
 
-    def read_file(self, key: str, most: int) -> bytes:
+    def read_file(self, key: str, limit: str, group: Any) -> bytes:
         """Reads a file that is no layer.
 
         Args:
             key: As the layers name it now.
-            most: Largest size, bytes.
+            limit: The limit on its size.
+            group: The group of limits that has it.
 
         Raises:
             MeshError: A code of the boundary.
@@ -129,10 +127,10 @@ class LayerLoader:
         name, place = self.names[key]
         found = self.resolve(name, place)
         if not found.member:
-            return self.boundary.read_bytes(found.path, most=most)
+            return self.boundary.read_bytes(found.path, limit, group)
         content = self._member(found)
-        if len(content) > most:
-            raise _refusal(str(found), f"has more than {most} bytes", "a smaller file", "file_too_large")
+        if len(content) > getattr(group, limit):
+            raise _refusal(str(found), "is larger", at_most(group, limit, "bytes"), "file_too_large")
         return content
 
     def resolve(self, name: str, place: Place) -> Place:
@@ -169,15 +167,15 @@ class LayerLoader:
     def _load(self, place: Place, trail: tuple[Place, ...]) -> Any:
         from pxr import UsdUtils
 
-        if place in trail or len(trail) > _MOST_LEVELS:
+        if place in trail or len(trail) > LIMITS.model.max_layer_levels:
             found = "is part of itself" if place in trail else f"is at the end of {len(trail)} layers, each within the other"
-            raise _refusal(str(place), found, f"layers without circles, at most {_MOST_LEVELS} levels", "cyclic_reference")
+            most = at_most(LIMITS.model, "max_layer_levels", "levels")
+            raise _refusal(str(place), found, f"layers without circles, {most}", "cyclic_reference")
         if place in self.layers:
             return self.layers[place]
-        if len(self.layers) >= _MOST_LAYERS:
-            raise _refusal(
-                str(place), f"is one of more than {_MOST_LAYERS} layers", "fewer; flatten the asset", "file_too_large"
-            )
+        if len(self.layers) >= LIMITS.model.max_layers:
+            most = at_most(LIMITS.model, "max_layers")
+            raise _refusal(str(place), "is one of more layers", f"{most}; flatten the asset", "file_too_large")
         layer = self.opened(place)
         parts, others = layer_names(layer)
         anonymous = {name: self._load(self.resolve(name, place), (*trail, place)).identifier for name in parts}
@@ -221,14 +219,17 @@ class LayerLoader:
     def _package(self, path: str) -> zipfile.ZipFile:
         if path not in self._packages:
             content = self.boundary.read_bytes(path)
+            most = f"1 to {LIMITS.model.max_members} (model.max_members in {SETTING})"
+            if content.count(_MEMBER) > LIMITS.model.max_members:  # a list of millions would fill the memory
+                raise _refusal(path, "has more members", most, "model_unreadable")
             try:
                 package = zipfile.ZipFile(io.BytesIO(content))
             except (zipfile.BadZipFile, ValueError, OverflowError, NotImplementedError) as error:
                 message = f"{quote_value(path)} is no package ({error}), expected a usdz file; export it again"
                 raise MeshError(message, "model_unreadable") from error
             members = package.infolist()
-            if not 0 < len(members) <= _MOST_MEMBERS:
-                raise _refusal(path, f"has {len(members)} members", f"1 to {_MOST_MEMBERS}", "model_unreadable")
+            if not members:
+                raise _refusal(path, "has no members", most, "model_unreadable")
             if any(member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1 for member in members):
                 raise _refusal(
                     path, "has compressed or encrypted members", "a usdz file, which stores them plainly", "archive_bomb"
@@ -274,28 +275,44 @@ def layer_names(layer: Any) -> tuple[list[str], list[str]]:
     return sorted(parts), [name for name in names if name and name not in parts]
 
 
+def check_prims(layer: Any, path: str, layers: Mapping[str, Any]) -> None:
+    """Refuses a layer that composes very many prims, before USD composes them: few words can ask for any number.
+
+    Args:
+        layer: The layer, a ``Sdf.Layer``.
+        path: Its file, for the message.
+        layers: The layers that it composes, by the names with which layers refer to each other.
+
+    Raises:
+        MeshError: ``mesh_too_large``, or ``model_unreadable`` where prims nest too deep.
+    """
+    _PrimCount(layers).check(layer, path)
+
+
 @dataclass(slots=True)
 class _PrimCount:
-    """Estimates the prims of a stage from above, before it is composed: few words can ask for any number of them."""
+    """Estimates the prims of a stage from above."""
 
-    loader: LayerLoader
+    by_name: Mapping[str, Any]
     known: dict[tuple[str, str], int] = field(default_factory=dict)
-    by_name: dict[str, Any] = field(default_factory=dict)
+    stacks: dict[str, list[Any]] = field(default_factory=dict)
 
     def check(self, layer: Any, path: str) -> None:
-        self.by_name = {one.identifier: one for one in self.loader.layers.values()}
         num = sum(self._below(layer, prim) for prim in self._roots(layer))
-        if num > _MOST_PRIMS:
-            message = f"{quote_value(path)} composes more prims than {_MOST_PRIMS}, expected fewer; simplify the asset"
-            raise MeshError(message, "mesh_too_large")
+        if num > LIMITS.model.max_prims:
+            most = at_most(LIMITS.model, "max_prims")
+            raise MeshError(f"{quote_value(path)} composes more prims, expected {most}; simplify it", "mesh_too_large")
 
     def _stack(self, layer: Any) -> list[Any]:
         """A layer with its sublayers and theirs, each as often as it is named."""
-        stack = [layer]
+        if layer.identifier in self.stacks:
+            return self.stacks[layer.identifier]
+        self.stacks[layer.identifier] = stack = [layer]
         for one in stack:
             stack += [self.by_name[name] for name in one.subLayerPaths if name in self.by_name]
-            if len(stack) > _MOST_LAYERS:
-                raise MeshError(f"a layer has more than {_MOST_LAYERS} sublayers, expected fewer; flatten it", "mesh_too_large")
+            if len(stack) > LIMITS.model.max_layers:
+                most = at_most(LIMITS.model, "max_layers")
+                raise MeshError(f"a layer has more sublayers, expected {most}; flatten it", "mesh_too_large")
         return stack
 
     def _roots(self, layer: Any) -> list[str]:
@@ -306,10 +323,9 @@ class _PrimCount:
         key = layer.identifier, path
         if key in self.known:
             return self.known[key]
-        if depth > _MOST_DEPTH:
-            raise MeshError(
-                f"{quote_value(path)} is nested too deep, expected at most {_MOST_DEPTH} levels", "model_unreadable"
-            )
+        if depth > LIMITS.model.max_prim_levels:
+            most = at_most(LIMITS.model, "max_prim_levels", "levels")
+            raise MeshError(f"{quote_value(path)} is nested too deep, expected {most}", "model_unreadable")
         self.known[key] = 0  # a circle adds nothing
         specs = [spec for one in self._stack(layer) if (spec := one.GetPrimAtPath(path)) is not None]
         above = path.rpartition("/")[0]
@@ -319,7 +335,7 @@ class _PrimCount:
             for part in (spec, *variants):
                 num += sum(self._below(layer, str(child.path), depth + 1) for child in part.nameChildren)
                 num += sum(self._below(*target, depth + 1) for target in self._targets(layer, part))
-        self.known[key] = num = min(num, _MOST_PRIMS + 1)
+        self.known[key] = num = min(num, LIMITS.model.max_prims + 1)
         return num
 
     def _targets(self, layer: Any, spec: Any) -> Iterator[tuple[Any, str]]:

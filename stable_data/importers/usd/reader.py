@@ -27,6 +27,7 @@ from stable_data.geometry.primitive_shapes import sphere_triangles
 from stable_data.geometry.surface import Surface
 from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary, renamed_notice
+from stable_data.importers.formats.mesh_file import faces_allowed
 from stable_data.importers.model_names import name_of_path, nameless_notice
 from stable_data.importers.source import GivenLicence, ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
@@ -44,11 +45,11 @@ from stable_data.importers.usd.physics import (
 from stable_data.importers.usd.scan import LayerFacts, LayerScanner
 from stable_data.importers.usd.shapes import Faces, collision_shape, face_subsets, faces_of, simple_shape
 from stable_data.json_text import is_unicode, quote_value
+from stable_data.limits import LIMITS
 from stable_data.scene import FloatArray
 
 _TURNS = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 _OF_A_SHAPE = len(sphere_triangles())  # triangles of a simple shape, about
-_MOST_TEXTURE = 64 * 2**20  # bytes of an image file
 _MOST_TEXT = 1000  # characters of a statement
 # The key "creator" names the program that wrote the file.
 _LICENCE = re.compile(r"licen[cs]e|copyright", re.IGNORECASE)
@@ -262,8 +263,8 @@ class _StageReader:
             elif prim.IsA(UsdGeom.Gprim):
                 num += _OF_A_SHAPE
             if num > self.options.max_faces:
-                expected = f"at most {self.options.max_faces}; reduce its meshes"
-                self._fail(f"has more than {self.options.max_faces} triangles", expected, "mesh_too_large")
+                expected = f"{faces_allowed(self.options.max_faces)}; reduce its meshes"
+                self._fail("has more triangles", expected, "mesh_too_large")
 
     def _shapes(self, root: Any, frame: StageFrame, cache: Any, time: Any) -> tuple[list[Surface], list[Collider]]:
         """What is seen and what collides, in the frame of the asset."""
@@ -382,7 +383,7 @@ class _StageReader:
         """The content of a texture's file; None and a notice if it cannot be read."""
         if key not in self.images:
             try:
-                self.images[key] = self.loader.read_file(key, _MOST_TEXTURE)
+                self.images[key] = self.loader.read_file(key, "max_bytes", LIMITS.image)
             except MeshError as error:
                 self.images[key] = None
                 self._note(_TEXTURE_CODES.get(error.code, "texture_invalid"), f"{error}; the surface keeps its colour alone")

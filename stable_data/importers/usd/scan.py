@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.errors import MeshError
-from stable_data.importers.boundary import Boundary, FileLimits
+from stable_data.importers.boundary import Boundary
 from stable_data.importers.usd.layers import LayerLoader, layer_names, quiet_usd
 from stable_data.json_text import quote_value
+from stable_data.limits import LIMITS, SETTING, FileLimits, memory_limited
 
-_SECONDS = 60.0  # for one layer
 _MOST_ANSWER = 16 * 2**20  # bytes
 
 
@@ -94,12 +94,14 @@ class LayerScanner:
         try:
             process.stdin.write(json.dumps(path).encode() + b"\n")
             process.stdin.flush()
-            line = process.stdout.readline(_MOST_ANSWER) if wait([process.stdout.fileno()], _SECONDS) else None
+            ready = wait([process.stdout.fileno()], LIMITS.item.max_scan_seconds)
+            line = process.stdout.readline(_MOST_ANSWER) if ready else None
         except OSError:
             line = b""
         if not line or not line.endswith(b"\n"):
             self._stop()
-            found = f"was not read in {_SECONDS:.0f} s" if line is None else "ends the process that reads it"
+            seconds = f"{LIMITS.item.max_scan_seconds} s (item.max_scan_seconds in {SETTING})"
+            found = f"was not read in {seconds}" if line is None else "ends the process that reads it"
             raise MeshError(f"{quote_value(path)} {found}, expected a layer of USD; export it again", "model_unreadable")
         answer: dict[str, Any] = json.loads(line)
         if "error" in answer:
@@ -128,7 +130,8 @@ def answer_paths() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries may print
     for line in sys.stdin.buffer:
         try:
-            answer = asdict(LayerFacts.of(Boundary(root, limits), json.loads(line)))
+            with memory_limited(LIMITS.item.max_memory_bytes):
+                answer = asdict(LayerFacts.of(Boundary(root, limits), json.loads(line)))
         except MeshError as error:
             answer = {"error": str(error), "code": error.code}
         answers.write(json.dumps(answer).encode() + b"\n")

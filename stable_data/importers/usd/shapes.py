@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import manifold3d
 import numpy as np
 import numpy.typing as npt
 
@@ -11,6 +12,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh, area_vectors, is_closed, joined_corners
 from stable_data.geometry.primitive_shapes import box_triangles, capsule_triangles, cylinder_triangles, sphere_triangles
 from stable_data.json_text import quote_value
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import FloatArray, IntArray
 
 _ROUND_AXES = {"X": (2, 0, 1), "Y": (1, 2, 0), "Z": (0, 1, 2)}  # of a round shape along z: where x, y and z come from
@@ -97,7 +99,7 @@ def triangulate(points: FloatArray, counts: IntArray, corners: IntArray) -> tupl
         if count > 3:
             for k in np.flatnonzero(~_fits(points[corners[fans]])):
                 start = starts[polygons[k]]
-                fans[k] = start + _ears(points[corners[start : start + count]])
+                fans[k] = start + _cut(points[corners[start : start + count]])
         found.append(fans.reshape(-1, 3))
         owners.append(np.repeat(polygons, count - 2))
     triangles, owner = np.concatenate(found), np.concatenate(owners)
@@ -113,34 +115,13 @@ def _fits(fans: FloatArray) -> npt.NDArray[np.bool_]:
     return fits
 
 
-def _ears(polygon: FloatArray) -> IntArray:
-    """Triangles of a polygon (M, 3) with inner corners, (M - 2, 3), by cutting off convex corners that contain no other one."""
+def _cut(polygon: FloatArray) -> IntArray:
+    """Triangles of a polygon (M, 3) with inner corners, (M - 2, 3)."""
     normal = np.cross(polygon, np.roll(polygon, -1, axis=0)).sum(axis=0)  # Newell's: robust where it is not quite flat
     drop = int(np.abs(normal).argmax())
     flat = np.delete(polygon, drop, axis=1) * ((1, 1) if (normal[drop] > 0) == (drop != 1) else (-1, 1))
-    left, triangles = list(range(len(polygon))), list[tuple[int, int, int]]()
-    while len(left) > 3:
-        for k in range(len(left)):
-            ear = left[k - 1], left[k], left[(k + 1) % len(left)]
-            if _is_ear(flat, ear, left):
-                break
-        else:
-            k, ear = 1, (left[0], left[1], left[2])  # it crosses itself
-        triangles.append(ear)
-        left.pop(k)
-    return np.array([*triangles, tuple(left)])
-
-
-def _is_ear(flat: FloatArray, ear: tuple[int, int, int], left: list[int]) -> bool:
-    a, b, c = flat[list(ear)]
-    sides = [(b - a, a), (c - b, b), (a - c, c)]
-    if sides[0][0][0] * sides[1][0][1] - sides[0][0][1] * sides[1][0][0] <= 0:
-        return False
-    others = flat[[k for k in left if k not in ear]]
-    inside = np.ones(len(others), bool)
-    for side, start in sides:
-        inside &= side[0] * (others[:, 1] - start[1]) - side[1] * (others[:, 0] - start[0]) >= 0
-    return not inside.any()
+    flat = (flat - flat.min(axis=0)) / max(float(np.ptp(flat, axis=0).max()), 1e-300)
+    return np.asarray(manifold3d.triangulate([flat]), np.int64)
 
 
 def simple_shape(prim: Any, time: Any) -> FloatArray | None:
@@ -212,7 +193,11 @@ def face_subsets(mesh: Any, num_polygons: int, time: Any) -> Iterator[tuple[Any,
     from pxr import UsdGeom, UsdShade
 
     left = np.ones(num_polygons, bool)
-    for subset in UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets():
+    subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
+    if len(subsets) > LIMITS.model.max_subsets:
+        found = f"{quote_value(str(mesh.GetPath()))} has {len(subsets)} subsets"
+        raise MeshError(f"{found}, expected {at_most(LIMITS.model, 'max_subsets')}; join them", "mesh_too_large")
+    for subset in subsets:
         if subset.GetElementTypeAttr().Get(time) != UsdGeom.Tokens.face:
             continue
         indices = _array(subset.GetIndicesAttr(), time, np.int64)

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from torch import Tensor
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS, load, load_default, load_published, save
 from models.point_encoder.cloud import MODELNET, SONATA
 from models.point_encoder.transformer import PointTransformer, TransformerConfig
+from models.training.weights_file import read_weights, save_weights
 from stable_data.errors import ConfigError
 from tests.models.point_encoder.clouds import TINY, box_cloud, clouds, tiny_encoder
 
@@ -171,7 +173,7 @@ def test_the_tiny_network_is_none_of_the_published(tmp_path: Path) -> None:
 
 def test_the_default_weights_are_those_that_their_card_describes() -> None:
     encoder = load_default()
-    card = (DEFAULT_WEIGHTS.parent / "README.md").read_text("utf-8")
+    card = DEFAULT_WEIGHTS.with_suffix(".md").read_text("utf-8")
     assert f"`{encoder.fingerprint()}`" in card
     sizes = ((0.1, 0.1, 0.1), (0.3, 0.02, 0.05), (0.2, 0.2, 0.01))
     features = encoder.encode([box_cloud(*size, num_points=encoder.preprocessing.num_points) for size in sizes])
@@ -180,3 +182,15 @@ def test_the_default_weights_are_those_that_their_card_describes() -> None:
     twice = encoder.encode([box_cloud(0.6, 0.04, 0.1, num_points=encoder.preprocessing.num_points)])
     assert np.allclose(twice.codes[0], features.codes[1], atol=1e-3)  # the size is not in the code
     assert np.allclose(twice.log_extents[0] - features.log_extents[1], np.log(2), atol=1e-6)
+
+
+def test_a_file_cannot_describe_a_network_that_is_larger_than_it(tmp_path: Path) -> None:
+    """Its notes may come from anywhere, and the network is made before its tensors are compared."""
+    tensors, notes = read_weights(DEFAULT_WEIGHTS)
+    config = json.loads(notes["config"])
+    for wrong in ({"enc_channels": [32, 64, 2**22]}, {"enc_depths": [1, 1, 10**9]}):
+        path = tmp_path / "w.safetensors"
+        save_weights(path, tensors, notes | {"config": json.dumps(config | wrong)})
+        with pytest.raises(ConfigError, match="more numbers than the file has bytes") as caught:
+            load(path)
+        assert caught.value.code == "weights_invalid"

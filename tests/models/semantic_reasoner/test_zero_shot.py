@@ -21,9 +21,10 @@ from models.semantic_reasoner.replies.checks import ReplyCheck, form_check
 from models.semantic_reasoner.replies.grammar import MOST_OBJECTS
 from models.semantic_reasoner.staged_layout import ONE_SHOT, LayoutTask, StagedLayout, staged_layouts
 from models.semantic_reasoner.text.prompt import SYSTEM, WANTED, messages
-from models.semantic_reasoner.text.reply_json import LONGEST_REPLY, layout_objects, parse_reply, render_objects
+from models.semantic_reasoner.text.reply_json import layout_objects, parse_reply, render_objects
 from models.semantic_reasoner.text.zero_shot_prompt import EXAMPLE, EXAMPLE_OBJECTS, ZERO_SHOT_SYSTEM
 from stable_data.errors import ConfigError
+from stable_data.limits import LIMITS
 from stable_data.scene import TABLE, Stage
 from tests.models.semantic_reasoner.endpoint_replies import EndpointReply, good_replies, task_replies
 from tests.models.semantic_reasoner.engines.endpoint import Act, Endpoint, endpoint
@@ -170,7 +171,7 @@ def test_the_fixture_has_every_kind() -> None:
         "reply_empty",
         "unit",
     }
-    assert max(len(r.content or "") for r in recorded) > 5_000_000 > LONGEST_REPLY
+    assert max(len(r.content or "") for r in recorded) > 5_000_000 > LIMITS.text.max_reply_bytes
 
 
 # --- good replies -------------------------------------------------------------------------------------------------------------

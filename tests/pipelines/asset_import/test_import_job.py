@@ -21,6 +21,7 @@ from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 from tests.pipelines.runs import ROOT, content
+from tests.whole import check_whole
 
 SETTINGS = ImportSettings(num_points=64, num_pictures=0, assets_per_shard=2, decomposes=False)
 SIZES_CM = {
@@ -77,6 +78,10 @@ def test_each_asset_is_one_row_or_one_failure(library: Path) -> None:
     assert all(row["message"] and row["code"] for row in failures)
     assert set(run.table("meshes", ["asset_id"])["asset_id"].to_pylist()) == set(rows)
     assert "name_changed" in run.table("warnings")["code"].to_pylist()
+
+
+def test_a_library_is_whole(library: Path) -> None:
+    assert check_whole(library).rows["assets"] > 0
 
 
 def test_the_unit_of_the_set_is_found_and_marked(library: Path) -> None:

@@ -31,6 +31,7 @@ from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
 from tests.pipelines.runs import content
 from tests.stable_data.viewer.pages import Page
+from tests.whole import check_whole
 
 SMALL = CorrectSettings(weights="none", scenes_per_shard=2, num_pictures=0, position_convention="box_centre")
 ALONE = WorkerPool()
@@ -82,6 +83,11 @@ def test_a_broken_set_comes_out_clean(broken: Path, corrected: Path) -> None:
     assert all(after[s]["move_max_mm"] > 1 for s in spoilt)
     assert before.keys() == after.keys()
     assert "corrected" in (corrected / "report" / "index.html").read_text("utf-8")
+
+
+def test_a_corrected_folder_is_whole(corrected: Path) -> None:
+    """Its meshes are those of the dataset that is written beside the tables."""
+    assert check_whole(corrected).num_audited == 4
 
 
 def test_a_page_shows_a_scene_before_and_after(broken: Path, corrected: Path, tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ from stable_data.scene import SceneObject
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import object_from_row, scene_from_row
+from tests.bounds import limit
 from tests.pipelines.edit.edit_runs import ALONE, SMALL, file_of, rows_of
 from tests.pipelines.runs import ROOT, content
 
@@ -335,3 +336,20 @@ def test_a_bad_line_is_a_failure_of_its_own(line: str, tmp_path: Path) -> None:
     (failure,) = found.failures
     assert failure.item_id == "line 000002"
     assert len(failure.message.encode()) < 300
+
+
+def test_hostile_lines_are_failures_of_their_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, "text", max_line=20_000)
+    good = json.dumps({"scene_id": "a", "instruction": "Move the mug."})
+    hostile = [
+        '{"scene_id": "a", "instruction": "\\ud800"}',
+        '{"scene_id": ' + "9" * 6000 + ', "instruction": "x"}',
+        json.dumps({"scene_id": "a", "instruction": "pour water on " * 1000}),
+        '{"scene_id": "a", "instruction": "' + "x" * 30_000,
+        "[" * 10_000,
+    ]
+    path = tmp_path / "e.jsonl"
+    path.write_text("\n".join([good, *hostile, good]) + "\n")
+    found = read_edits(path, {"a"})
+    assert len(found.edits) == 2
+    assert [notice.item_id for notice in found.failures] == [f"line {k:06d}" for k in range(2, 7)]

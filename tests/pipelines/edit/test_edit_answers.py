@@ -115,7 +115,7 @@ def test_replies_that_cannot_be_used_are_failures_and_nothing_is_lost(
         "zoo": ("reply", "reply_unusable"),
         "said": ("reply", "reply_not_json"),
         "zebra": ("reply", "edit_refused"),
-        "long": ("reply", "instruction_invalid"),
+        "line 000005": ("edits", "instruction_invalid"),
         "line 000007": ("edits", "scene_unknown"),
         "line 000008": ("edits", "instruction_invalid"),
         "line 000009": ("edits", "edit_invalid"),

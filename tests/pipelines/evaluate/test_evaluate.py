@@ -1,6 +1,7 @@
 """The evaluate job: systems on the same tasks, with figures, notes on what is missing, and a page."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from pipelines.rate.settings import RateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
 from pipelines.views.settings import ViewsSettings
+from stable_data.cli import app as stable_data
+from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.errors import ConfigError
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject
@@ -84,6 +87,22 @@ def evaluated(
     assert found.has_failed
     (out / "text.txt").write_text(evaluation_text(found))
     return out, json.loads((out / "evaluation.json").read_text())
+
+
+def test_an_evaluation_is_whole_until_a_figure_is_edited(evaluated: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    done = CliRunner().invoke(stable_data, ["verify", str(evaluated[0]), "--verdicts", "audit"])
+    assert done.exit_code == DONE, done.stdout
+    assert done.stdout.splitlines()[-1].endswith("whole (evaluate; 6 of 6 runs are whole)")
+    copy = Path(shutil.copytree(evaluated[0], tmp_path / "copy"))
+    found = json.loads((copy / "evaluation.json").read_text())
+    found["systems"]["one_shot"]["figures"]["made"]["value"] = 100.0
+    (copy / "evaluation.json").write_text(json.dumps(found))
+    next((copy / "seed_0" / "one_shot" / "ratings" / "ratings").iterdir()).unlink()
+    done = CliRunner().invoke(stable_data, ["verify", str(copy), "--verdicts", "none"])
+    assert done.exit_code == SOME_FAILED
+    assert "evaluation.json: its digest is" in done.stdout
+    assert "seed_0/one_shot/ratings/ratings/part-" in done.stdout
+    assert "not whole (evaluate; 5 of 6 runs are whole)" in done.stdout
 
 
 def test_all_systems_are_judged_on_all_tasks(evaluated: tuple[Path, dict[str, Any]]) -> None:

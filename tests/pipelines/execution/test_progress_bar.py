@@ -16,7 +16,7 @@ from pipelines.execution import progress_bar
 from pipelines.execution.engine_pool import engine_pool
 from pipelines.execution.progress_bar import LocalTally, ProgressBar, ProgressReporter, SharedTally, Where
 from pipelines.execution.ray_executor import WorkerPool
-from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
+from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter, WrittenShard
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
@@ -196,12 +196,12 @@ def test_scenes_are_told_of_where_they_are(
 def test_a_shard_over_which_workers_died_reaches_nothing_that_workers_share(
     settings: GenerateSettings, dataset: Path, tmp_path: Path, local_ray: None
 ) -> None:
-    def done(out: str, isolated: bool) -> tuple[int, int]:
+    def done(out: str, isolated: bool) -> WrittenShard:
         with engine_pool(settings.engine, 1, 0.0, may_grow=False) as pool:
             work = GenerateWork((str(dataset),), settings, pool=pool, tally=SharedTally.started())
             call = ray.remote(lambda write, task, isolated: write(task, isolated=isolated))
             write, task = ShardWriter(str(tmp_path / out), (work,)), ShardTask(0, Shard("0" * 16, TASKS))
-            found: tuple[int, int] = ray.get(call.remote(write, task, isolated))
+            found: WrittenShard = ray.get(call.remote(write, task, isolated))
             return found
 
     assert done("alone", True) == done("together", False)

@@ -14,8 +14,9 @@ import ray
 from tqdm import tqdm
 
 from pipelines.execution import ray_executor
-from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, run_isolated, time_limited
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, item_limited, run_isolated
 from stable_data.errors import ConfigError
+from stable_data.limits import worker_environment
 
 
 class Double:
@@ -74,7 +75,7 @@ class Slow:
     """Hangs over one shard unless its items are run alone."""
 
     def __call__(self, shard: int, *, isolated: bool = False) -> str:
-        with time_limited(2.0):
+        with item_limited(2.0):
             if shard == 2 and not isolated:
                 time.sleep(600)
         return f"{shard} {'alone' if isolated else 'together'}"
@@ -188,12 +189,13 @@ def test_a_cluster_gets_as_many_shards_as_it_has_cores(monkeypatch: pytest.Monke
     assert run._width() == 1
 
 
-def test_a_cluster_gets_the_checkout_unless_a_job_brought_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    shipped = ray_executor._checkout()
+def test_a_cluster_gets_the_checkout_and_the_limits_unless_a_job_brought_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped = ray_executor._runtime()
     assert shipped is not None
+    assert shipped["env_vars"] == worker_environment()
     assert (Path(shipped["working_dir"]) / "pipelines" / "execution" / "ray_executor.py").is_file()
     monkeypatch.setenv("RAY_JOB_CONFIG_JSON_ENV_VAR", "{}")
-    assert ray_executor._checkout() is None
+    assert ray_executor._runtime() is None
 
 
 @pytest.mark.ray
@@ -249,7 +251,7 @@ def test_one_process_serves_until_a_call_ends_it() -> None:
 
 
 def test_time_is_limited_in_workers_alone() -> None:
-    with time_limited(0.01):
+    with item_limited(0.01):
         time.sleep(0.05)
 
 

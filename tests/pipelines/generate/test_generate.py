@@ -309,7 +309,7 @@ def test_layouts_that_are_not_corrected_become_a_folder_of_the_format(
     assert {row["id"]: row["code"] for row in rows_of(run, "failures")} == {
         "task_000003": "reply_unusable",
         "task_000004": "layout_empty",
-        "task_000005": "instruction_invalid",
+        "row 000005": "instruction_invalid",
         "row 000006": "task_invalid",
     }
     assert [row["clean"] for row in rows_of(run, "scenes")] == [False, False]  # all three things are in one place
@@ -411,7 +411,8 @@ def test_a_shard_over_which_workers_died_gives_the_same_rows(
 ) -> None:
     for isolated in (False, True):
         write = ShardWriter(str(tmp_path / str(isolated)), (GenerateWork((str(dataset),), settings),))
-        assert write(ShardTask(0, Shard("0" * 16, tuple(MIXED.tasks[:2]))), isolated=isolated) == (2, 1)
+        done = write(ShardTask(0, Shard("0" * 16, tuple(MIXED.tasks[:2]))), isolated=isolated)
+        assert (done.num_items, done.num_failures, len(done.checksums)) == (2, 1, len(GenerateWork.TABLES))
     assert content(tmp_path / "True") == content(tmp_path / "False")
 
 

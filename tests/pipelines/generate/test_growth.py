@@ -22,6 +22,7 @@ from stable_data.storage.run_changes import prune
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import entry
+from tests.whole import check_whole
 
 ALONE = WorkerPool()
 TABLES = ("scenes", "rejected", "turns", "assets", "meshes", "warnings", "failures")
@@ -76,6 +77,7 @@ def test_a_run_that_grew_twice_has_the_rows_of_one_that_did_not(
     for table in TABLES:
         assert rows(tmp_path, table).equals(rows(whole, table)), table
     assert len(manifest["work"]) == 3
+    assert check_whole(tmp_path).num_simulated == 6
     before = content(tmp_path)
     generate(tasks(*WORDS), str(tmp_path), settings, ALONE, [str(dataset)], report=False)
     assert content(tmp_path) == before

@@ -26,6 +26,7 @@ from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import scene_from_row
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import entry
+from tests.whole import check_whole
 
 ALONE = WorkerPool()
 SCENE, UNTOLD = "bathroom_vanity_00000", "untold"
@@ -64,6 +65,10 @@ def made(
     out: Path = tmp_path_factory.mktemp(request.param) / request.param
     generate(variants_of_scenes(run, request.param), str(out), settings, ALONE, [run])
     return out
+
+
+def test_a_run_of_variants_is_whole(made: Path) -> None:
+    check_whole(made, verdicts="audit")
 
 
 def rows_of(out: Path, table: str) -> dict[str, Row]:

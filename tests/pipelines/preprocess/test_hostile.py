@@ -99,12 +99,14 @@ def test_a_check_of_positions_that_dies_stops_with_what_to_set(
     bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(convention, "run_isolated", lambda *_, seconds: ProcessFailure.CRASHED)
-    with pytest.raises(ConfigError, match=r"crashed over a layout or mesh; set position_convention to box_centre"):
+    with pytest.raises(
+        ConfigError, match=r"ended the process that did it, over a layout or mesh; set position_convention to box_centre"
+    ):
         preprocess(str(bare), str(tmp_path / "out"), SMALL, WorkerPool(1))
 
 
 @pytest.mark.parametrize(
-    ("loss", "message"), [(ProcessFailure.CRASHED, "is the file hostile"), (ProcessFailure.TIMED_OUT, "took over 600 s")]
+    ("loss", "message"), [(ProcessFailure.CRASHED, "is it hostile"), (ProcessFailure.TIMED_OUT, "took over 600 s")]
 )
 def test_how_a_process_ended_is_the_reason(monkeypatch: pytest.MonkeyPatch, loss: ProcessFailure, message: str) -> None:
     monkeypatch.setattr("pipelines.execution.shard_step.run_isolated", lambda *_, seconds, prepare: loss)

@@ -30,6 +30,7 @@ from stable_data.simulation.run_reader import SceneSelection
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import object_row, scene_from_row, scene_row
 from tests.scene_files import COMMON, cuboid, gltf_parts, kitchen, write_corner, write_gltf, write_model, write_stage
+from tests.whole import check_whole
 
 DEFAULT = RepairOptions()
 
@@ -143,6 +144,7 @@ def test_scenes_are_imported_audited_and_exported(tmp_path: Path) -> None:
     write_stage(source / "stage.usda")
     counts = import_scenes(source, ["scene.xml", "stage.usda"], str(tmp_path / "run"), RepairOptions(upright="keep"))
     assert (counts.num_files, counts.num_scenes, counts.failures) == (2, 2, ())
+    assert check_whole(tmp_path / "run").num_audited == 2
     run = RunFolder(str(tmp_path / "run"))
     rows = {row["scene_id"]: row for row in run.table("scenes").to_pylist()}
     assert rows["scene"]["layout_path"] == "scene.xml"

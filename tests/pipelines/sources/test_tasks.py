@@ -14,6 +14,7 @@ from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.sources.tasks import read_tasks, write_tasks
 from stable_data.errors import ConfigError, Notice
 from stable_data.scene import Tabletop
+from tests.bounds import limit
 
 GOOD = {"instruction": "Lift it.", "table_type": "office_table", "table_size_cm": [120, 60]}
 
@@ -141,3 +142,41 @@ def test_tasks_that_are_written_are_read_again(tmp_path: Path) -> None:
         )
     with pytest.raises(ConfigError, match="jsonl"):
         write_tasks(tmp_path / "tasks.csv", tasks)
+
+
+@pytest.mark.parametrize("suffix", ["jsonl", "csv"])
+def test_a_line_without_an_end_is_a_failure_of_its_row(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, "text", max_line=1000)
+    path = tmp_path / f"tasks.{suffix}"
+    if suffix == "jsonl":
+        good = json.dumps(GOOD)
+        path.write_text(f'{good}\n{{"instruction": "{"x" * 5000}\n{good}\n')
+    else:
+        good = "Lift it.,office_table,120 60"
+        path.write_text(f"instruction,table_type,table_size_cm\n{good}\n{'x' * 5000},office_table,120 60\n{good}\n")
+    first, lost, last = read_tasks(path)
+    assert isinstance(lost, Notice)
+    assert isinstance(first, LayoutTask)
+    assert isinstance(last, LayoutTask)
+    assert suffix == "csv" or "at most 1,000 characters (text.max_line in STABLE_DATA_LIMITS)" in lost.message
+
+
+def test_an_instruction_has_a_limited_length(tmp_path: Path) -> None:
+    """The time to read it grows with a power of its length."""
+    (lost,) = read_tasks(task_file(tmp_path, [{**GOOD, "instruction": "pour water on " * 1000}]))
+    assert isinstance(lost, Notice)
+    assert lost.code == "instruction_invalid"
+    assert "text.max_instruction in STABLE_DATA_LIMITS" in lost.message
+
+
+def test_a_small_parquet_file_of_long_rows_is_read_a_few_rows_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = pa.Table.from_pylist([{**GOOD, "instruction": "x" * 10**5}])
+    path = tmp_path / "tasks.parquet"
+    pq.write_table(pa.concat_tables([rows] * 1000), path, compression="zstd")
+    limit(monkeypatch, "table", max_decoded_bytes=2 * 10**6)
+    before = pa.total_allocated_bytes()
+    needed = [pa.total_allocated_bytes() - before for _ in read_tasks(path)]
+    assert len(needed) == 1000
+    assert max(needed) < 10**7

@@ -59,6 +59,7 @@ from stable_data.storage.subset import select
 from stable_data.storage.table_rows import object_row, scene_from_row
 from stable_data.supports import to_frame
 from tests.pipelines.scripts import entry
+from tests.whole import check_whole
 
 TABLES = Path(__file__).parents[2] / "data" / "import" / "tables"
 COFFEE = "aws_robomaker_residential_CoffeeTable_01"
@@ -107,6 +108,11 @@ def test_a_support_run_is_resumed_and_refuses_another_one(library: str, supports
     assert len(scenes_of(supports)) == 4
     with pytest.raises(ConfigError, match="table"):
         prepare_supports(library, [COFFEE], supports, SupportOptions(table="desk"))
+
+
+def test_runs_of_supports_and_on_them_are_whole(supports: str, made: str) -> None:
+    assert check_whole(supports).num_audited == 4
+    assert check_whole(made).num_scenes == 8
 
 
 def on_shelf(said: dict[str, Any]) -> dict[str, Any]:

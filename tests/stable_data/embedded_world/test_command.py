@@ -7,7 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from pipelines.__main__ import app as jobs
-from stable_data.cli import NOT_STARTED, app
+from stable_data.cli import app
+from stable_data.commands.command_line import NOT_STARTED
 from stable_data.mesatask import MesaTaskDataset
 
 pytestmark = pytest.mark.sim

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from stable_data.cli import DONE, app
+from stable_data.cli import app
+from stable_data.commands.command_line import DONE
 from stable_data.storage.run_folder import RunFolder
 
 pytestmark = pytest.mark.sim

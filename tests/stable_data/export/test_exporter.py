@@ -1,5 +1,6 @@
 """Exports of runs: what is chosen, what is written, what stops them, and that they go on where they were stopped."""
 
+import errno
 import json
 import subprocess
 import sys
@@ -11,9 +12,11 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED, app
+from stable_data.assets.licences import attribution_text
+from stable_data.cli import app
+from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
 from stable_data.export import exporter
-from stable_data.export.exporter import _attribution, export_run
+from stable_data.export.exporter import _readme, export_run
 from stable_data.export.formats import FORMATS
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.run_reader import NEEDED, RunScenes, SceneSelection, SettledPoses
@@ -59,7 +62,7 @@ def test_every_scene_is_written_whatever_its_name(name: str, run: RunFolder, tmp
 
 def test_an_attribution_says_what_each_licence_asks_for() -> None:
     given = {"a": "CC BY 4.0", "b": "cc-by-4.0", "c": "CC BY-NC-SA 3.0", "d": "ask\nme", "e": ""}
-    text = _attribution([AssetAnnotation(name, category="mug", raw={"licence": said}) for name, said in given.items()])
+    text = attribution_text([AssetAnnotation(name, category="mug", raw={"licence": said}) for name, said in given.items()])
     assert (
         "## CC-BY-4.0\n\nAsked: name the author and the licence.\n\n- a: mug; source not known; stated as CC BY 4.0\n" in text
     )
@@ -243,3 +246,41 @@ def test_objects_keep_their_place_in_the_order(run: RunFolder) -> None:
     solid = SceneGeometry.of(at_rest(), scenes.store, SettledPoses(run).of(ODD))
     assert [o.instance for o in solid.scene.objects] == [o.instance for o in at_rest().objects]
     assert replace(solid.scene, objects=()) == replace(at_rest(), objects=())
+
+
+def test_an_id_that_no_file_can_have_loses_its_scene_only(run: RunFolder, tmp_path: Path) -> None:
+    """It once ended the export with the advice to free space."""
+    scenes = [replace(EMPTY, scene_id="x" * 300), replace(EMPTY, scene_id="é" * 120), replace(EMPTY, scene_id="plain")]
+    odd = write_run(tmp_path / "odd", scenes)
+    for name in ("mesatask", "mjcf", "glb"):
+        result = command(odd.uri, tmp_path / name, "--format", name)
+        if name == "mesatask":
+            assert result.exit_code == SOME_FAILED
+            assert result.stderr.count("cannot name a folder, expected a plain name of at most 200 bytes") == 2
+            assert "1 of 3 scenes" in result.stdout
+        else:
+            assert result.exit_code == DONE, result.stderr
+
+
+def test_a_file_system_that_does_not_take_a_name_loses_its_scene_only(
+    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(geometry: SceneGeometry, out: Path) -> None:
+        if geometry.scene.scene_id == "empty":
+            raise OSError(errno.ENAMETOOLONG, "File name too long")
+
+    monkeypatch.setattr(FORMATS["glb"], "export_scene", refuse)
+    result = command(run.uri, tmp_path / "out", "--format", "glb")
+    assert result.exit_code == SOME_FAILED
+    assert "not exported: empty: File name too long: a name in it cannot be the name of a file here" in result.stderr
+
+
+def test_names_of_a_run_are_no_markup_in_its_card() -> None:
+    hostile = "[free](http://evil) <img src=x> | `rm` # *x*\n# Title \x1b[2J" + "y" * 5000
+    asset = AssetAnnotation(hostile, category=hostile, source=hostile, raw={"licence": hostile, "author": hostile})
+    for text in (attribution_text([asset]), _readme(FORMATS["glb"], 1, [asset])):
+        assert "\x1b" not in text
+        assert "<img" not in text.replace("\\<img", "")
+        assert "[free](" not in text.replace("\\[free", "")
+        assert not any(line.startswith("# Title") for line in text.splitlines())
+        assert max(map(len, text.splitlines())) < 5000

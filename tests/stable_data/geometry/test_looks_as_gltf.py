@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import MeshLimits, load_glb, load_surfaces, texture_addresses
+from stable_data.geometry.gltf_reader import load_glb, load_surfaces, texture_addresses
 from stable_data.geometry.gltf_writer import SurfaceParts, pack, write_look, y_up
 from stable_data.geometry.images import encode_texture
 from stable_data.geometry.surface import Surface
+from stable_data.limits import MeshLimits
 from tests.stable_data.geometry.glb_files import document_of, edited
 
 pytestmark = pytest.mark.sim

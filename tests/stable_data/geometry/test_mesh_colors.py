@@ -19,7 +19,6 @@ from stable_data.assets.store import AssetStore
 from stable_data.embedded_world.families.catalogue import asset
 from stable_data.errors import MeshError
 from stable_data.export.glb import scene_glb
-from stable_data.geometry import images
 from stable_data.geometry.gltf_reader import load_glb
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import double_areas
@@ -28,6 +27,7 @@ from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.scene import Scene, SceneObject, Tabletop
 from stable_data.simulation.mujoco_model import VISUAL_GROUP, engine_spec
 from stable_data.simulation.scene_geometry import SceneGeometry
+from tests.bounds import limit
 from tests.stable_data.geometry.glb_files import document_of, edited, rebuilt
 
 pytestmark = pytest.mark.sim
@@ -97,7 +97,7 @@ def test_a_picture_of_many_pieces_is_read_once(monkeypatch: pytest.MonkeyPatch) 
         textured(Image.new("RGB", (8, 8), "#f08020")),
         lambda d: d["meshes"][0]["primitives"].extend(8 * d["meshes"][0]["primitives"]),
     )
-    monkeypatch.setattr(images, "_MOST_PIXELS", 64)
+    limit(monkeypatch, "image", max_pixels=64)
     assert [colour for colour, _ in painted(content)] == ["#f08020"]
 
 
@@ -143,7 +143,7 @@ def test_a_picture_of_thousands_of_scans_is_not_decoded() -> None:
     assert painted(with_pictures(stream.getvalue()))
     scans = stream.getvalue()
     last = scans[scans.rindex(b"\xff\xda") : -2]
-    with pytest.raises(MeshError, match="more than 100 scans") as caught:
+    with pytest.raises(MeshError, match="more scans, expected at most 100") as caught:
         painted(with_pictures(scans[:-2] + 1000 * last + scans[-2:]))
     assert caught.value.code == "texture_invalid"
 
@@ -166,9 +166,9 @@ def test_a_texture_of_too_many_pixels_is_not_decoded(size: tuple[int, int]) -> N
 
 def test_the_pixels_of_all_textures_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     picture = encoded(Image.new("RGB", (8, 8), "#f08020"), "PNG")
-    monkeypatch.setattr(images, "_MOST_PIXELS", 128)
+    limit(monkeypatch, "image", max_pixels=128)
     assert [colour for colour, _ in painted(with_pictures(picture, picture))] == ["#f08020"]
-    with pytest.raises(MeshError, match="192 pixels in all textures, of at most 128"):
+    with pytest.raises(MeshError, match="192 pixels in all textures, expected at most 128"):
         painted(with_pictures(picture, picture, picture))
 
 

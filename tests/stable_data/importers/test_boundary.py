@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError, MeshError
-from stable_data.importers.boundary import Boundary, FileLimits, asset_id_of, renamed_notice
+from stable_data.importers.boundary import Boundary, asset_id_of, renamed_notice
+from stable_data.limits import FileLimits, ImageLimits
 
 
 @pytest.fixture
@@ -133,11 +134,11 @@ def test_pipes_and_devices_are_no_files(folder: Path) -> None:
 def test_sizes_are_limited_for_a_file_and_for_an_asset(folder: Path) -> None:
     for k in range(4):
         (folder / f"{k}.bin").write_bytes(bytes(100))
-    with pytest.raises(MeshError, match="more than 50 bytes") as caught:
+    with pytest.raises(MeshError, match=r"is larger, expected at most 50 bytes \(max_file_bytes\)") as caught:
         Boundary(folder, FileLimits(max_file_bytes=50)).read_bytes("0.bin")
     assert caught.value.code == "file_too_large"
-    with pytest.raises(MeshError, match="more than 99 bytes"):
-        Boundary(folder).read_bytes("0.bin", most=99)
+    with pytest.raises(MeshError, match="at most 99 bytes"):
+        Boundary(folder).read_bytes("0.bin", "max_bytes", ImageLimits(max_bytes=99))
     for limits in (FileLimits(max_bytes=250), FileLimits(max_files=2)):
         root = Boundary(folder, limits)
         root.read_bytes("0.bin")

@@ -19,11 +19,12 @@ from hypothesis import strategies as st
 from stable_data.errors import ConfigError, MeshError, Notice
 from stable_data.geometry.mesh import Mesh, signed_volumes
 from stable_data.geometry.mesh_colors import to_linear
-from stable_data.importers.boundary import Boundary, FileLimits
+from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.mesh_file import MeshFile, fan
 from stable_data.importers.formats.obj import texture_name
 from stable_data.importers.mesh_files import SUFFIXES, files_beside, joined_triangles, read_mesh_file, transformed, z_up
 from stable_data.importers.source import Axis
+from stable_data.limits import FileLimits
 from tests.stable_data.geometry.glb_files import document_of, edited, glb_bytes
 from tests.stable_data.importers.mesh_texts import CUBE_STL, SQUARE, dae, png
 

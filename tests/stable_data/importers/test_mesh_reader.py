@@ -13,6 +13,7 @@ from stable_data.importers.boundary import Boundary
 from stable_data.importers.mesh_files import joined_triangles
 from stable_data.importers.readers import READERS, reader_of
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
+from tests.bounds import limit
 from tests.stable_data.geometry.glb_files import document_of, glb_bytes, rebuilt
 from tests.stable_data.importers.mesh_texts import CUBE_STL, SQUARE, dae
 from tests.stable_data.importers.test_mesh_files import BOX
@@ -306,9 +307,9 @@ def test_objaverse_has_its_annotations(tmp_path: Path) -> None:
 
 
 def test_annotations_that_unpack_to_too_much_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stable_data.importers.mesh_presets._MOST_METADATA", 1000)
+    limit(monkeypatch, "file", max_metadata_bytes=1000)
     root = write(tmp_path, {"glbs/0/u.glb": b"", "metadata/0.json.gz": gzip.compress(b'{"u": "' + b"x" * 10**6 + b'"}')})
-    with pytest.raises(ConfigError, match="more than 1000 bytes"):
+    with pytest.raises(ConfigError, match="at most 1,000 bytes"):
         found(root, preset="objaverse")
 
 

@@ -419,7 +419,7 @@ def test_files_named_by_other_elements_are_refused(outside: tuple[Path, Path]) -
 def test_the_compiled_text_names_no_file() -> None:
     text = MjcfText.load(Boundary(ROBOSUITE), "objects/bread.xml")
     assert text is not None
-    isolated = text.isolated(Boundary(ROBOSUITE))
+    isolated = text.isolated(Boundary(ROBOSUITE), 10**6)
     assert list(isolated.meshes) == ["0.stl"]
     assert isolated.text.count("file=") == isolated.text.count('file="0.stl"') == 1
     assert "/" not in isolated.text.replace("</", "").replace("/>", "").replace(" />", "")

@@ -11,10 +11,10 @@ import pytest
 
 from stable_data.errors import ConfigError
 from stable_data.mesatask import (
-    features,
     read_text_features,
     write_text_features,
 )
+from tests.bounds import limit
 from tests.stable_data.mesatask.layouts import UID
 
 
@@ -72,11 +72,12 @@ def test_a_hostile_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
         (pickle.dumps({"uids": ["a"], "text_features": np.array([{}], object)}), "features_invalid"),
     ],
 )
-def test_unsound_pickles_say_why(data: bytes, code: str, tmp_path: Path) -> None:
+def test_unsound_pickles_say_why(data: bytes, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, "features", max_bytes=50_000)
     path = tmp_path / "f.pkl"
     path.write_bytes(data)
     with pytest.raises(ConfigError) as caught:
-        read_text_features(path, max_bytes=50_000)
+        read_text_features(path)
     assert caught.value.code == code
 
 
@@ -92,7 +93,11 @@ _RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
     ("data", "code", "words"),
     [
         # A tuple in tuples, as a key: hashing it would end the process with a fault of the machine.
-        (b"\x80\x04}" + b")" + b"\x85" * 300_000 + b"K\x01s.", "pickle_refused", "nests tuples deeper than 64"),
+        (
+            b"\x80\x04}" + b")" + b"\x85" * 300_000 + b"K\x01s.",
+            "pickle_refused",
+            "nests tuples deeper, expected at most 64 levels",
+        ),
         (b"\x80\x04}" + b")\x94" + b"h\x00\x86" * 90 + b"K\x01s.", "pickle_refused", "nests tuples"),
         (
             b"\x80\x04})\x940" + b"".join(b"h" + bytes([k]) + b"\x85\x940" for k in range(90)) + b"hZK\x01s.",
@@ -100,7 +105,7 @@ _RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
             "nests tuples",
         ),
         (b"\x80\x04\x8f.", "pickle_refused", "contains a set"),
-        (b"\x80\x04" + b"]" * 30_000 + b".", "pickle_refused", "more than 20,000 operations"),
+        (b"\x80\x04" + b"]" * 30_000 + b".", "pickle_refused", "expected at most 20,000"),
         (
             _ONE + _RECONSTRUCT + b"(K\x01K\x01K\x01\x86" + _DTYPE + b"\x89C\x04\x00\x00\x00\x00tbu.",
             "features_invalid",
@@ -126,8 +131,7 @@ def test_pickles_that_take_much_more_than_their_bytes_are_refused(
     data: bytes, code: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     operations = 20_000 if data.count(b"]") == 30_000 else 10**7
-    for name, limit in (("_MAX_OPERATIONS", operations), ("_MAX_ROWS", 5000), ("_MAX_NUMBERS", 10**6)):
-        monkeypatch.setattr(features, name, limit)
+    limit(monkeypatch, "features", max_operations=operations, max_rows=5000, max_numbers=10**6)
     path = tmp_path / "f.pkl"
     path.write_bytes(gzip.compress(data))
     with pytest.raises(ConfigError, match=words) as caught:

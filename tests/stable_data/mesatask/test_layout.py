@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stable_data.errors import SceneError
+from stable_data.limits import LayoutLimits
 from stable_data.mesatask import (
-    LayoutLimits,
     read_layout,
     to_box_centre,
     write_layout,

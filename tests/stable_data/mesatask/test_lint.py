@@ -17,8 +17,10 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.mesatask.lint import LintResult, lint_folder
-from stable_data.metrics.audit import Audit, audit_scene
+from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene
+from tests.bounds import limit
 
 FEW = ("bathroom_vanity_0435", "office_table_0703", "dining_table_1796")
 TOLERANCE = 3e-3  # what settling hulls instead of meshes, and rounding to 0.1 cm, leaves behind
@@ -99,7 +101,7 @@ def test_an_error_that_nobody_foresaw_is_one_scene_lost(tmp_path: Path, monkeypa
 
 def test_an_audit_that_was_cut_short_is_a_warning_and_no_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_world(tmp_path, 1, EmbeddedWorld(pictures=False))
-    monkeypatch.setattr("stable_data.metrics.audit.MAX_WORK", 0)
+    limit(monkeypatch, "work", max_audit_triangles=0)
     result = lint_folder(tmp_path)
     assert [n.code for n in result.warnings] == ["audit_cut_short"]
     assert result.rows[0]["clean"] is not True

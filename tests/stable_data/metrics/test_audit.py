@@ -7,17 +7,9 @@ import numpy as np
 import pytest
 
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import (
-    Audit,
-    ObjectVerdict,
-    PairVerdict,
-    PosedScene,
-    _mark_support_cycles,
-    audit_posed_scene,
-    audit_scene,
-)
-from stable_data.metrics.collision import TOLERANCE
+from stable_data.metrics.audit import PosedScene, _mark_support_cycles, audit_posed_scene, audit_scene
 from stable_data.metrics.triangle_intersection import MeshPair
+from stable_data.metrics.verdicts import TOLERANCE, Audit, ObjectVerdict, PairVerdict
 from stable_data.scene import Scene
 from tests.scenes import Placed, ball, ball_in_bowl, bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
 

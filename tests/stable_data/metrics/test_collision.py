@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.collision import DEEPEST, LEVELS, TOLERANCE, is_nested, penetration
+from stable_data.metrics.collision import DEEPEST, LEVELS, is_nested, penetration
 from stable_data.metrics.triangle_intersection import MeshPair
+from stable_data.metrics.verdicts import TOLERANCE
 from tests.scenes import ball, bowl, box, hollow, sheet, triangles
 
 CUBE = box(0.1, 0.1, 0.1)

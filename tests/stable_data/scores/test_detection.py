@@ -20,6 +20,7 @@ from stable_data.scores.detection import (
     read_labels,
     score_detections,
 )
+from tests.bounds import soon
 
 UNIT = (0.0, 0.0, 1.0, 1.0)
 ELSEWHERE = (5.0, 5.0, 6.0, 6.0)
@@ -160,3 +161,50 @@ def test_labels_of_another_form_are_refused(tmp_path: Path) -> None:
     ]:
         with pytest.raises(ConfigError):
             read_labels(path)
+
+
+GOOD = {"image": "a", "category": "fork", "box": [0, 0, 1, 1]}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        json.dumps([GOOD | {"score": 10**400}]),
+        json.dumps([GOOD | {"box": {"a": "\x1b[2J" * 10_000}}]),
+        "[" * 100_000 + "]" * 100_000,
+        "[" + "{}," * 5_000_000 + "{}]",
+        '[{"image": "a", "category": "fork", "box": [' + "9" * 5000 + ", 0, 1, 1]}]",
+    ],
+)
+def test_hostile_boxes_are_one_line_soon(content: str, tmp_path: Path) -> None:
+    (tmp_path / "boxes.json").write_text(content)
+    with soon(5.0), pytest.raises(ConfigError) as caught:
+        read_detections(tmp_path / "boxes.json")
+    assert caught.value.code == "file_invalid"
+    assert len(str(caught.value)) < 500
+
+
+def test_a_box_of_huge_numbers_is_no_box(tmp_path: Path) -> None:
+    assert read_detections(write(tmp_path / "boxes.json", [GOOD | {"box": [0, 0, 10**400, 1]}])) == []
+
+
+def test_a_long_question_is_read_to_a_limited_length(tmp_path: Path) -> None:
+    item = {"image": "a", "question": "handle of a " * 200_000, "box": [0, 0, 1, 1]}
+    with soon(2.0):
+        (found,) = read_detections(write(tmp_path / "boxes.json", [item]))
+    assert len(found.category) < 1000
+
+
+def test_hostile_labels_are_one_line_soon(tmp_path: Path) -> None:
+    for answer in ("9" * 400 + " 0 1 1", "-" * 10**6, "0" * 10**6):
+        with soon(2.0), pytest.raises(ConfigError):
+            read_labels(write(tmp_path / "labels.json", [asked("a", "fork", answer)]))
+
+
+def test_many_categories_are_scored_in_time_that_grows_with_the_boxes() -> None:
+    """For each category, all labels and boxes were once looked through."""
+    labels = [LabelledBox("a", f"c{k}", UNIT) for k in range(20_000)]
+    boxes = [DetectedBox("a", f"c{k}", UNIT) for k in range(20_000)]
+    with soon(10.0):
+        scores = score_detections(labels, boxes)
+    assert {one.precision[0.5] for one in scores} == {1.0}

@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner, Result
 
-from stable_data.cli import DONE, app
+from stable_data.cli import app
+from stable_data.commands.command_line import DONE
 from stable_data.errors import ConfigError, MissingColumnsWarning
 from stable_data.scene import Scene
 from stable_data.storage.row_groups import TableFiles

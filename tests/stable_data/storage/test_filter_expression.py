@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stable_data.errors import ConfigError
-from stable_data.storage.filter_expression import DEEPEST_QUERY, LONGEST_QUERY, parse_filter
+from stable_data.limits import LIMITS
+from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.schemas import SCHEMAS
 
 SCHEMA = pa.schema(
@@ -148,8 +149,8 @@ def test_a_file_is_opened_where_its_statistics_leave_it_open(
         ("n in [1, True]", "values of different types"),
         ("kind in [1]", "values of different types"),
         ("ok in [1]", "values of different types"),
-        ("ok" + " or ok" * LONGEST_QUERY, "expected at most"),
-        ("not " * DEEPEST_QUERY + "ok", "nests deeper"),
+        ("ok" + " or ok" * LIMITS.text.max_query, "expected at most"),
+        ("not " * LIMITS.text.max_query_levels + "ok", "nests deeper"),
         ("not " * 900 + "ok", "nests deeper"),
         ("not " * 90_000 + "ok", "nests deeper"),
         ("(" * 900 + "ok" + ")" * 900, "cannot be read"),
@@ -193,8 +194,8 @@ def nested(width: int, depth: int) -> str:
         ("0 <= n" + " <= n" * 1_000 + " <= 1", [0, 1]),
         (f"kind in {[f'scene_{number:05d}' for number in range(10_000)]}", [0, 1]),
         (f"kind not in {[f'scene_{number:05d}' for number in range(10_000)]}", [2]),
-        ("not " * (DEEPEST_QUERY // 2 * 2 - 2) + "ok", [0, 1]),
-        (nested(64, DEEPEST_QUERY - 1), [0, 1]),
+        ("not " * (LIMITS.text.max_query_levels // 2 * 2 - 2) + "ok", [0, 1]),
+        (nested(64, LIMITS.text.max_query_levels - 1), [0, 1]),
     ],
 )
 def test_long_conditions_are_answered(text: str, numbers: list[int]) -> None:

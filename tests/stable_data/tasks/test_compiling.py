@@ -11,6 +11,7 @@ from stable_data.tasks.checking import GoalChecker, start_state
 from stable_data.tasks.compiling import compile_goal
 from stable_data.tasks.geometry import TaskGeometry
 from stable_data.tasks.goal import Goal, GoalKind, StepAction
+from tests.bounds import soon
 from tests.stable_data.tasks.task_scenes import geometry, goal, of, states_of
 
 
@@ -230,3 +231,13 @@ def test_what_holds_already_needs_no_step() -> None:
     assert {s.subject for s in target.steps} == {"mug_0"}
     assert not any(s.action is StepAction.PUSH for s in target.steps)
     assert not GoalChecker(target, geometry()).is_success(start_state(geometry()))
+
+
+@pytest.mark.parametrize("words", ["the mug is where " * 20_000, "is on " * 50_000 + "x", "a" * 10**6])
+def test_a_long_sentence_is_not_checked_and_costs_no_time(words: str) -> None:
+    """The forms are tried in time that grows with a power of the length."""
+    for given in ({"goals": (words,)}, {"actions": (words,)}, {"actions": (f"Pick({words})",)}):
+        with soon(1.0), pytest.raises(GoalError, match=r"text\.max_instruction in STABLE_DATA_LIMITS") as caught:
+            compiled(**given)
+        assert caught.value.code == "goal_not_checkable"
+        assert len(str(caught.value)) < 500

@@ -1,6 +1,7 @@
 """The openai engine against servers that misbehave: nothing is lost, nothing is doubled, and what is said helps."""
 
 import asyncio
+import gzip
 import ipaddress
 import logging
 import pickle
@@ -19,6 +20,7 @@ from models.semantic_reasoner.engines.openai_engine import OpenAIEngine, complet
 from models.semantic_reasoner.engines.protocol import Completion, Sampling
 from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from stable_data.errors import ConfigError
+from tests.bounds import limit
 from tests.models.semantic_reasoner.engines.endpoint import Act, ask, closed_url, endpoint, error, said
 
 KEY = "sk-very/secret-0123456789"
@@ -430,3 +432,28 @@ def test_it_works_within_a_ray_actor() -> None:
             assert ray.get(actor.complete.remote(words)) == [f"echo {w}" for w in words]
         finally:
             ray.shutdown()
+
+
+@pytest.mark.parametrize("status", [200, 500])
+def test_an_answer_without_an_end_is_not_read(status: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, "text", max_answer_bytes=10_000)
+    with endpoint(lambda *_: Act(status, said("x" * 100_000))) as server:
+        (completion,) = OpenAIEngine(server.settings(tries=1)).complete([ask("a")])
+    assert completion.code == "response_invalid"
+    assert "at most 10,000 bytes (text.max_answer_bytes in STABLE_DATA_LIMITS)" in completion.failure
+
+
+def test_a_compressed_answer_is_refused() -> None:
+    """A few of its bytes could become gigabytes."""
+    with endpoint(lambda *_: Act(200, gzip.compress(b"{}"), {"Content-Encoding": "gzip"})) as server:
+        (completion,) = OpenAIEngine(server.settings(tries=1)).complete([ask("a")])
+        assert server.headers[0]["Accept-Encoding"] == "identity"
+    assert completion.code == "response_invalid"
+    assert "compressed" in completion.failure
+
+
+def test_a_failure_can_be_written_whatever_the_model_refused_with() -> None:
+    found = completion_of({"choices": [{"message": {"content": None, "refusal": "no\ud800\x1b[2J"}}]})
+    assert found.code == "reply_refused"
+    assert found.failure.isprintable()
+    found.failure.encode()

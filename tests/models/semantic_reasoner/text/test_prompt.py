@@ -16,7 +16,8 @@ from models.semantic_reasoner.text.prompt import (
 )
 from models.semantic_reasoner.text.reply_json import LayoutObject, parse_reply
 from stable_data.errors import SceneError
-from stable_data.scene import MAX_INSTRUCTION, Stage, Tabletop, TaskInfo
+from stable_data.limits import LIMITS
+from stable_data.scene import Stage, Tabletop, TaskInfo
 
 TABLE = Tabletop("office_table", (1.2, 0.6), (0.2, 0.45, 0.1, 0.3))
 ASK = ReasonerQuestion("Put the mug on the book.", TABLE, Stage.TASK)
@@ -68,7 +69,7 @@ def test_no_words_can_pass_for_the_marks_of_a_chat(words: str) -> None:
     assert text.count("\n") == user_message(ASK).count("\n")
 
 
-@pytest.mark.parametrize("instruction", ["", " \n\t ", "word " * 10_000, "x" * (MAX_INSTRUCTION + 1)])
+@pytest.mark.parametrize("instruction", ["", " \n\t ", "word " * 10_000, "x" * (LIMITS.text.max_instruction + 1)])
 def test_an_instruction_that_cannot_be_asked_is_refused(instruction: str) -> None:
     with pytest.raises(SceneError) as caught:
         messages(replace(ASK, instruction=instruction))

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.semantic_reasoner.text.reply_json import (
-    LONGEST_REPLY,
     LayoutObject,
     LayoutReply,
     layout_names,
@@ -19,6 +18,7 @@ from models.semantic_reasoner.text.reply_json import (
     sanitise_words,
 )
 from stable_data.errors import SceneError
+from stable_data.limits import LIMITS
 from stable_data.scene import SceneObject
 from stable_data.storage.json_schemas import MOST_ENTRIES
 
@@ -106,8 +106,8 @@ def test_names_that_are_taken_get_the_next_free_number(layout: list[LayoutObject
         ('{"objects":[],"remove":[1]}', "reply_malformed"),
         (json.dumps({"objects": [1] * (MOST_ENTRIES + 1)}), "reply_malformed"),
         (json.dumps({"objects": [], "remove": ["a_1"] * (MOST_ENTRIES + 1)}), "reply_malformed"),
-        ('{"objects":[]}' + " " * LONGEST_REPLY, "reply_too_long"),
-        ("é" * (LONGEST_REPLY // 2 + 1), "reply_too_long"),
+        ('{"objects":[]}' + " " * LIMITS.text.max_reply_bytes, "reply_too_long"),
+        ("é" * (LIMITS.text.max_reply_bytes // 2 + 1), "reply_too_long"),
         (json.dumps({"objects": [], "remove": ["\ud800"]}), "reply_not_json"),
         (render_objects([replace(MUG, description="a mug")]).replace("a mug", r"a \udfff mug"), "reply_not_json"),
         (json.dumps({"objects": [], "more": json.loads("[" * 100 + "]" * 100)}), "reply_not_json"),

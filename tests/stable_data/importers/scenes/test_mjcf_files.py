@@ -75,7 +75,7 @@ def test_files_outside_missing_or_in_circles_are_refused(tmp_path: Path, extra: 
 def test_hostile_xml_is_refused() -> None:
     with pytest.raises(MeshError, match="declares the entity"):
         start_tags(b'<!DOCTYPE m [<!ENTITY a "aaaa">]><m>&a;</m>', "x.xml")
-    with pytest.raises(MeshError, match="more elements"):
+    with pytest.raises(MeshError, match="elements that nest deeper"):
         start_tags(b"<a>" * 100 + b"</a>" * 100, "x.xml")
     with pytest.raises(MeshError, match="is not XML"):
         start_tags(b"\x00\x01", "x.xml")

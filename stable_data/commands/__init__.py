@@ -1,0 +1,1 @@
+"""The commands of ``stable-data``, by what they are about."""

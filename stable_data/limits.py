@@ -1,0 +1,446 @@
+"""What one item from outside may cost: the limits of all readers and workers, in one place.
+
+An item is a file with all that it names, a scene, a reply, a line of a task file. A reader refuses what exceeds a limit before memory
+or time is spent on it, and its message names the limit. The environment variable :data:`SETTING` changes limits, for a command and
+for all its workers::
+
+    STABLE_DATA_LIMITS="mesh.max_faces=4000000, item.max_memory_bytes=17179869184" stable-data lint DIR
+"""
+
+import os
+import re
+import resource
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from stable_data.errors import ConfigError
+
+SETTING = "STABLE_DATA_LIMITS"
+"""The environment variable that changes limits: ``name=value`` pairs, joined by commas; names are ``group.field``."""
+
+KIB, MIB, GIB = 2**10, 2**20, 2**30
+
+_ATTRIBUTE = re.compile(r"^ {8}(\w+): (.+(?:\n {12}.+)*)", re.MULTILINE)  # of the docstring of a group
+
+
+@dataclass(frozen=True, slots=True)
+class ItemLimits:
+    """What one item may cost a worker of a job, whatever it is. The time is a setting of each job, ``seconds_per_item``.
+
+    Attributes:
+        max_memory_bytes: Memory that a worker allocates for one item, beyond what it has already.
+        max_scene_file_seconds: Time for one scene file of another project.
+        max_scan_seconds: Time to list what one layer of USD names.
+    """
+
+    max_memory_bytes: int = 8 * GIB
+    max_scene_file_seconds: int = 900
+    max_scan_seconds: int = 60
+
+
+@dataclass(frozen=True, slots=True)
+class FileLimits:
+    """The files of one asset or scene in a source folder.
+
+    Attributes:
+        max_file_bytes: Size of one file.
+        max_bytes: Size of all files that are read for an asset.
+        max_files: Number of these files, and of names of files that one of them states.
+        max_xml_bytes: Size of an XML file: MJCF, URDF, SDFormat.
+        max_nested_bytes: Size of a COLLADA or a glTF file with its JSON, which take many times their size in memory.
+        max_ascii_bytes: Size of an ASCII STL or PLY, likewise.
+        max_material_bytes: Size of a file of materials (MTL).
+        max_manifest_bytes: Size of a manifest of assets.
+        max_catalogue_bytes: Size of a catalogue of furniture.
+        max_metadata_bytes: Size of a file of annotations, after it is unpacked.
+    """
+
+    max_file_bytes: int = 512 * MIB
+    max_bytes: int = 1024 * MIB
+    max_files: int = 500
+    max_xml_bytes: int = 8 * MIB
+    max_nested_bytes: int = 64 * MIB
+    max_ascii_bytes: int = 128 * MIB
+    max_material_bytes: int = 8 * MIB
+    max_manifest_bytes: int = 256 * MIB
+    max_catalogue_bytes: int = 4 * MIB
+    max_metadata_bytes: int = 512 * MIB
+
+
+@dataclass(frozen=True, slots=True)
+class MeshLimits:
+    """A binary glTF.
+
+    Attributes:
+        max_bytes: Size of the file.
+        max_json_bytes: Size of its JSON chunk.
+        max_json_levels: Nesting of lists and objects in the JSON.
+        max_nodes: Nodes of its scene.
+        max_primitives: Primitives, counted once for each node that shows their mesh.
+        max_corners: Vertices of those primitives, counted in the same way.
+        max_faces: Triangles of those primitives, counted in the same way.
+        max_colliders: Convex parts in the file.
+    """
+
+    max_bytes: int = 128 * MIB
+    max_json_bytes: int = 4 * MIB
+    max_json_levels: int = 64
+    max_nodes: int = 10_000
+    max_primitives: int = 20_000
+    max_corners: int = 3_000_000
+    max_faces: int = 1_000_000
+    max_colliders: int = 1_000
+
+
+@dataclass(frozen=True, slots=True)
+class ModelLimits:
+    """A model of another project: COLLADA, URDF, SDFormat, MJCF, USD.
+
+    Attributes:
+        max_faces: Triangles of an asset; larger ones than the library keeps are reduced.
+        max_collider_faces: Triangles of one collider that is cut into convex parts.
+        max_links: Links, joints, frames and files of a model.
+        max_shapes: What is seen and what collides of a model.
+        max_levels: Files within files, and models within models.
+        max_frames: Frames that are relative to each other, in a row.
+        max_elements: Elements of a model with what it includes, and of its copies.
+        max_attributes: Attributes of these elements.
+        max_element_levels: Elements within one another.
+        max_nodes: Nodes of a COLLADA scene, each as often as it is shown.
+        max_layers: Layers of a USD file.
+        max_layer_levels: Layers within one another.
+        max_prims: Prims of a composed USD stage.
+        max_prim_levels: Prims within one another.
+        max_subsets: Parts of a USD mesh with a material of their own.
+        max_members: Files in a USD package.
+        max_copies: Copies that one element of MJCF makes.
+    """
+
+    max_faces: int = 12_000_000
+    max_collider_faces: int = 200_000
+    max_links: int = 2_000
+    max_shapes: int = 2_000
+    max_levels: int = 8
+    max_frames: int = 100
+    max_elements: int = 500_000
+    max_attributes: int = 2_000_000
+    max_element_levels: int = 64
+    max_nodes: int = 10_000
+    max_layers: int = 500
+    max_layer_levels: int = 16
+    max_prims: int = 100_000
+    max_prim_levels: int = 200
+    max_subsets: int = 1_000
+    max_members: int = 2_000
+    max_copies: int = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFileLimits:
+    """A scene file of another project.
+
+    Attributes:
+        max_free_bodies: Bodies that can move.
+        max_poses: Poses that a MuJoCo file states (keyframes).
+        max_memory_bytes: Memory that a MuJoCo model reserves.
+        max_steps: Steps for the time that a scene is watched.
+    """
+
+    max_free_bodies: int = 1_000
+    max_poses: int = 1_000
+    max_memory_bytes: int = 2 * GIB
+    max_steps: int = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class ImageLimits:
+    """A texture or picture.
+
+    Attributes:
+        max_bytes: Size of the file.
+        max_pixels: Pixels of all images that are decoded together.
+        max_scans: Scans of a progressive JPEG; encoders write about 10.
+    """
+
+    max_bytes: int = 64 * MIB
+    max_pixels: int = 2**27
+    max_scans: int = 100
+
+
+@dataclass(frozen=True, slots=True)
+class JsonLimits:
+    """JSON of any kind.
+
+    Attributes:
+        max_levels: Nesting of lists and objects; a layout needs 4.
+        max_values: Brackets and commas; an annotated library of 12,000 assets has a tenth of it.
+    """
+
+    max_levels: int = 64
+    max_values: int = 1 << 22
+
+
+@dataclass(frozen=True, slots=True)
+class LayoutLimits:
+    """A scene in the MesaTask-10K format, and what belongs to it.
+
+    Attributes:
+        max_bytes: Size of a layout.
+        max_objects: Objects of a scene.
+        max_reach: Largest distance of an object from the table, and largest extent of an object, metres.
+        max_task_bytes: Size of a task info.
+        max_annotation_bytes: Size of the annotations of all assets.
+    """
+
+    max_bytes: int = 64 * MIB
+    max_objects: int = 500
+    max_reach: float = 10.0
+    max_task_bytes: int = 1 * MIB
+    max_annotation_bytes: int = 128 * MIB
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureLimits:
+    """A pickle of text features.
+
+    Attributes:
+        max_bytes: Size of the file, also after it is unpacked.
+        max_operations: Operations; one makes an object of up to 100 bytes.
+        max_memo: Largest index of its memory, up to which the reader reserves memory.
+        max_rows: Rows of features.
+        max_numbers: Numbers in all rows together.
+        max_levels: Tuples within one another.
+    """
+
+    max_bytes: int = 256 * MIB
+    max_operations: int = 1 << 24
+    max_memo: int = 1 << 22
+    max_rows: int = 1 << 20
+    max_numbers: int = 1 << 26
+    max_levels: int = 64
+
+
+@dataclass(frozen=True, slots=True)
+class TextLimits:
+    """Texts that are given to a job.
+
+    Attributes:
+        max_instruction: Characters of an instruction, and of a sentence of a goal.
+        max_reply_bytes: Size of the reply of a language model; a layout of 60 objects has about 20,000 bytes.
+        max_answer_bytes: Size of what an endpoint sends for one request.
+        max_line: Characters of a line of a file of tasks or edits.
+        max_config_bytes: Size of a TOML file of settings.
+        max_document_bytes: Size of a JSON file of the project, such as a manifest, labels or statistics.
+        max_query: Characters of a condition: enough for 10,000 ids of 96 characters each.
+        max_query_levels: Levels of a condition's syntax tree.
+    """
+
+    max_instruction: int = 2_000
+    max_reply_bytes: int = 256 * KIB
+    max_answer_bytes: int = 16 * MIB
+    max_line: int = 1 * MIB
+    max_config_bytes: int = 64 * KIB
+    max_document_bytes: int = 256 * MIB
+    max_query: int = 1_000_000
+    max_query_levels: int = 30
+
+
+@dataclass(frozen=True, slots=True)
+class TableLimits:
+    """A Parquet file of a run.
+
+    Attributes:
+        max_decoded_bytes: Memory for its decoded content: ten times the content of a file that a job writes.
+    """
+
+    max_decoded_bytes: int = 1 * GIB
+
+
+@dataclass(frozen=True, slots=True)
+class WorkLimits:
+    """Work on content that is read; what exceeds it is unknown or refused.
+
+    Attributes:
+        max_audit_triangles: Triangles that the exact tests of one scene examine: about 25 s. The fullest tables need 40 million.
+        max_repair_parts: Parts of a mesh that is repaired, and its holes.
+        max_repair_pairs: Pairs of parts whose boxes overlap, and pairs of a face and a hole.
+        max_repair_sums: Faces that are summed for winding numbers over all points.
+        max_support_faces: Triangles of furniture in which surfaces are looked for.
+    """
+
+    max_audit_triangles: int = 300_000_000
+    max_repair_parts: int = 50_000
+    max_repair_pairs: int = 2_000_000
+    max_repair_sums: int = 50_000_000
+    max_support_faces: int = 1_000_000
+
+
+@dataclass(slots=True)
+class Limits:
+    """All limits, by group.
+
+    Attributes:
+        item: See :class:`ItemLimits`.
+        file: See :class:`FileLimits`.
+        mesh: See :class:`MeshLimits`: an asset.
+        gltf_scene: The same for a scene in glTF.
+        model: See :class:`ModelLimits`.
+        scene_file: See :class:`SceneFileLimits`.
+        image: See :class:`ImageLimits`.
+        json: See :class:`JsonLimits`.
+        layout: See :class:`LayoutLimits`.
+        features: See :class:`FeatureLimits`.
+        text: See :class:`TextLimits`.
+        table: See :class:`TableLimits`.
+        work: See :class:`WorkLimits`.
+    """
+
+    item: ItemLimits = field(default_factory=ItemLimits)
+    file: FileLimits = field(default_factory=FileLimits)
+    mesh: MeshLimits = field(default_factory=MeshLimits)
+    gltf_scene: MeshLimits = field(
+        default_factory=lambda: MeshLimits(
+            max_bytes=1 * GIB, max_json_bytes=16 * MIB, max_faces=8_000_000, max_corners=8_000_000
+        )
+    )
+    model: ModelLimits = field(default_factory=ModelLimits)
+    scene_file: SceneFileLimits = field(default_factory=SceneFileLimits)
+    image: ImageLimits = field(default_factory=ImageLimits)
+    json: JsonLimits = field(default_factory=JsonLimits)
+    layout: LayoutLimits = field(default_factory=LayoutLimits)
+    features: FeatureLimits = field(default_factory=FeatureLimits)
+    text: TextLimits = field(default_factory=TextLimits)
+    table: TableLimits = field(default_factory=TableLimits)
+    work: WorkLimits = field(default_factory=WorkLimits)
+
+    def values(self) -> dict[str, int | float]:
+        """All limits by their names, ``group.field``."""
+        groups = {one.name: getattr(self, one.name) for one in fields(self)}
+        return {f"{name}.{one.name}": getattr(group, one.name) for name, group in groups.items() for one in fields(group)}
+
+    def changed(self) -> dict[str, int | float]:
+        """The limits that differ from their defaults, by name. A run that resumes must have the same."""
+        defaults = Limits().values()
+        return {name: value for name, value in self.values().items() if value != defaults[name]}
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """One limit.
+
+    Attributes:
+        name: Its name, ``group.field``.
+        value: Its value in this process.
+        default: Its default.
+        meaning: What it limits.
+    """
+
+    name: str
+    value: int | float
+    default: int | float
+    meaning: str
+
+
+def list_limits() -> list[Limit]:
+    """Returns all limits in the order of their groups."""
+    defaults = Limits().values()
+    meanings: dict[str, str] = {}
+    for group in fields(LIMITS):
+        text = type(getattr(LIMITS, group.name)).__doc__ or ""
+        for found in _ATTRIBUTE.finditer(text.partition("Attributes:")[2]):
+            meanings[f"{group.name}.{found[1]}"] = " ".join(found[2].split())
+    return [Limit(name, value, defaults[name], meanings.get(name, "")) for name, value in LIMITS.values().items()]
+
+
+def read_limits(text: str) -> Limits:
+    """Reads limits from a value of :data:`SETTING`; all others have their defaults.
+
+    Raises:
+        ConfigError: A limit is not known, or its value is no number above 0 (``limits_invalid``).
+    """
+    limits = Limits()
+    known = limits.values()
+    for pair in filter(None, map(str.strip, text.split(","))):
+        name, _, stated = (part.strip() for part in pair.partition("="))
+        if name not in known:
+            raise ConfigError(
+                f"{SETTING}: {pair[:80]!r} names no limit, expected pairs such as mesh.max_faces=4000000; "
+                "stable-data limits lists all",
+                "limits_invalid",
+            )
+        number = stated.replace("_", "")
+        is_valid = number.isascii() and number.replace(".", "", 1).isdigit() and len(number) <= 18
+        if isinstance(known[name], int):
+            is_valid = is_valid and number.isdigit()
+        if not is_valid or not float(number) > 0:
+            what = "whole number" if isinstance(known[name], int) else "number"
+            raise ConfigError(f"{SETTING}: {name} is {stated[:40]!r}, expected a {what} above 0", "limits_invalid")
+        group, _, key = name.partition(".")
+        changed: Any = {key: type(known[name])(number)}
+        setattr(limits, group, replace(getattr(limits, group), **changed))
+    return limits
+
+
+LIMITS = read_limits(os.environ.get(SETTING, ""))
+"""The limits of this process."""
+
+
+def at_most(group: Any, name: str, unit: str = "") -> str:
+    """Says how much is allowed, with the name of the limit and of the setting that changes it.
+
+    Args:
+        group: A group of :data:`LIMITS`, or limits that a caller chose.
+        name: A field of it.
+        unit: The unit, as a word of the message.
+
+    Returns:
+        Such as ``at most 1,000,000 faces (mesh.max_faces in STABLE_DATA_LIMITS)``; without the setting for a caller's own limits.
+    """
+    own = next((one.name for one in fields(LIMITS) if getattr(LIMITS, one.name) is group), None)
+    where = name if own is None else f"{own}.{name} in {SETTING}"
+    value = getattr(group, name)
+    number = f"{value:,}" if isinstance(value, int) else f"{value:g}"
+    return f"at most {number}{unit and ' '}{unit} ({where})"
+
+
+def worker_environment() -> Mapping[str, str]:
+    """The environment variables that give a worker on another machine the limits of this process."""
+    return {SETTING: os.environ[SETTING]} if os.environ.get(SETTING) else {}
+
+
+@contextmanager
+def memory_limited(num_bytes: int) -> Iterator[None]:
+    """Bounds the memory that this process allocates in the body, beyond what it has already; on Linux, elsewhere nothing happens.
+
+    The system refuses what exceeds the bound: Python and numpy raise MemoryError, other code ends the process or reports an error.
+    Memory that is shared with other processes, or mapped from files, does not count.
+
+    Args:
+        num_bytes: The bound.
+    """
+    used = _allocated()
+    if used is None:
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    bounds = [bound for bound in (soft, hard, used + num_bytes) if bound != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def _allocated() -> int | None:
+    """The memory of this process that RLIMIT_DATA counts, bytes; None if the system does not say it."""
+    if not sys.platform.startswith("linux"):
+        return None
+    try:
+        with open("/proc/self/status", "rb") as status:  # noqa: PTH123 - called for each item
+            line = next((line for line in status if line.startswith(b"VmData:")), None)
+    except OSError:
+        return None
+    return None if line is None else int(line.split()[1]) * KIB

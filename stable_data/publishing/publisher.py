@@ -1,0 +1,330 @@
+"""Writes a run as a folder for a dataset hub: card, Parquet by split, pictures, schemas, licences and Croissant metadata."""
+
+import json
+import re
+import shutil
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from stable_data.assets.licences import attribution_text, normalise_licence
+from stable_data.atomic_files import temporary_path
+from stable_data.code_version import code_version
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError, cannot_write
+from stable_data.publishing.asset_licences import AssetLicence, asset_licences, licence_table, refuse_licences
+from stable_data.publishing.croissant import CroissantFile, croissant_document
+from stable_data.publishing.dataset_card import (
+    ALL,
+    ATTRIBUTION_FILE,
+    CROISSANT_FILE,
+    LICENCE_FILE,
+    CardContent,
+    PublishedTable,
+    card_text,
+)
+from stable_data.publishing.previews import previews
+from stable_data.storage.checksums import CHECKSUMS, checksum_of
+from stable_data.storage.id_hashes import IdSet
+from stable_data.storage.json_schemas import write_contracts
+from stable_data.storage.manifest import CHECKED, COMPLETE, DIGEST, MANIFEST, PLANNED, read_manifest, write_manifest
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
+from stable_data.verification.findings import Finding
+from stable_data.verification.verifier import Progress, Verification, VerifyOptions, verify_run
+
+_SHARD_BYTES, _SHARD_BYTES_OF = 64 * 10**6, {"scenes": 16 * 10**6}
+_FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:|~)?(?:[/\\][^\s/\\:'\",;()]+)+[/\\](?=[^\s/\\])")
+_MESSAGES = ("message", "reason", "task_reason")
+_VERDICTS = ("clean", "stable", "task_reachable", "task_graspable")
+
+
+@dataclass(frozen=True, slots=True)
+class PublishOptions:
+    """What the publisher says.
+
+    Attributes:
+        title: Title of the dataset; empty: the name of the run.
+        licence: Licence of the rows themselves; empty if the publisher states none.
+        url: Where the dataset will be; empty if it is not known.
+        citation: How to cite it; empty if the publisher does not say.
+        allow_unknown_licences: Whether assets without a known licence are published.
+        allow_no_derivatives: Whether assets are published that must not be passed on changed.
+        unverified: Whether a run is published that is not known to be whole; the card says so.
+        verify: How the run is verified.
+    """
+
+    title: str = ""
+    licence: str = ""
+    url: str = ""
+    citation: str = ""
+    allow_unknown_licences: bool = False
+    allow_no_derivatives: bool = False
+    unverified: bool = False
+    verify: VerifyOptions = field(default_factory=VerifyOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """The result of :func:`publish`.
+
+    Attributes:
+        tables: The tables that were written.
+        verification: The verification of the run.
+        num_previews: Pictures of the card.
+        left_out: Tables that this library does not know.
+    """
+
+    tables: tuple[PublishedTable, ...]
+    verification: Verification
+    num_previews: int
+    left_out: tuple[str, ...]
+
+
+def publish(
+    run: RunFolder,
+    out: Path,
+    options: PublishOptions,
+    tell: Callable[[Finding], None],
+    progress: Progress | None = None,
+) -> Publication:
+    """Writes a run as a folder for a dataset hub; the folder is put in place at once.
+
+    It is a run itself, whose shards are named by the split of their rows. What is private stays out: paths of files in messages and
+    settings, the timing of shards and the report.
+
+    Args:
+        run: The run.
+        out: The folder; it may not exist, or must be empty.
+        options: What the publisher says.
+        tell: Called with each finding of the verification.
+        progress: As for :func:`verify_run`, and called after each table.
+
+    Raises:
+        ConfigError: The run is not known to be whole (``not_whole``), a licence is unknown (``licence_unknown``) or forbids it
+            (``licence_forbids``), the stated licence is none (``licence_invalid``), or the folder cannot be written.
+    """
+    if options.licence and normalise_licence(options.licence) is None:
+        raise ConfigError(
+            f"--licence {options.licence!r}: is no known licence, expected a name such as CC-BY-4.0", "licence_invalid"
+        )
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ConfigError(f"{out}: is not empty, expected a new folder; choose another one", "output_not_empty")
+    licences = asset_licences(run)
+    refuse_licences(licences, allow_unknown=options.allow_unknown_licences, allow_no_derivatives=options.allow_no_derivatives)
+    verification = verify_run(run, tell, options.verify, progress)
+    if not (verification.is_whole or options.unverified):
+        raise ConfigError(f"{verification}; repair it first, or publish it all the same with --unverified", "not_whole")
+    manifest = read_manifest(run) or {}
+    with _new_folder(out) as folder:
+        return _write(run, RunFolder(str(folder)), folder, manifest, licences, verification, options, progress)
+
+
+@contextmanager
+def _new_folder(out: Path) -> Iterator[Path]:
+    """Yields a folder beside another one, which it replaces at the end; after an error nothing is left."""
+    aside = temporary_path(out.absolute())
+    try:
+        aside.mkdir(parents=True)
+        yield aside
+        if out.exists():
+            out.rmdir()
+        aside.replace(out)
+    except OSError as error:
+        raise cannot_write(str(out), error) from error
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _write(
+    run: RunFolder,
+    target: RunFolder,
+    folder: Path,
+    manifest: Mapping[str, Any],
+    licences: list[AssetLicence],
+    verification: Verification,
+    options: PublishOptions,
+    progress: Progress | None,
+) -> Publication:
+    names = [name for name in SCHEMAS if run.files(name)]
+    figures, written = _Figures(), list[PublishedTable]()
+    for number, name in enumerate(names):
+        written.append(_write_table(run, target, name, figures))
+        if progress is not None:
+            progress("tables", number + 1, len(names))
+    tables = tuple(table for table in written if table.num_rows)
+    if not tables:
+        raise ConfigError(f"{run.uri}: has no rows, expected some to publish", "source_empty")
+    origin = _origin(manifest)
+    write_manifest(
+        target,
+        {
+            "job": "publish",
+            "status": COMPLETE,
+            "code_version": code_version(),
+            "code_versions": [code_version()],
+            "table_version": TABLE_VERSION,
+            "dataset": str(manifest.get("dataset", "")),
+            "inputs": {"run": manifest.get(DIGEST)},
+            "input_fingerprint": content_id({"run": manifest.get(DIGEST)}),
+            "settings": {"title": options.title, "licence": options.licence},
+            "counts": {table.name: table.num_rows for table in written},
+            PLANNED: [],
+            "origin": origin,
+        },
+    )
+    write_contracts(folder / "schemas")
+    pictures = previews(run)
+    for path, content in pictures.items():
+        target.write_bytes(path, content)
+    title = options.title or Path(run.root).name
+    by_licence = Counter(one.licence or "not known" for one in licences)
+    card = CardContent(
+        title,
+        origin,
+        tables,
+        by_licence,
+        normalise_licence(options.licence) if options.licence else None,
+        str(verification).partition(": ")[2].replace(run.uri, "the run"),
+        figures.lines(),
+        list(pictures),
+        options.citation,
+    )
+    target.write_bytes("README.md", card_text(card).encode())
+    files = _write_licences(target, folder, licences)
+    files += [
+        _described(folder, MANIFEST, "how the run was made, and what it has", "application/json"),
+        _described(folder, CHECKSUMS, "checksums of the files of all tables", "text/plain"),
+    ]
+    stated = [*([card.row_licence] if card.row_licence else []), *(name for name in sorted(by_licence) if name != "not known")]
+    description = f"{card.main.num_rows} rows of {card.main.name}, made by {origin.get('job')} of stable-data"
+    document = croissant_document(title, description, list(dict.fromkeys(stated)), tables, files)
+    document |= {"datePublished": datetime.now(UTC).date().isoformat()}
+    document |= {key: text for key, text in (("url", options.url), ("citeAs", options.citation)) if text}
+    target.write_bytes(CROISSANT_FILE, (json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
+    return Publication(tables, verification, len(pictures), tuple(set(run.tables()) - set(names)))
+
+
+def _write_licences(target: RunFolder, folder: Path, licences: list[AssetLicence]) -> list[CroissantFile]:
+    """Writes the table and the page of the licences, if there are assets."""
+    if not licences:
+        return []
+    sink = pa.BufferOutputStream()
+    pq.write_table(licence_table(licences), sink, compression="zstd")
+    target.write_bytes(LICENCE_FILE, sink.getvalue().to_pybytes())
+    target.write_bytes(ATTRIBUTION_FILE, attribution_text([one.annotation() for one in licences]).encode())
+    return [_described(folder, LICENCE_FILE, "licences of the assets", "application/x-parquet")]
+
+
+def _described(folder: Path, name: str, description: str, media_type: str) -> CroissantFile:
+    content = (folder / name).read_bytes()
+    return CroissantFile(name, description, media_type, checksum_of(content), len(content))
+
+
+def _write_table(run: RunFolder, target: RunFolder, name: str, figures: "_Figures") -> PublishedTable:
+    """Writes the rows of a table in shards of about _SHARD_BYTES, by split."""
+    limit = _SHARD_BYTES_OF.get(name, _SHARD_BYTES)
+    pending: dict[str, list[pa.Table]] = defaultdict(list)
+    rows, numbers, there = Counter[str](), Counter[str](), IdSet()
+
+    def flush(split: str) -> None:
+        shard = pa.concat_tables([SCHEMAS[name].empty_table(), *pending.pop(split)])
+        target.write_table(name, f"{split}.{numbers[split]:05d}", shard)
+        numbers[split] += 1
+
+    for batch in run.batches(name):
+        part = pa.Table.from_batches([batch]).replace_schema_metadata(SCHEMAS[name].metadata)
+        figures.note(name, part)
+        if name == "textures":  # in a run each shard has those of its assets
+            part = part.filter(pa.array(~there.has(part["sha256"])))
+            there.add(part["sha256"])
+        for split, own in _by_split(_without_folders(part)):
+            rows[split] += own.num_rows
+            pending[split].append(own)
+            if sum(each.nbytes for each in pending[split]) > limit:
+                flush(split)
+    for split in list(pending):
+        flush(split)
+    if not rows:  # a table without rows stays one
+        pending[ALL] = []
+        flush(ALL)
+    size = sum(size for _, size, _ in target.file_stamps(name))
+    return PublishedTable(name, dict(rows), size)
+
+
+def _by_split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
+    if "split" not in rows.column_names:
+        if rows.num_rows:
+            yield ALL, rows
+        return
+    splits = pc.fill_null(rows["split"], ALL)
+    for split in pc.unique(splits).to_pylist():
+        yield split, rows.filter(pc.equal(splits, split))
+
+
+def _without_folders(rows: pa.Table) -> pa.Table:
+    """Rows without the folders of the machine that made them in messages."""
+    for column in _MESSAGES:
+        if column in rows.column_names:
+            texts = [None if text is None else without_folders(text) for text in rows[column].to_pylist()]
+            place = rows.schema.get_field_index(column)
+            rows = rows.set_column(place, rows.schema.field(column), pa.array(texts, pa.string()))
+    return rows
+
+
+def without_folders(text: str) -> str:
+    """Returns a text in which paths of files are reduced to their last part.
+
+    Example:
+        >>> without_folders("asset cup: /home/me/data/cup.glb cannot be read")
+        'asset cup: cup.glb cannot be read'
+    """
+    return _FOLDERS.sub("", text)
+
+
+def _origin(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """What a published run says of the run that it was made of: its manifest without checksums, and without paths and addresses."""
+    left_out = {DIGEST, PLANNED, CHECKED, "work", "command"}
+    return {key: _public(value) for key, value in manifest.items() if key not in left_out}
+
+
+def _public(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {without_folders(str(key)): _public(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_public(entry) for entry in value]
+    if isinstance(value, str) and "://" in value:
+        return ""
+    return without_folders(value) if isinstance(value, str) else value
+
+
+class _Figures:
+    """Counts the verdicts of the scenes of a run for its card."""
+
+    def __init__(self) -> None:
+        self._count, self._true, self._known = 0, Counter[str](), Counter[str]()
+
+    def note(self, name: str, rows: pa.Table) -> None:
+        """Counts the rows of a part of a table."""
+        if name == "scenes":
+            self._count += rows.num_rows
+            for column in _VERDICTS:
+                self._true[column] += pc.sum(rows[column]).as_py() or 0
+                self._known[column] += rows.num_rows - rows[column].null_count
+
+    def lines(self) -> list[str]:
+        """A line for each verdict that is known of at least one scene."""
+        return [
+            f"`{column}`: {self._true[column]:,} of {self._known[column]:,} scenes"
+            + (f"; not known of {self._count - self._known[column]:,}" if self._known[column] < self._count else "")
+            for column in _VERDICTS
+            if self._known[column]
+        ]

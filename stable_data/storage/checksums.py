@@ -1,0 +1,105 @@
+"""The checksums of the shards of a run: the file ``SHA256SUMS``, which ``sha256sum -c SHA256SUMS`` checks too.
+
+A checksum is that of the bytes as they were written: no file is read for it. Whoever writes a shard has it
+(:attr:`stable_data.storage.run_folder.RunFolder.written`), and the driver of a job stores it. Only where a driver was killed before it
+stored the last ones, or where a run is older than this file, are shards read once.
+"""
+
+import hashlib
+import re
+from collections.abc import Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import PurePosixPath
+from typing import Any
+
+from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import RunFolder
+
+CHECKSUMS = "SHA256SUMS"
+"""Name of the file in the run's folder."""
+
+_LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
+_AT_ONCE = 8  # files of an object store have a latency
+
+
+def read_checksums(folder: RunFolder) -> dict[str, str] | None:
+    """Returns the checksums of a run by file, ``table/part-id.parquet`` -> SHA-256; None if the run has none.
+
+    Raises:
+        ConfigError: The file has another form (``checksums_invalid``), or cannot be read.
+    """
+    content = folder.read_bytes(CHECKSUMS)
+    if content is None:
+        return None
+    found = dict[str, str]()
+    for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
+        match = _LINE.fullmatch(line)
+        if match is None or match[2] in found:
+            raise ConfigError(
+                f"{folder.uri}/{CHECKSUMS}: line {number} is {line[:80]!r}, expected a SHA-256, two spaces and a file, each file once; "
+                "delete the file and run the job again, which makes it anew",
+                "checksums_invalid",
+            )
+        found[match[2]] = match[1]
+    return found
+
+
+def save_checksums(folder: RunFolder) -> None:
+    """Stores the checksums of what was written meanwhile, beside those that are stored already; shards need not be complete.
+
+    Raises:
+        ConfigError: The file cannot be written, or has another form.
+    """
+    if folder.written:
+        _write(folder, (read_checksums(folder) or {}) | folder.written)
+
+
+def take_checksums(folder: RunFolder, tables: Collection[str]) -> dict[str, str]:
+    """Removes the checksums of some tables from the file, before shards of them are replaced, and returns them.
+
+    A replacement that is stopped leaves no checksum of a file that it has replaced.
+
+    Raises:
+        ConfigError: The file cannot be read or written, or has another form.
+    """
+    known = read_checksums(folder) or {}
+    taken = {name: checksum for name, checksum in known.items() if name.partition("/")[0] in tables}
+    if taken:
+        _write(folder, {name: checksum for name, checksum in known.items() if name not in taken})
+    return taken
+
+
+def complete_checksums(folder: RunFolder) -> dict[str, Any]:
+    """Stores the checksums of all shards that are there, and no others; those that are not known are computed from the files.
+
+    Returns:
+        What the manifest says of them: the number of ``files``, and the ``sha256`` of the file with the checksums.
+
+    Raises:
+        ConfigError: A shard cannot be read, or the file cannot be written.
+    """
+    known = (read_checksums(folder) or {}) | folder.written
+    names = [f"{table}/{PurePosixPath(path).name}" for table in folder.tables() for path in folder.files(table)]
+    unknown = [name for name in names if name not in known]
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        known |= zip(unknown, pool.map(lambda name: _checksum(folder, name), unknown), strict=True)
+    return {"files": len(names), "sha256": _write(folder, {name: known[name] for name in names})}
+
+
+def checksum_of(content: bytes) -> str:
+    """Returns the checksum of the content of a file, 64 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def _checksum(folder: RunFolder, name: str) -> str:
+    content = folder.read_bytes(name)
+    if content is None:
+        raise ConfigError(f"{folder.uri}/{name}: was removed meanwhile, expected a shard; run again", "shard_missing")
+    return checksum_of(content)
+
+
+def _write(folder: RunFolder, checksums: Mapping[str, str]) -> str:
+    """Writes the file; returns its own checksum."""
+    content = "".join(f"{checksums[name]}  {name}\n" for name in sorted(checksums)).encode()
+    folder.write_bytes(CHECKSUMS, content)
+    return checksum_of(content)

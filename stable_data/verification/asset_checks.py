@@ -1,0 +1,198 @@
+"""Checks the rows of assets: their meshes, looks, images and grids are what their hashes and the other columns say."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pyarrow as pa
+
+from stable_data.errors import MeshError
+from stable_data.geometry.gltf_reader import load_glb, load_surfaces, texture_addresses
+from stable_data.geometry.mesh import Mesh
+from stable_data.scene import FloatArray
+from stable_data.storage.checksums import checksum_of
+from stable_data.storage.schemas import Row
+from stable_data.verification.findings import Findings
+from stable_data.verification.images import image_fault
+from stable_data.verification.known_ids import KnownIds
+from stable_data.verification.shard_files import ShardFile
+
+_ROUNDING = 1e-5  # of the largest extent: vertices of a file are float32
+_LOOK_SLACK = 0.02  # of the largest extent: the box of a look may leave out faces without area
+
+
+class AssetFacts:
+    """The extents and the number of triangles of every mesh of a run: 40 bytes an asset."""
+
+    def __init__(self) -> None:
+        self._facts: dict[str, tuple[float, float, float, int]] = {}
+
+    def add(self, asset_id: str, mesh: Mesh) -> None:
+        """Adds a mesh."""
+        x, y, z = mesh.extents.tolist()
+        self._facts[asset_id] = x, y, z, len(mesh.faces)
+
+    def extents(self, asset_id: str) -> FloatArray | None:
+        """The extents of a mesh, (3,) float64, mesh units; None if it is not known."""
+        found = self._facts.get(asset_id)
+        return None if found is None else np.array(found[:3])
+
+    def num_faces(self, asset_id: str) -> int | None:
+        """The number of triangles of a mesh; None if it is not known."""
+        found = self._facts.get(asset_id)
+        return None if found is None else found[3]
+
+
+class TextureCheck:
+    """Checks rows of ``textures``."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+
+    def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
+        """Checks rows of a file, of which the first has a number."""
+        for number, row in enumerate(rows, start):
+            if checksum_of(row["image"] or b"") != row["sha256"]:
+                self._findings.damage(file.name, f"the image does not have the hash {row['sha256']!r:.70} of its row", number)
+            elif fault := image_fault(row["image"], row["mime"], (row["width"], row["height"])):
+                self._findings.damage(file.name, f"image {row['sha256'][:16]}…: {fault}", number)
+
+
+class MeshCheck:
+    """Checks rows of ``meshes``.
+
+    Args:
+        known: Ids of the textures.
+        facts: Receives what the meshes are.
+        findings: Where damage is noted.
+    """
+
+    def __init__(self, known: KnownIds, facts: AssetFacts, findings: Findings) -> None:
+        self._known, self._facts, self._findings = known, facts, findings
+
+    def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
+        """Checks rows of a file, of which the first has a number."""
+        for number, row in enumerate(rows, start):
+            for what in self._faults(row):
+                self._findings.damage(file.name, f"asset {row['asset_id']}: {what}", number)
+
+    def _faults(self, row: Row) -> Iterator[str]:
+        if row["glb"] is None or checksum_of(row["glb"]) != row["sha256"]:
+            yield f"glb does not have the hash {row['sha256']!r:.70} of its row"
+            return
+        try:
+            mesh, _ = load_glb(row["glb"], row["asset_id"])
+        except MeshError as error:
+            yield str(error)
+            return
+        self._facts.add(row["asset_id"], mesh)
+        yield from _part_faults(row.get("parts") or (), mesh)
+        if row.get("look") is not None:
+            yield from self._look_faults(row, mesh)
+
+    def _look_faults(self, row: Row, mesh: Mesh) -> Iterator[str]:
+        """Faults of a look: the images that it names are in the run, and it lies on its mesh."""
+        names = texture_addresses(row["look"])
+        missing = self._known.missing(pa.array(names, pa.string()), ["textures"])
+        yield from (
+            f"its look names the texture {name}, which is in no row" for name, m in zip(names, missing, strict=True) if m
+        )
+        try:
+            surfaces = load_surfaces(row["look"], row["asset_id"], textures=lambda _: b"")
+        except MeshError as error:
+            yield str(error)
+            return
+        corners = np.concatenate([surface.triangles.reshape(-1, 3) for surface in surfaces])
+        extent = float(mesh.extents.max())
+        apart = max(
+            float(np.abs(corners.min(axis=0) - mesh.vertices.min(axis=0)).max()),
+            float(np.abs(corners.max(axis=0) - mesh.vertices.max(axis=0)).max()),
+        )
+        if apart > _LOOK_SLACK * extent + (row.get("look_distance") or 0.0):
+            yield f"its look is {apart / extent:.1%} of its extent beside its mesh, expected on it"
+
+
+def _part_faults(parts: Sequence[Row], mesh: Mesh) -> Iterator[str]:
+    half = mesh.extents / 2 + 0.5 * float(mesh.extents.max())  # hulls of parts reach beyond a mesh, but never that far
+    for number, part in enumerate(parts):
+        vertices, faces = np.asarray(part["vertices"], np.float64), np.asarray(part["faces"], np.int64)
+        if len(vertices) % 3 or len(faces) % 3 or not len(faces) or faces.min() < 0 or 3 * faces.max() >= len(vertices):
+            yield f"part {number} has faces without vertices, expected indices of its {len(vertices) // 3} vertices"
+        elif (np.abs(vertices.reshape(-1, 3)) > half).any():
+            yield f"part {number} lies beside its mesh, expected on it"
+
+
+class AssetCheck:
+    """Checks rows of ``assets`` against the meshes of the run.
+
+    Args:
+        facts: What the meshes are.
+        findings: Where damage is noted.
+    """
+
+    def __init__(self, facts: AssetFacts, findings: Findings) -> None:
+        self._facts, self._findings = facts, findings
+
+    def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
+        """Checks rows of a file, of which the first has a number."""
+        for number, row in enumerate(rows, start):
+            for what in self._faults(row):
+                self._findings.damage(file.name, f"asset {row['asset_id']}: {what}", number)
+
+    def _faults(self, row: Row) -> Iterator[str]:
+        extents, num_faces = self._facts.extents(row["asset_id"]), self._facts.num_faces(row["asset_id"])
+        stated, report = row["extents"], row["report"]
+        if extents is not None and not np.allclose(extents, stated, rtol=0, atol=_ROUNDING * float(extents.max())):
+            yield f"extents are {stated}, expected {extents.tolist()} as of its mesh"
+        if num_faces is not None and report is not None and report["num_faces"] != num_faces:
+            yield f"its report says {report['num_faces']} faces, expected {num_faces} as of its mesh"
+        points, normals = (np.asarray(row[name], np.float64) for name in ("points", "normals"))
+        if points.size != normals.size or points.size % 3:
+            yield f"it has {points.size / 3:g} points and {normals.size / 3:g} normals, expected as many"
+            return
+        if len(points) and (np.abs(points.reshape(-1, 3)) > np.array(stated) / 2 + _ROUNDING * max(stated)).any():
+            yield "a surface point is outside of its box"
+        if len(normals) and np.abs(np.linalg.norm(normals.reshape(-1, 3), axis=1) - 1).max() > 1e-3:
+            yield "a normal is no unit vector"
+        scale, volume = row.get("typical_scale"), row.get("volume")
+        if scale is not None and volume is not None and report is not None:
+            expected = report["volume"] * float(np.prod(scale))
+            if not np.isclose(volume, expected, rtol=1e-6, atol=1e-15):
+                yield f"volume is {volume}, expected {expected} by its report and typical_scale"
+
+
+class GridCheck:
+    """Checks rows of ``sdf``."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+
+    def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
+        """Checks rows of a file, of which the first has a number."""
+        for number, row in enumerate(rows, start):
+            if len(row["values"]) != int(np.prod(np.asarray(row["shape"], np.int64))):
+                what = f"its grid has {len(row['values'])} values, expected as many as its shape {list(row['shape'])} says"
+                self._findings.damage(file.name, f"asset {row['asset_id']}: {what}", number)
+            elif abs(max(row["aspect"]) - 1.0) > 1e-9:
+                self._findings.damage(
+                    file.name, f"asset {row['asset_id']}: aspect is {row['aspect']}, expected 1 as largest", number
+                )
+
+
+class FeatureCheck:
+    """Checks rows of ``features``: a run contains features of one encoder.
+
+    Args:
+        encoder: Fingerprint of the encoder that the manifest names; None if it names none.
+        findings: Where damage is noted.
+    """
+
+    def __init__(self, encoder: str | None, findings: Findings) -> None:
+        self._encoder, self._findings = encoder, findings
+
+    def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
+        """Checks rows of a file, of which the first has a number."""
+        for number, row in enumerate(rows, start):
+            self._encoder = self._encoder or row["encoder_fingerprint"]
+            if row["encoder_fingerprint"] != self._encoder:
+                what = f"encoder_fingerprint is {row['encoder_fingerprint']}, expected {self._encoder} as of the run"
+                self._findings.damage(file.name, f"asset {row['asset_id']}: {what}", number)

@@ -1,0 +1,300 @@
+"""Checks the manifest of a run: that it is as it was written, and that the run has what it counts and planned."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from stable_data.content_id import content_id
+from stable_data.errors import ConfigError
+from stable_data.mesatask.dataset_split import SplitShares
+from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
+from stable_data.storage.checksums import CHECKSUMS, checksum_of, read_checksums
+from stable_data.storage.id_hashes import IdSet
+from stable_data.storage.manifest import (
+    CHECKED,
+    COMPLETE,
+    DIGEST,
+    MANIFEST,
+    PLANNED,
+    PlannedItems,
+    digest_of_ids,
+    manifest_digest,
+)
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
+from stable_data.verification.findings import Findings
+from stable_data.verification.known_ids import KEYS, leaves
+from stable_data.verification.scene_checks import SplitRule, is_close
+from stable_data.verification.shard_files import ShardFile
+
+OF_DATASET = content_id("dataset")
+"""The shard of failures and warnings about the input as a whole."""
+
+_NUMBERS: Mapping[str, tuple[tuple[str, str, str, bool], ...]] = {
+    "preprocess": (("scenes", "scene_id", "num_scenes", True), ("assets", "asset_id", "num_assets", False)),
+    "generate": (("scenes", "scene_id", "num_tasks", True),),
+    "edit": (("scenes", "scene_id", "num_edits", True),),
+    **dict.fromkeys(("correct", "reach"), (("scenes", "scene_id", "num_scenes", True),)),
+    "rate": (("ratings", "scene_id", "num_scenes", True),),
+    "views": (("views", "scene_id", "num_scenes", True),),
+    **dict.fromkeys(("demonstrate", "evaluate-policy"), (("episodes", "episode_id", "num_episodes", True),)),
+    "import": (("assets", "asset_id", "num_assets", True),),
+}
+"""Job -> table, column, key of the number of items, and whether items lost before shards are among them: for runs that are older than
+the list of planned items."""
+
+_COUNTED: Mapping[str, Mapping[str, str]] = {
+    "warnings": {"code": "warnings_by_code"},
+    "failures": {"code": "failures_by_code", "step": "failures_by_step"},
+    "corrections": {"status": "by_status"},
+    "edits": {"kind": "by_kind"},
+}
+"""Table -> column -> key of the number of rows by its values."""
+
+
+def read_raw_manifest(folder: RunFolder, findings: Findings) -> dict[str, Any] | None:
+    """Returns the manifest as it stands in its file; None, and a finding, if it is missing or no manifest.
+
+    Raises:
+        ConfigError: The folder cannot be read.
+    """
+    content = folder.read_bytes(MANIFEST)
+    if content is None:
+        findings.damage(MANIFEST, "is missing, expected the manifest of the run")
+        return None
+    try:
+        found = json.loads(content)
+    except ValueError as error:
+        findings.damage(MANIFEST, f"is no JSON text ({error})")
+        return None
+    if not isinstance(found, dict) or not isinstance(found.get("job"), str):
+        findings.damage(MANIFEST, "is no manifest, expected a JSON object with the name of a job")
+        return None
+    return found
+
+
+def check_manifest(manifest: Mapping[str, Any], findings: Findings) -> None:
+    """Checks what a manifest says of itself."""
+    digest = manifest.get(DIGEST)
+    if digest is None:
+        findings.cannot_know("the manifest has no digest: the run is older, and its settings may have been edited")
+    elif digest != (expected := manifest_digest(manifest)):
+        findings.damage(MANIFEST, f"its digest is {digest!r:.70}, expected {expected}: an entry was edited")
+    inputs = manifest.get("inputs")
+    if "code_versions" in manifest and manifest.get("input_fingerprint") != (expected := content_id(inputs)):
+        findings.damage(
+            MANIFEST, f"input_fingerprint is {manifest.get('input_fingerprint')}, expected {expected} by its inputs"
+        )
+    versions = manifest.get("table_version"), manifest.get("upgraded_to")
+    if TABLE_VERSION not in versions:
+        findings.damage(MANIFEST, f"table_version is {versions[0]}, expected {TABLE_VERSION}; stable-data upgrade may help")
+
+
+def stated_checksums(folder: RunFolder, manifest: Mapping[str, Any] | None, findings: Findings) -> dict[str, str] | None:
+    """Returns the checksums of a run; None, and what cannot be known, if it has none.
+
+    Raises:
+        ConfigError: The folder cannot be read.
+    """
+    stated = None if manifest is None else manifest.get(CHECKED)
+    content = folder.read_bytes(CHECKSUMS)
+    if content is None:
+        if stated is None:
+            findings.cannot_know(
+                "there are no checksums: the run is older or not finished, and its files may have been changed"
+            )
+        else:
+            findings.damage(CHECKSUMS, "is missing, expected the checksums of the run")
+        return None
+    try:
+        found = read_checksums(folder)
+    except ConfigError as error:
+        if error.code != "checksums_invalid":
+            raise
+        findings.damage(CHECKSUMS, str(error))
+        return None
+    if isinstance(stated, dict) and stated.get("sha256") != checksum_of(content):
+        findings.damage(CHECKSUMS, f"is not the file that the manifest names ({stated.get('sha256')!r:.24}…); it was changed")
+    return found
+
+
+def split_rule(manifest: Mapping[str, Any]) -> SplitRule | None:
+    """Returns how splits follow from scenes in a run; None if its job takes them from other runs, whose scenes may be changed."""
+    origin = manifest.get("origin")
+    if manifest.get("job") == "publish" and isinstance(origin, dict):
+        manifest = origin
+    job, settings = manifest.get("job"), manifest.get("settings")
+    if job == "preprocess" and isinstance(settings, dict):
+        shares = [settings.get(name) for name in ("seed", "train_share", "validation_share")]
+        return SplitRule(SplitShares(int(shares[0]), *map(float, shares[1:]))) if None not in shares else None  # type: ignore[arg-type]
+    return SplitRule(SplitShares(), "generated") if job == "generate" else None
+
+
+@dataclass(slots=True)
+class _Items:
+    """Planned items, and those that were found."""
+
+    planned: PlannedItems
+    rows: IdSet
+    failed: IdSet
+
+
+class CountCheck:
+    """Counts rows, and compares their numbers with those of the manifest.
+
+    Args:
+        manifest: The manifest.
+        files: All files of the run.
+        findings: Where damage is noted.
+    """
+
+    def __init__(self, manifest: Mapping[str, Any], files: Sequence[ShardFile], findings: Findings) -> None:
+        self._manifest, self._findings = manifest, findings
+        counts = manifest.get("counts")
+        self._counts: Mapping[str, Any] = counts if isinstance(counts, dict) else {}
+        self.rows = Counter[str](dict.fromkeys((file.table for file in files), 0))
+        self._by_value = {key: Counter[str]() for keys in _COUNTED.values() for key in keys.values()}
+        self._numbers = Counter[str]()
+        self._by_task = dict[str, list[int]]()
+        self._reasons, self._hashes = Counter[str](), IdSet()
+        self._num_hashes, self._averages = 0, list[float]()
+        self._shard_ids: dict[str, set[str]] = {}
+        for file in files:
+            self._shard_ids.setdefault(file.table, set()).add(file.shard_id)
+        self._items = [_Items(planned, IdSet(), IdSet()) for planned in self._planned()]
+
+    def _planned(self) -> list[PlannedItems]:
+        """The planned items of the manifest; for an older one their numbers alone."""
+        listed = self._manifest.get(PLANNED)
+        if isinstance(listed, list):
+            try:
+                return [PlannedItems(**entry) for entry in listed]
+            except TypeError as error:
+                self._findings.damage(MANIFEST, f"{PLANNED} has an entry of another form ({error})")
+                return []
+        found = [
+            PlannedItems(table, column, self._manifest[key], "", lost)
+            for table, column, key, lost in _NUMBERS.get(str(self._manifest.get("job")), ())
+            if isinstance(self._manifest.get(key), int)
+        ]
+        if not found:
+            self._findings.cannot_know(
+                "the manifest does not say which items were planned: the run is older, and rows may be missing"
+            )
+        return found
+
+    def note(self, rows: pa.Table, file: ShardFile) -> None:
+        """Counts the rows of a row group."""
+        table = file.table
+        self.rows[table] += rows.num_rows
+        for column, key in _COUNTED.get(table, {}).items():
+            for entry in pc.value_counts(rows[column]).to_pylist():
+                self._by_value[key][entry["values"]] += entry["counts"]
+        for items in self._items:
+            plan = items.planned
+            if table == plan.table and plan.column.partition(".")[0] in rows.column_names:
+                items.rows.add(leaves(rows, plan.column, 0)[0])
+            of_plan = self._shard_ids.get(plan.table, set()) | ({OF_DATASET} if plan.lost else set())
+            if table == "failures" and file.shard_id in of_plan:
+                items.failed.add(rows["id"])
+        self._note_job(rows, table)
+
+    def _note_job(self, rows: pa.Table, table: str) -> None:
+        """Counts what the job of the run counts besides."""
+        if table == "scenes":
+            for name in (REACHABLE, GRASPABLE):
+                if name in rows.column_names:
+                    self._numbers[name] += pc.sum(rows[name]).as_py() or 0
+        elif table == "assets" and "geometry_hash" in rows.column_names:
+            hashes = [name for name in rows["geometry_hash"].to_pylist() if name]
+            self._num_hashes += len(hashes)
+            self._hashes.add(pa.array(hashes, pa.string()))
+        elif table == "episodes":
+            for kind, success, reason in zip(*(rows[n].to_pylist() for n in ("task_kind", "success", "reason")), strict=True):
+                done = self._by_task.setdefault(kind, [0, 0])
+                done[0], done[1] = done[0] + bool(success), done[1] + 1
+                if not success:
+                    self._reasons[str(reason).partition(":")[0]] += 1
+        elif table == "ratings":
+            self._averages += [value for value in rows["average"].to_pylist() if value is not None]
+            self._numbers["passed"] += pc.sum(rows["quality_pass"]).as_py() or 0
+            self._numbers["passes_known"] += rows.num_rows - rows["quality_pass"].null_count
+
+    def close(self, *, has_checksums: bool) -> None:
+        """Compares the numbers.
+
+        Args:
+            has_checksums: Whether the run has checksums: then it may have tables that its job did not count.
+        """
+        for items in self._items:
+            self._compare_items(items)
+        if self._manifest.get("status") != COMPLETE:
+            return
+        for table, count in self.rows.items():
+            stated = self._counts.get(table)
+            if stated is None and count and not has_checksums:
+                self._findings.cannot_know(f"table {table}: the manifest does not count its {count} rows")
+            elif stated is not None and stated != count:
+                self._findings.damage(table, f"has {count} rows, expected {stated} as the manifest counts")
+        for table, stated in self._counts.items():
+            if table in SCHEMAS and table not in self.rows:
+                self._findings.damage(table, f"is missing, expected the {stated} rows that the manifest counts")
+        for key, found in self._found().items():
+            if key in self._counts and not _is_same(self._counts[key], found):
+                self._findings.damage(MANIFEST, f"counts.{key} is {self._counts[key]}, expected {found} by the rows")
+
+    def _found(self) -> dict[str, Any]:
+        """Further counts by their keys in the manifest."""
+        job, found = self._manifest.get("job"), dict[str, Any](self._by_value)
+        if job == "reach":
+            found |= {name: self._numbers[name] for name in (REACHABLE, GRASPABLE)}
+        elif job == "import":
+            found["copies"] = self._num_hashes - len(self._hashes)
+        elif job in ("demonstrate", "evaluate-policy"):
+            found["successes"] = sum(done for done, _ in self._by_task.values())
+            if job == "demonstrate":
+                found |= {"by_task": self._by_task, "by_reason": self._reasons}
+        elif job == "rate":
+            mean = round(float(np.mean(self._averages)), 4) if self._averages else None
+            found |= {"rated": len(self._averages), "average": mean} | {n: self._numbers[n] for n in ("passed", "passes_known")}
+        return found
+
+    def _compare_items(self, items: _Items) -> None:
+        plan, rows, failed = items.planned, items.rows, items.failed
+        both = int((~_not_in(failed, rows)).sum())
+        if both and plan.column in KEYS.get(plan.table, ()):
+            self._findings.damage(plan.table, f"{both} items are rows and failures, expected each to be one of them")
+        if self._manifest.get("status") != COMPLETE:
+            return
+        whole = IdSet.union(rows, failed)
+        if len(whole) != plan.count:
+            self._findings.damage(
+                plan.table,
+                f"{len(whole)} items are rows ({len(rows)}) or failures ({len(failed)}), expected the {plan.count} that were planned",
+            )
+        elif plan.digest and digest_of_ids(whole) != plan.digest:
+            self._findings.damage(
+                plan.table, f"its {plan.count} items are not those that were planned: one was renamed or exchanged"
+            )
+        stated = self._counts.get(plan.failed_key or "")
+        if stated is not None and stated != plan.count - len(rows):
+            self._findings.damage(
+                MANIFEST, f"counts.{plan.failed_key} is {stated}, expected {plan.count - len(rows)} by the rows of {plan.table}"
+            )
+
+
+def _not_in(ids: IdSet, others: IdSet) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    return ~others.has_hashes(ids.hashes)
+
+
+def _is_same(stated: Any, found: Any) -> bool:
+    """Whether a count of the manifest is that of the rows."""
+    if isinstance(found, Mapping):
+        return isinstance(stated, dict) and {k: v for k, v in stated.items() if v} == {str(k): v for k, v in found.items() if v}
+    return is_close(stated, found) or (isinstance(found, float) and isinstance(stated, float) and abs(stated - found) < 2e-4)

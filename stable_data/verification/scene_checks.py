@@ -1,0 +1,246 @@
+"""Checks rows of ``scenes`` and ``rejected``: names within a scene, and every column that follows from others."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import pyarrow as pa
+
+from stable_data.errors import StableDataError
+from stable_data.mesatask.dataset_split import SplitShares, split_of
+from stable_data.mesatask.near_duplicates import duplicate_group
+from stable_data.metrics.card import MetricCard, add_counts
+from stable_data.metrics.judge_columns import FURTHER, verdict_columns
+from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
+from stable_data.metrics.verdicts import audit_of_row
+from stable_data.position_convention import has_size
+from stable_data.scene import TABLE, UPRIGHT, RelationKind, Scene
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import VARIANT_COLUMNS, scene_from_row
+from stable_data.verification.asset_checks import AssetFacts
+from stable_data.verification.findings import Findings
+from stable_data.verification.known_ids import KnownIds
+from stable_data.verification.shard_files import ShardFile
+
+_LIMITS = {"settle_move_max_mm": 10.0, "settle_turn_max_deg": 5.0, "drift_mm": 50.0}
+"""Columns of MuJoCo's verdict -> their largest values in a stable scene (:mod:`stable_data.simulation.settling`)."""
+
+_DERIVED = (
+    *("num_objects", "num_stacked", "num_contained", "num_tilted", "num_without_mesh", "num_unknown_pairs", "num_collisions"),
+    *("oc", "oc_0mm", "oc_1mm", "oc_10mm", "max_penetration_mm", "table_penetration_mm", "float_rate", "float_gap"),
+    *("max_gap_mm", "out_of_bounds_rate", "clean", "distractor_rate"),
+)
+"""Columns that follow from the verdicts on objects and pairs, the relations and the stages."""
+
+_LATER = frozenset({"float_gap", "distractor_rate"})
+"""Those of them that are younger than the oldest runs: null, unknown, where the rows come from such a run."""
+
+_NO_INSTANCES = frozenset({RelationKind.FACE_TO, RelationKind.IS_AT, RelationKind.EQUALLY_SPACED})
+"""Relations whose target is no instance."""
+
+UNRESOLVED = "assets without mesh"
+"""Name of a set of :class:`KnownIds`: assets of objects that have no mesh, which need not be in the run."""
+
+
+@dataclass(frozen=True, slots=True)
+class SplitRule:
+    """How the splits of the scenes of a run follow from their content.
+
+    Attributes:
+        shares: The shares of the splits.
+        source: Only rows with this ``source`` follow it; None: all do.
+    """
+
+    shares: SplitShares
+    source: str | None = None
+
+
+class SceneCheck:
+    """Checks rows of ``scenes`` or ``rejected``.
+
+    Args:
+        known: Ids of assets and meshes; ids of scenes are added by whoever reads the rows.
+        facts: What the run says of its meshes.
+        splits: How splits follow from scenes; None if the run does not say.
+        findings: Where damage is noted.
+        needs_assets: Whether the run must have the assets of its scenes; a corrected folder has them beside its tables.
+        may_be_older: Whether rows may come from a run that is older than some columns.
+    """
+
+    def __init__(
+        self,
+        known: KnownIds,
+        facts: AssetFacts,
+        splits: SplitRule | None,
+        findings: Findings,
+        *,
+        needs_assets: bool,
+        may_be_older: bool,
+    ) -> None:
+        self._known, self._facts, self._splits, self._findings = known, facts, splits, findings
+        self._split_of_group: dict[str, str] = {}
+        self._has_assets = "assets" in known.there
+        self._needs_assets, self._may_be_older = needs_assets, may_be_older
+
+    def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
+        """Checks rows of a file, of which the first has a number."""
+        for number, row in enumerate(rows, start):
+            try:
+                scene = scene_from_row(row)
+                for what in self._faults(row, scene):
+                    self._findings.damage(file.name, f"{scene.scene_id}: {what}", number)
+            except (StableDataError, ValueError, TypeError, KeyError, ArithmeticError) as error:
+                self._findings.damage(file.name, f"is no scene: {error or type(error).__name__}", number)
+
+    def _faults(self, row: Row, scene: Scene) -> Iterator[str]:
+        yield from names_faults(row, scene)
+        names = [o.instance for o in scene.movable]
+        if [verdict["instance"] for verdict in row["verdicts"] or ()] != names:
+            yield "verdicts are not on its objects in their order, expected one for each"
+        else:
+            yield from derived_faults(row, scene, may_be_older=self._may_be_older)
+        yield from rest_faults(row)
+        yield from self._split_faults(row, scene)
+        yield from self._asset_faults(row, scene)
+        if len({row.get(name) is None for name in VARIANT_COLUMNS if name in row}) > 1:
+            yield f"{', '.join(VARIANT_COLUMNS)} are null in part, expected all or none"
+        yield from _reach_faults(row, scene)
+
+    def _split_faults(self, row: Row, scene: Scene) -> Iterator[str]:
+        group, split, rule = row.get("duplicate_group"), row.get("split"), self._splits
+        if group is not None and split is not None:
+            first = self._split_of_group.setdefault(f"{group} {scene.table.table_type}", split)
+            if first != split:
+                yield f"split is {split}, expected {first} as of other scenes of its near-duplicate group"
+        if rule is None or row.get("variant_of") is not None or rule.source not in (None, row["source"]):
+            return
+        if (expected := duplicate_group(scene)) != group:
+            yield f"duplicate_group is {group}, expected {expected} by its table type and assets"
+        elif (right := split_of(group, scene.table.table_type, rule.shares)) != split:
+            yield f"split is {split}, expected {right} by its near-duplicate group"
+
+    def _asset_faults(self, row: Row, scene: Scene) -> Iterator[str]:
+        """Assets that the run does not have although their objects have a mesh, and sizes that their meshes do not have."""
+        has_mesh = {v["instance"]: v["has_mesh"] for v in row["verdicts"] or ()}
+        named = [(o.instance, o.asset_id) for o in scene.objects if o.asset_id is not None]
+        if not self._has_assets and self._needs_assets and (lost := [name for name, _ in named if has_mesh.get(name)]):
+            yield f"{lost[0]} has a mesh, but the run has no table assets"
+        if self._has_assets and named:
+            is_missing = self._known.missing(pa.array([asset_id for _, asset_id in named], pa.string()), ["assets"])
+            for (instance, asset_id), missing in zip(named, is_missing.tolist(), strict=True):
+                if missing and has_mesh.get(instance, True):
+                    yield f"asset {asset_id} of {instance} is in no row of assets"
+                elif missing:
+                    self._known.add(UNRESOLVED, pa.array([asset_id], pa.string()))
+        for o in scene.objects:
+            extents = None if o.asset_id is None else self._facts.extents(o.asset_id)
+            if (
+                extents is not None
+                and o.scale is not None
+                and o.tilt_quat_xyzw == UPRIGHT
+                and not has_size(extents * o.scale, o.size)
+            ):
+                yield f"{o.instance} has size {list(o.size)}, expected {(extents * o.scale).round(4).tolist()}: its mesh at its scale"
+            if extents is None and self._has_assets and has_mesh.get(o.instance) and o.asset_id is None:
+                yield f"{o.instance} has a mesh by its verdict, but names no asset"
+
+
+def names_faults(row: Row, scene: Scene) -> Iterator[str]:
+    """Yields names of instances that no object has."""
+    names = {o.instance for o in scene.objects}
+    places = names | {TABLE}
+
+    def odd(what: str, found: Iterable[str], known: set[str]) -> Iterator[str]:
+        for name in dict.fromkeys(found):
+            if name not in known:
+                yield f"{what} names {name}, expected one of its objects"
+
+    yield from odd("fixed", scene.fixed, names)
+    yield from odd("support", (o.support for o in scene.objects if o.support is not None), places)
+    yield from odd("pairs", (p[key] for p in row["pairs"] or () for key in ("first", "second")), names)
+    yield from odd("verdicts", (name for v in row["verdicts"] or () for name in v["supports"]), places)
+    pairs = [frozenset((p["first"], p["second"])) for p in row["pairs"] or ()]
+    if len(set(pairs)) < len(pairs) or any(len(pair) == 1 for pair in pairs):
+        yield "pairs has a pair twice, or an object with itself"
+    for relation in scene.relations:
+        ends = set(relation.subject.split(", "))
+        ends |= set() if relation.kind in _NO_INSTANCES else set(relation.target.split(", "))
+        yield from odd(f"relation {relation}", ends, places)
+    task = scene.task
+    if task is not None:
+        yield from odd("task_objects", task.task_objects, names)
+        stated = [each.subject for each in task.relations] + [each.subject for each in task.conditions]
+        yield from odd("task", (name for subject in stated for name in subject.split(", ")), places)
+
+
+def derived_faults(row: Row, scene: Scene, *, may_be_older: bool = False) -> Iterator[str]:
+    """Yields columns that do not follow from the verdicts, relations and stages of a row."""
+    audit = audit_of_row(row, scene)
+    card = add_counts(audit.card(), scene)
+    for name in _DERIVED:
+        if name not in row or (scene.fixed and name == "num_without_mesh"):  # verdicts on fixed objects are not stored
+            continue
+        found, expected = row[name], getattr(card, name)
+        if found is None and may_be_older and name in _LATER:
+            continue
+        if name in ("num_stacked", "num_contained") and found is None and not scene.relations:
+            continue  # nobody asked for its relations
+        if name == "clean" and scene.fixed and expected and found is None:
+            continue  # a fixed object without mesh leaves it open
+        if not is_close(found, expected):
+            yield f"{name} is {found}, expected {expected} by its verdicts, relations and stages"
+
+
+def rest_faults(row: Mapping[str, Any]) -> Iterator[str]:
+    """Yields verdicts on stability that do not follow from the movements of a row."""
+    known = {name: row.get(name) for name in _LIMITS}
+    moved = any(value is not None and value > _LIMITS[name] for name, value in known.items())
+    stable = row.get("stable")
+    if stable is None and any(value is not None for value in known.values()):
+        yield "stable is null, but its movements are known"
+    if stable is True and (moved or known["settle_move_max_mm"] is None):
+        yield f"stable is true, expected false by its movements {known}"
+    if stable is False and not moved and known["settle_move_max_mm"] is not None:
+        yield f"stable is false, expected true by its movements {known}"
+    for judge in FURTHER:
+        name, move, turn = verdict_columns(judge)
+        values = {move: row.get(move), turn: row.get(turn)}
+        limits = dict(zip(values, _LIMITS.values(), strict=False))
+        if row.get(name) is True and any(value is not None and value > limits[key] for key, value in values.items()):
+            yield f"{name} is true, expected false by its movements {values}"
+
+
+def _reach_faults(row: Row, scene: Scene) -> Iterator[str]:
+    reach = row.get("reach")
+    if "robot" in row and (row["robot"] is None) != (reach is None):
+        yield "robot and reach are null in part, expected both or none"
+    if row.get(GRASPABLE) and not row.get(REACHABLE):
+        yield f"{GRASPABLE} is true, but {REACHABLE} is not"
+    names = {o.instance for o in scene.objects}
+    for one in reach or ():
+        if one["instance"] not in names:
+            yield f"reach names {one['instance']}, expected one of its objects"
+
+
+def card_faults(found: Mapping[str, Any], expected: Mapping[str, Any], names: Iterable[str]) -> Iterator[str]:
+    """Yields columns of a metric card that differ from those of another one."""
+    for name in names:
+        if name in found and name in expected and not is_close(found[name], expected[name]):
+            yield f"{name} is {found[name]}, expected {expected[name]}"
+
+
+def is_close(found: object, expected: object) -> bool:
+    """Whether two values are equal but for the rounding of the last digits; null equals null alone."""
+    if isinstance(found, bool) or isinstance(expected, bool) or not (is_number(found) and is_number(expected)):
+        return found == expected
+    return math.isclose(float(str(found)), float(str(expected)), rel_tol=1e-9, abs_tol=1e-9)
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a number and no truth value."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+CARD_COLUMNS = tuple(each.name for each in fields(MetricCard))
+"""The columns of a metric card."""

@@ -1,0 +1,129 @@
+"""The files of the tables of a run: listed, compared with their checksums, and read row group by row group."""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+import pyarrow as pa
+import pyarrow.fs as pafs
+import pyarrow.parquet as pq
+
+from stable_data.errors import ConfigError
+from stable_data.storage.checksums import CHECKSUMS, checksum_of
+from stable_data.storage.run_folder import PART, RunFolder, read_row_groups
+from stable_data.verification.findings import Findings
+
+_WHOLE = 256 * 2**20  # a file up to this size is read once, for its checksum and its rows; a larger one twice
+_CHUNK = 4 * 2**20
+
+
+@dataclass(frozen=True, slots=True)
+class ShardFile:
+    """A file of a table.
+
+    Attributes:
+        name: Its name in the run's folder, ``table/part-id.parquet``.
+        table: The table.
+        shard_id: The shard.
+        path: As the file system names it.
+        size: Bytes.
+    """
+
+    name: str
+    table: str
+    shard_id: str
+    path: str
+    size: int
+
+
+def list_files(folder: RunFolder, findings: Findings) -> list[ShardFile]:
+    """Lists the files of all tables, also of unknown ones. A file in the folder of a table that is no part of a shard is damage.
+
+    Raises:
+        ConfigError: The folder cannot be read.
+    """
+    found = list[ShardFile]()
+    for table in folder.tables():
+        names = {PurePosixPath(path).name for path in folder.files(table)}
+        for info in sorted(
+            folder.filesystem.get_file_info(pafs.FileSelector(f"{folder.root}/{table}")), key=lambda i: i.base_name
+        ):
+            if info.base_name in names:
+                match = PART.fullmatch(info.base_name)
+                assert match is not None  # RunFolder.files lists no others
+                found.append(ShardFile(f"{table}/{info.base_name}", table, match[1], info.path, int(info.size or 0)))
+            elif not info.base_name.startswith("."):  # temporary files of a killed run are hidden, and no reader sees them
+                findings.damage(f"{table}/{info.base_name}", "is no file of a complete shard, but readers of *.parquet see it")
+    return found
+
+
+def compare_with_checksums(files: list[ShardFile], checksums: Mapping[str, str], findings: Findings) -> None:
+    """Compares which files there are with those that have a checksum."""
+    there = {file.name for file in files}
+    for name in sorted(checksums.keys() - there):
+        findings.damage(name, f"is missing, expected the file of {CHECKSUMS}")
+    for name in sorted(there - checksums.keys()):
+        findings.damage(name, f"is not in {CHECKSUMS}, expected no further files")
+
+
+def open_file(folder: RunFolder, file: ShardFile, checksum: str | None, findings: Findings) -> pq.ParquetFile | None:
+    """Opens a file of a shard after its checksum is compared; None, and a finding, if it is no Parquet file.
+
+    Args:
+        folder: The run.
+        file: The file.
+        checksum: Its checksum; None if the run has none.
+        findings: Where damage is noted.
+    """
+    try:
+        if file.size <= _WHOLE:
+            content = folder.read_bytes(file.name)
+            if content is None:
+                findings.damage(file.name, "was removed while it was read")
+                return None
+            found, source = checksum_of(content), pa.BufferReader(content)
+        else:
+            found, source = _checksum_in_chunks(folder, file), folder.filesystem.open_input_file(file.path)
+        if checksum is not None and found != checksum:
+            findings.damage(
+                file.name, f"has the SHA-256 {found[:16]}…, expected {checksum[:16]}… as {CHECKSUMS} says; it was changed"
+            )
+        return pq.ParquetFile(source)
+    except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
+        findings.damage(file.name, f"is no readable Parquet file ({_line(error)})")
+        return None
+
+
+def row_groups(opened: pq.ParquetFile, file: ShardFile, findings: Findings) -> Iterator[tuple[int, pa.Table]]:
+    """Yields the row groups of a file, each with the number of its first row; damage, and the end, at one that cannot be read."""
+    start = 0
+    for group in range(opened.num_row_groups):
+        try:
+            rows = read_row_groups(opened, file.name, [group])
+            rows.validate(full=True)
+        except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
+            findings.damage(file.name, f"row group {group} of {opened.num_row_groups} cannot be read ({_line(error)})", start)
+            return
+        yield start, rows
+        start += rows.num_rows
+    if start != opened.metadata.num_rows:
+        findings.damage(file.name, f"has {start} rows, expected {opened.metadata.num_rows} as its footer says")
+
+
+def as_array(values: pa.ChunkedArray | pa.Array) -> pa.Array:
+    """Returns a column of a row group as one array."""
+    found = values.combine_chunks() if isinstance(values, pa.ChunkedArray) else values
+    return pa.concat_arrays(found.chunks) if isinstance(found, pa.ChunkedArray) else found
+
+
+def _checksum_in_chunks(folder: RunFolder, file: ShardFile) -> str:
+    digest = hashlib.sha256()
+    with folder.filesystem.open_input_stream(file.path) as stream:
+        while chunk := stream.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0]

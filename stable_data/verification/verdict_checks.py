@@ -1,0 +1,158 @@
+"""Judges scenes of a run again, with the exact audit and in MuJoCo, and compares the verdicts with those that the run states."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from stable_data.assets.run_assets import run_annotations, run_store
+from stable_data.assets.store import AssetStore
+from stable_data.errors import ConfigError, MeshError, StableDataError
+from stable_data.geometry.shape import Shape
+from stable_data.mesatask import MesaTaskDataset
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
+from stable_data.metrics.related_scene import relate_scene
+from stable_data.metrics.verdicts import Audit
+from stable_data.scene import Scene
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
+from stable_data.storage.table_rows import scene_from_row
+from stable_data.verification.findings import Findings
+from stable_data.verification.shard_files import ShardFile
+
+_DEPTH_MM, _DEPTH_SHARE = 0.011, 0.03
+"""By how much depths may differ: meshes that touch have the least depth of 0.01 mm or none, and depths are measured to 2 %."""
+
+_GAP_MM = 0.01
+_REST_MM = 1.0  # by how much the movements of two simulations of a stable scene may differ
+_NEAR = 0.3  # share of a limit: verdicts on movements nearer to it may differ from one machine to another
+_LIMITS = {"settle_move_max_mm": 10.0, "settle_turn_max_deg": 5.0, "drift_mm": 50.0}
+_SAME = ("floats", "leaves_table", "enters_restricted_zone", "has_mesh")
+
+
+class VerdictCheck:
+    """Judges scenes of a run again.
+
+    Args:
+        folder: The run.
+        simulates: Whether stability is simulated.
+        findings: Where damage is noted.
+
+    Raises:
+        ConfigError: The run has no meshes (``table_missing``), or they cannot be read.
+    """
+
+    def __init__(self, folder: RunFolder, findings: Findings, *, simulates: bool) -> None:
+        self._findings, self._simulates = findings, simulates
+        self._store, self._containers = _opened(folder)
+        self.num_audited = self.num_simulated = 0
+
+    def check(self, row: Row, number: int, file: ShardFile) -> None:
+        """Judges the scene of a row, which has a number in its file."""
+        try:
+            for what in self._faults(row):
+                self._findings.damage(file.name, f"{row['scene_id']}: {what}", number)
+        except (StableDataError, ValueError, TypeError, KeyError, ArithmeticError) as error:
+            self._findings.damage(file.name, f"{row.get('scene_id')}: cannot be judged again ({error})", number)
+
+    def _faults(self, row: Row) -> Iterator[str]:
+        scene = scene_from_row(row)
+        resolved, shapes, _ = self._store.resolved(scene)
+        if resolved != scene:
+            other = next(o.instance for o, was in zip(resolved.objects, scene.objects, strict=True) if o != was)
+            yield f"the mesh of {other} does not have its size at its scale"
+        posed = PosedScene(resolved, shapes)
+        audit = audit_posed_scene(posed)
+        self.num_audited += 1
+        yield from audit_faults(row, audit)
+        if scene.relations:
+            related = relate_scene(posed, audit, self._containers(scene)).scene
+            if extra := set(scene.relations) ^ set(related.relations):
+                yield f"relation {min(extra)} is {'stated' if min(extra) in scene.relations else 'not stated'}, expected otherwise"
+            for o, was in zip(related.objects, scene.objects, strict=True):
+                if o.support != was.support:
+                    yield f"support of {o.instance} is {was.support}, expected {o.support}"
+        if self._simulates and row.get("stable") is not None:
+            yield from self._rest_faults(row, resolved, shapes)
+
+    def _rest_faults(self, row: Row, scene: Scene, shapes: Sequence[Shape]) -> Iterator[str]:
+        from stable_data.simulation.collision_bodies import bodies_of
+        from stable_data.simulation.settling import settle
+
+        try:
+            found = settle(bodies_of(scene, shapes, self._store), scene.table)
+        except MeshError as error:
+            yield f"stable is {row['stable']}, but it cannot be simulated ({error})"
+            return
+        self.num_simulated += 1
+        figures = {name: getattr(found, name) for name in _LIMITS}
+        if found.stable != row["stable"]:
+            if any(_is_near(values.get(name), limit) for values in (row, figures) for name, limit in _LIMITS.items()):
+                self._findings.cannot_know(
+                    f"{row['scene_id']}: whether it is stable, which is near a limit and differs in this simulation"
+                )
+            else:
+                yield f"stable is {row['stable']}, expected {found.stable}{f': {found.reason}' if found.reason else ''}"
+        elif found.stable and (move := figures["settle_move_max_mm"]) is not None:
+            stated = row.get("settle_move_max_mm")
+            if stated is None or abs(stated - move) > _REST_MM:
+                yield f"settle_move_max_mm is {stated}, expected {move:.3f}"
+
+
+def audit_faults(row: Row, audit: Audit) -> Iterator[str]:
+    """Yields the verdicts of a row of ``scenes`` that another audit of it does not give."""
+    expected = audit.rows()
+    depths = [
+        {frozenset((p["first"], p["second"])): p["penetration_mm"] for p in pairs}
+        for pairs in (row["pairs"], expected["pairs"])
+    ]
+    for pair in sorted(depths[0].keys() | depths[1].keys(), key=sorted):
+        found, right = (each.get(pair, 0.0) for each in depths)
+        is_same = (
+            found == right
+            if found is None or right is None
+            else abs(found - right) <= _DEPTH_MM + _DEPTH_SHARE * max(found, right)
+        )
+        if not is_same:
+            yield f"the penetration of {' and '.join(sorted(pair))} is {found} mm, expected {right} mm"
+    for verdict, right in zip(row["verdicts"], expected["verdicts"], strict=True):
+        name = verdict["instance"]
+        for key in _SAME:
+            if verdict[key] != right[key]:
+                yield f"{key} of {name} is {verdict[key]}, expected {right[key]}"
+        if set(verdict["supports"]) != set(right["supports"]):
+            yield f"{name} stands on {sorted(verdict['supports'])}, expected {sorted(right['supports'])}"
+        for key in ("gap_mm", "table_penetration_mm"):
+            if not _is_about(verdict[key], right[key]):
+                yield f"{key} of {name} is {verdict[key]}, expected {right[key]}"
+
+
+def _is_about(found: float | None, expected: float | None) -> bool:
+    return found == expected if found is None or expected is None else abs(found - expected) <= _GAP_MM
+
+
+def _is_near(value: Any, limit: float) -> bool:
+    return value is not None and abs(value - limit) <= _NEAR * limit
+
+
+def _opened(folder: RunFolder) -> tuple[AssetStore, "_Containers"]:
+    """The meshes of a run, and whether its assets are containers."""
+    if folder.files("meshes"):
+        annotations = run_annotations(folder) if folder.files("assets") else {}
+        return run_store(folder.uri), _Containers({name: annotations[name].is_container for name in annotations})
+    root = Path(folder.root) / "dataset"  # what a correction of a folder writes beside the tables
+    if not (folder.is_local and root.is_dir()):
+        raise ConfigError(
+            f"{folder.uri}: has no meshes, expected the table meshes; its verdicts cannot be checked", "table_missing"
+        )
+    dataset = MesaTaskDataset(root)
+    return AssetStore(dataset), _Containers({name: dataset.annotation(name).is_container for name in dataset.annotations})
+
+
+class _Containers:
+    """Whether objects can be put into the objects of a scene."""
+
+    def __init__(self, known: Mapping[str, bool | None]) -> None:
+        self._known = known
+
+    def __call__(self, scene: Scene) -> dict[str, bool | None]:
+        return {o.instance: None if o.asset_id is None else self._known.get(o.asset_id) for o in scene.objects}

@@ -1,0 +1,101 @@
+"""Scene files of a few bytes that ask for much time or memory: each is refused soon, and the limit is named."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stable_data.errors import StableDataError
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.scenes.gltf_nodes import PHYSICS
+from stable_data.importers.scenes.gltf_scenes import read_gltf_scene
+from stable_data.importers.scenes.mjcf_scenes import read_mjcf_scene
+from stable_data.importers.scenes.usd_scenes import read_usd_scene
+from stable_data.limits import SETTING
+from tests.bounds import limit, soon
+from tests.scene_files import cuboid, gltf_parts, write_gltf
+
+
+def named(limit: str) -> str:
+    return rf"\({limit} in {SETTING}\)"
+
+
+def test_colliders_that_all_name_one_large_tree_are_counted(tmp_path: Path) -> None:
+    """Each once walked the whole tree: 3,000 colliders over 3,000 nodes took minutes and gigabytes."""
+    count = 3000
+    tree: list[dict[str, Any]] = [{"name": "free-rigid", "mesh": 0, "children": [1, *range(2, 2 + count)]}, {"children": []}]
+    collider = {"extensions": {PHYSICS: {"collider": {"geometry": {"node": 0}}}}}
+    write_gltf(tmp_path / "a.gltf", *gltf_parts([cuboid(1, 1, 1)], [*tree, *[collider] * count]), indent=None)
+    with soon(8.0), pytest.raises(StableDataError, match=named(r"gltf_scene\.max_nodes")) as caught:
+        read_gltf_scene(Boundary(tmp_path), "a.gltf")
+    assert caught.value.code == "file_too_large"
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("body", "more", "name"),
+    [
+        ("".join(f"<body pos='{k} 0 1'><freejoint/><geom size='.1'/></body>" for k in range(8)), "", "max_free_bodies"),
+        (
+            "<body><freejoint/><geom size='.1'/></body>",
+            "<keyframe>" + "".join(f"<key name='k{k}'/>" for k in range(8)) + "</keyframe>",
+            "max_poses",
+        ),
+    ],
+)
+def test_bodies_and_keyframes_of_a_mujoco_scene_are_limited(
+    body: str, more: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scene.xml").write_text(f"<mujoco><worldbody>{body}</worldbody>{more}</mujoco>")
+    read_mjcf_scene(Boundary(tmp_path), "scene.xml")
+    limit(monkeypatch, "scene_file", **{name: 7})
+    with pytest.raises(StableDataError, match=named(rf"scene_file\.{name}")) as caught:
+        read_mjcf_scene(Boundary(tmp_path), "scene.xml")
+    assert caught.value.code == "file_too_large"
+
+
+@pytest.mark.sim
+def test_many_bodies_and_motors_are_looked_through_once(tmp_path: Path) -> None:
+    """Each motor was once compared with each body: 8 s."""
+    box = "<geom type='box' size='.1 .1 .1'/>"
+    bodies = "".join(f"<body pos='{k} 0 1'><freejoint name='f{k}'/>{box}</body>" for k in range(200))
+    arm = f"<body><joint name='j'/>{box}</body>"
+    motors = "<motor joint='j'/>" * 8000
+    (tmp_path / "scene.xml").write_text(f"<mujoco><worldbody>{bodies}{arm}</worldbody><actuator>{motors}</actuator></mujoco>")
+    with soon(5.0):
+        scene = read_mjcf_scene(Boundary(tmp_path), "scene.xml")
+    assert len(scene.free_bodies) == 200
+
+
+def test_references_that_double_at_each_level_are_refused_before_usd_composes_them(tmp_path: Path) -> None:
+    """Within a layer, and over files."""
+    pytest.importorskip("pxr")
+    for k in range(30):
+        twice = "".join(f'def "{side}" (references = @l{k + 1}.usda@) {{}}\n' for side in "ab")
+        (tmp_path / f"l{k}.usda").write_text(f'#usda 1.0\n(defaultPrim = "P")\ndef Xform "P" {{\n{twice}}}\n')
+    (tmp_path / "l30.usda").write_text('#usda 1.0\n(defaultPrim = "P")\ndef Cube "P" {}\n')
+    with soon(8.0), pytest.raises(StableDataError, match=named(r"model\.max_prims")) as caught:
+        read_usd_scene(Boundary(tmp_path), "l0.usda")
+    assert caught.value.code == "mesh_too_large"
+
+
+def test_joints_are_looked_up_in_time_that_grows_with_their_number(tmp_path: Path) -> None:
+    """Each joint was once compared with all bodies."""
+    pytest.importorskip("pxr")
+    count = 900
+    bodies = "".join(
+        f'def Cube "b{k}" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"])\n'
+        f"{{ double size = 0.1\n double3 xformOp:translate = ({k}, 0, 1)\n uniform token[] xformOpOrder = ["
+        '"xformOp:translate"]\n}\n'
+        for k in range(count)
+    )
+    joints = "".join(
+        f'def PhysicsFixedJoint "j{k}" {{ rel physics:body0 = </W/b{k}>\n rel physics:body1 = </W/b{k + 1}>\n}}\n'
+        for k in range(1, count - 1)
+    )
+    (tmp_path / "a.usda").write_text(
+        '#usda 1.0\n(defaultPrim = "W"\n metersPerUnit = 1\n upAxis = "Z")\ndef Xform "W" {\n' + bodies + joints + "}\n"
+    )
+    with soon(25.0):
+        scene = read_usd_scene(Boundary(tmp_path), "a.usda")
+    assert [body.name for body in scene.file.bodies if body.is_free] == ["/W/b0"]

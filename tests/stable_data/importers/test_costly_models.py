@@ -1,0 +1,251 @@
+"""Models of a few bytes that ask for much time or memory: each is refused soon, and the limit is named."""
+
+import io
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stable_data.errors import MeshError
+from stable_data.importers import sdformat, urdf
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.formats.xml_text import parse_xml
+from stable_data.importers.mesh_files import files_beside, read_mesh_file
+from stable_data.importers.mjcf.reader import READER as MJCF
+from stable_data.importers.mjcf.text import MjcfText
+from stable_data.importers.mjcf_files import collect_files
+from stable_data.importers.source import ReaderOptions, SourceRef
+from stable_data.importers.usd.layers import LayerLoader, check_prims
+from stable_data.importers.usd.shapes import triangulate
+from stable_data.limits import LIMITS, SETTING
+from tests.bounds import limit, soon
+
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
+
+def refused(folder: Path, name: str, content: str | bytes, code: str, named: str, seconds: float = 5.0) -> None:
+    """Asserts that a mesh file is refused soon, with the name of a limit."""
+    (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with soon(seconds), pytest.raises(MeshError) as caught:
+        read_mesh_file(Boundary(folder), name, "thing", max_faces=LIMITS.model.max_faces)
+    assert (caught.value.code, f"({named} in {SETTING})" in str(caught.value)) == (code, True), str(caught.value)
+
+
+# --- meshes ---
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "".join(f"mtllib m{k}.mtl\n" for k in range(5_000)),
+        "mtllib " + " ".join(f"m{k}.mtl" for k in range(5_000)),
+    ],
+)
+def test_an_obj_names_a_limited_number_of_files(names: str, tmp_path: Path) -> None:
+    refused(tmp_path, "thing.obj", names + TRIANGLE, "file_too_large", "file.max_files")
+    with soon(3.0):
+        assert files_beside(Boundary(tmp_path), "thing.obj") == ()
+
+
+def test_a_gltf_names_a_limited_number_of_images(tmp_path: Path) -> None:
+    images = ",".join(f'{{"uri": "i{k}.png"}}' for k in range(5_000))
+    refused(
+        tmp_path, "thing.gltf", f'{{"asset": {{"version": "2.0"}}, "images": [{images}]}}', "file_too_large", "file.max_files"
+    )
+
+
+def dae(geometry: str, nodes: str) -> str:
+    return f"""<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+    <asset><up_axis>Z_UP</up_axis></asset><library_geometries><geometry id="g"><mesh>{geometry}</mesh></geometry></library_geometries>
+    <library_visual_scenes><visual_scene id="s">{nodes}</visual_scene></library_visual_scenes>
+    <scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+def triangle(count: int) -> str:
+    """The geometry of one triangle whose list has so many vertices."""
+    numbers = " ".join(["0 0 0 1 0 0 0 1 0", *["0 0 0"] * (count - 3)])
+    params = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
+    return f"""<source id="p"><float_array id="a" count="{3 * count}">{numbers}</float_array>
+    <technique_common><accessor source="#a" count="{count}" stride="3">{params}</accessor></technique_common></source>
+    <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+    <triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles>"""
+
+
+def test_a_geometry_of_many_vertices_is_not_converted_as_often_as_it_is_shown(tmp_path: Path) -> None:
+    """Each use once converted all its vertices: 1,000 uses of 300,000 took minutes."""
+    (tmp_path / "thing.dae").write_text(dae(triangle(300_000), '<node><instance_geometry url="#g"/></node>' * 1000))
+    with soon(15.0):
+        found, _ = read_mesh_file(Boundary(tmp_path), "thing.dae", "thing", max_faces=10_000)
+    assert len(found.surfaces) == 1000
+
+
+def test_nodes_that_show_each_other_twice_are_counted(tmp_path: Path) -> None:
+    twice = '<instance_node url="#n{0}"/><instance_node url="#n{0}"/>'
+    levels = "".join(f'<node id="n{k}">{twice.format(k + 1)}</node>' for k in range(30))
+    library = f'<library_nodes>{levels}<node id="n30"><instance_geometry url="#g"/></node></library_nodes>'
+    text = dae(triangle(3), '<node><instance_node url="#n0"/></node>')
+    text = text.replace("<library_visual_scenes>", library + "<library_visual_scenes>")
+    refused(tmp_path, "thing.dae", text, "mesh_too_large", "model.max_nodes")
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (b"<a>" + b"<b/>" * 5_000 + b"</a>", "model.max_elements"),
+        (b"<a>" + b'<b c="" d="" e="" f="" g="" h=""/>' * 4_000 + b"</a>", "model.max_attributes"),
+        (b"<a>" * 1000, "model.max_element_levels"),
+    ],
+)
+def test_xml_has_limited_elements_attributes_and_levels(content: bytes, named: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, "model", max_elements=5_000, max_attributes=20_000)
+    with soon(2.0), pytest.raises(MeshError, match=rf"\({named} in {SETTING}\)") as caught:
+        parse_xml(content, "thing.xml")
+    assert caught.value.code == "model_unreadable"
+
+
+# --- models of links ---
+
+VISUAL = "<visual><geometry><mesh filename='m.obj'/></geometry></visual>"
+MANY: dict[str, Callable[[], str]] = {
+    "links.urdf": lambda: "<robot name='r'>" + "".join(f"<link name='l{k}'/>" for k in range(2001)) + "</robot>",
+    "joints.urdf": lambda: "<robot name='r'>" + "<joint><parent/><child/></joint>" * 20_000 + "</robot>",
+    "visuals.urdf": lambda: "<robot name='r'><link name='l'>" + VISUAL * 20_000 + "</link></robot>",
+    "frames.sdf": lambda: (
+        "<sdf version='1.7'><model name='m'>"
+        + "".join(f"<frame name='f{k}' attached_to='f{k + 1}'/>" for k in range(5_000))
+        + "".join(f"<joint name='j{k}' type='fixed'><parent>f0</parent><child>f0</child></joint>" for k in range(5_000))
+        + "</model></sdf>"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MANY)
+def test_a_model_has_a_limited_number_of_parts(name: str, tmp_path: Path) -> None:
+    (tmp_path / "m.obj").write_text(TRIANGLE)
+    (tmp_path / name).write_text(MANY[name]())
+    read = urdf.read_model if name.endswith(".urdf") else sdformat.read_model
+    with soon(5.0), pytest.raises(MeshError, match=rf"\(model\.max_\w+ in {SETTING}\)") as caught:
+        read(Boundary(tmp_path), name, "thing")
+    assert caught.value.code == "mesh_too_large"
+
+
+def test_a_file_that_is_included_often_counts_as_often(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, "file", max_nested_bytes=100_000)
+    part = f"<sdf version='1.7'><model name='p'><link name='l'/></model><!--{'x' * 10_000}--></sdf>"
+    includes = "".join(f"<include><uri>part.sdf</uri><name>n{k}</name></include>" for k in range(50))
+    (tmp_path / "part.sdf").write_text(part)
+    (tmp_path / "whole.sdf").write_text(f"<sdf version='1.7'><model name='m'>{includes}</model></sdf>")
+    with pytest.raises(MeshError, match=rf"\(file\.max_nested_bytes in {SETTING}\)") as caught:
+        sdformat.read_model(Boundary(tmp_path), "whole.sdf", "thing")
+    assert caught.value.code == "mesh_too_large"
+
+
+# --- MJCF ---
+
+
+def stl(num_faces: int) -> bytes:
+    return bytes(80) + struct.pack("<I", num_faces) + bytes(50 * num_faces)
+
+
+def test_the_triangles_of_a_model_are_counted_before_mujoco_reads_them(tmp_path: Path) -> None:
+    (tmp_path / "m.stl").write_bytes(stl(30_000))
+    meshes = "".join(f'<mesh name="m{k}" file="m.stl"/>' for k in range(1000))
+    (tmp_path / "thing.xml").write_text(
+        f'<mujoco><asset>{meshes}</asset><worldbody><geom type="mesh" mesh="m0"/></worldbody></mujoco>'
+    )
+    with soon(5.0), pytest.raises(MeshError, match=rf"\(model\.max_faces in {SETTING}\)") as caught:
+        MJCF.read(Boundary(tmp_path), SourceRef("thing", "thing.xml", ("thing.xml",), {}), ReaderOptions())
+    assert caught.value.code == "mesh_too_large"
+
+
+def test_a_mesh_file_is_in_memory_once(tmp_path: Path) -> None:
+    (tmp_path / "m.stl").write_bytes(stl(1000))
+    meshes = "".join(f'<mesh name="m{k}" file="m.stl"/>' for k in range(200))
+    (tmp_path / "thing.xml").write_text(f"<mujoco><asset>{meshes}</asset><worldbody><geom/></worldbody></mujoco>")
+    boundary = Boundary(tmp_path)
+    model = MjcfText.load(boundary, "thing.xml")
+    assert model is not None
+    assert len(model.isolated(boundary, 10**6).meshes) == 1
+
+
+def test_names_of_files_are_found_in_time_that_grows_with_their_number(tmp_path: Path) -> None:
+    """For each of them, the whole model was once searched for its directories."""
+    textures = '<texture name="t" type="2d" file="a.png"/>' * 20_000
+    (tmp_path / "thing.xml").write_text(f"<mujoco><asset>{textures}</asset><worldbody><geom/></worldbody></mujoco>")
+    model = MjcfText.load(Boundary(tmp_path), "thing.xml")
+    assert model is not None
+    with soon(3.0):
+        assert sum(1 for _ in model.references()) == 20_000
+
+
+@pytest.mark.parametrize(
+    ("body", "named"),
+    [
+        ('<replicate count="100"><replicate count="101"><geom/></replicate></replicate>', "model.max_copies"),
+        ('<replicate count="9999"><geom/></replicate>' * 60, "model.max_elements"),
+        ('<replicate count="9999"><attach model="part"/></replicate>', "model.max_elements"),
+    ],
+)
+def test_copies_are_counted_together_and_those_of_attached_models_too(body: str, named: str, tmp_path: Path) -> None:
+    part = f"<mujoco><worldbody><body name='b'>{'<geom/>' * 100}</body></worldbody></mujoco>"
+    (tmp_path / "part.xml").write_text(part)
+    (tmp_path / "scene.xml").write_text(
+        f'<mujoco><asset><model name="part" file="part.xml"/></asset><worldbody>{body}</worldbody></mujoco>'
+    )
+    with soon(5.0), pytest.raises(MeshError, match=rf"\({named} in {SETTING}\)") as caught:
+        collect_files(Boundary(tmp_path), "scene.xml")
+    assert caught.value.code == "file_too_large"
+
+
+# --- USD ---
+
+
+def test_a_polygon_of_many_corners_is_cut_soon() -> None:
+    """Also one that crosses itself; ears were once sought one by one."""
+    angle = np.linspace(0, 40 * np.pi, 5_000)
+    out, back = (np.stack([r * np.cos(angle), r * np.sin(angle), 0 * angle], axis=1) for r in (angle + 1.0, angle + 1.5))
+    spiral = np.concatenate([out, back[::-1]])
+    crossing = np.random.default_rng(0).random((3_000, 3)) * (1, 1, 0)
+    for points in (spiral, crossing):
+        with soon(5.0):
+            triangles, _ = triangulate(points, np.array([len(points)]), np.arange(len(points)))
+        assert triangles.shape == (len(points) - 2, 3)
+        assert 0 <= triangles.min() <= triangles.max() < len(points)
+    triangles, _ = triangulate(spiral, np.array([len(spiral)]), np.arange(len(spiral)))
+    a, b, c = spiral[triangles].transpose(1, 0, 2)
+    x, y, _ = spiral.T
+    signed = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(abs(signed), rel=1e-9)
+
+
+def test_prims_that_refer_to_each_other_twice_are_counted() -> None:
+    sdf = pytest.importorskip("pxr.Sdf")
+    levels = "".join(
+        f'def "P{k}" {{\ndef "a" (references = </P{k + 1}>) {{}}\ndef "b" (references = </P{k + 1}>) {{}}\n}}\n'
+        for k in range(40)
+    )
+    layer = sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString(f'#usda 1.0\n(defaultPrim = "P0")\n{levels}def "P40" {{}}\n')
+    with soon(3.0), pytest.raises(MeshError, match=rf"\(model\.max_prims in {SETTING}\)") as caught:
+        check_prims(layer, "thing.usda", {})
+    assert caught.value.code == "mesh_too_large"
+
+
+def test_the_list_of_a_package_is_not_read_if_it_is_very_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pxr")
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as package:
+        for k in range(2001):
+            package.writestr(f"{k}.usda", "")
+    (tmp_path / "thing.usdz").write_bytes(stream.getvalue())
+
+    def read(*_: object, **__: object) -> zipfile.ZipFile:
+        raise AssertionError("the list was read")
+
+    monkeypatch.setattr("stable_data.importers.usd.layers.zipfile.ZipFile", read)
+    with pytest.raises(MeshError, match=rf"\(model\.max_members in {SETTING}\)") as caught:
+        LayerLoader(Boundary(tmp_path)).place("thing.usdz")
+    assert caught.value.code == "model_unreadable"

@@ -1,0 +1,432 @@
+"""The ways in which a run is damaged: name -> what is done, where it is found, and what the finding says."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pyarrow as pa
+
+from stable_data.storage.checksums import CHECKSUMS
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import Row
+from tests.stable_data.verification.editing import (
+    Change,
+    Damage,
+    columns,
+    copied_shard,
+    files_of,
+    flip,
+    hide,
+    manifest,
+    recount,
+    rows,
+)
+
+OLDER_RUNS = Path(__file__).parents[2] / "data" / "run_v3"
+
+
+# --- ways to change rows ------------------------------------------------------------------------------------------------------
+
+
+def scene(change: Callable[[Row], None], *, recounts: bool = False) -> Damage:
+    """Changes the first scene."""
+
+    def of_first(found: list[Row]) -> None:
+        change(found[0])
+
+    return rows("scenes", of_first, recounts=recounts)
+
+
+def setting(**values: object) -> Damage:
+    """Sets columns of the first scene."""
+    return scene(lambda row: row.update(values))
+
+
+def moved(row: Row) -> None:
+    row["objects"][0]["position"][0] += 0.15
+
+
+def asset_exchanged(row: Row) -> None:
+    row["objects"][0]["asset_id"] = row["objects"][1]["asset_id"]
+
+
+def without_first(found: list[Row]) -> list[Row]:
+    return found[1:]
+
+
+def doubled(found: list[Row]) -> list[Row]:
+    return [*found, found[0]]
+
+
+def swapped(one: str, other: str) -> Callable[[Row], None]:
+    """Exchanges the values of two columns."""
+
+    def change(row: Row) -> None:
+        row[one], row[other] = row[other], row[one]
+
+    return change
+
+
+def exchanged(*names: str) -> Change:
+    """Exchanges columns between the first two rows."""
+
+    def change(found: list[Row]) -> None:
+        for name in names:
+            found[0][name], found[1][name] = found[1][name], found[0][name]
+
+    return change
+
+
+def moved_everywhere(run: Path) -> None:
+    """Moves an object in its scene and in the turn that placed it last, so that both still agree."""
+    path = files_of(run, "scenes")[0]
+    (name, was) = next(
+        (row["scene_id"], row["objects"][0]) for row in RunFolder(str(run)).read_file("scenes", str(path)).to_pylist()
+    )
+
+    def in_turns(found: list[Row]) -> None:
+        last = max((row for row in found if row["scene_id"] == name), key=lambda row: row["turn"])
+        next(pose for pose in last["corrected"] if pose["instance"] == was["instance"])["position"][0] += 0.15
+
+    rows("scenes", lambda found: moved(found[0]))(run)
+    for number, file in enumerate(files_of(run, "turns")):
+        if file.name == path.name:
+            rows("turns", in_turns, number=number)(run)
+
+
+def floating(row: Row) -> None:
+    """Says that an object floats, with all that follows from it."""
+    row["verdicts"][0] |= {"floats": True, "supports": []}
+    row |= {"float_rate": 1 / 3, "clean": False}
+
+
+def colliding(row: Row) -> None:
+    names = [o["instance"] for o in row["objects"]]
+    row["pairs"] = [{"first": names[0], "second": names[1], "penetration_mm": 3.0}]
+    row |= {"num_collisions": 1, "max_penetration_mm": 3.0, "clean": False, "oc_10mm": 0.0}
+    row |= dict.fromkeys(("oc", "oc_0mm", "oc_1mm"), 1 / 3)
+
+
+def outside(row: Row) -> None:
+    row["verdicts"][1] |= {"leaves_table": True}
+    row |= {"out_of_bounds_rate": 1 / 3, "clean": False}
+
+
+def sunk(row: Row) -> None:
+    row["verdicts"][1] |= {"table_penetration_mm": 4.0}
+    row |= {"table_penetration_mm": 4.0, "clean": False}
+
+
+def unsteady(row: Row) -> None:
+    row |= {"stable": False, "settle_move_max_mm": 35.0}
+
+
+def untold(row: Row) -> None:
+    """Leaves out that an object is on the table, and that it faces somewhere."""
+    row["relations"] = [
+        r for r in row["relations"] if not (r["kind"] == "face to" and r["subject"] == row["objects"][0]["instance"])
+    ]
+
+
+def other_mesh(found: list[Row]) -> None:
+    """Gives an asset the mesh of another one, with its hash and its parts."""
+    for name in ("glb", "sha256", "parts"):
+        found[0][name] = found[1][name]
+
+
+def other_image(found: list[Row]) -> None:
+    found[0]["image"] = found[1]["image"]
+
+
+def with_columns(change: Callable[[pa.Schema], pa.Schema]) -> Callable[[pa.Table], pa.Table]:
+    def changed(table: pa.Table) -> pa.Table:
+        return table.cast(change(table.schema))
+
+    return changed
+
+
+def of_version(number: str) -> Callable[[pa.Table], pa.Table]:
+    return lambda table: table.replace_schema_metadata({**table.schema.metadata, b"stable_data.version": number.encode()})
+
+
+def shorter(column: str) -> Callable[[Row], None]:
+    return lambda row: row.update({column: row[column][:-1]})
+
+
+def remove(name: str) -> Damage:
+    return lambda run: (run / name).unlink()
+
+
+def write(name: str, content: bytes) -> Damage:
+    def damage(run: Path) -> None:
+        (run / name).write_bytes(content)
+
+    return damage
+
+
+def emptied(run: Path) -> None:
+    files_of(run, "warnings", with_rows=False)[0].write_bytes(b"")
+
+
+def regrouped(found: list[Row]) -> None:
+    for row in found:
+        row["duplicate_group"] = "0" * 16
+
+
+def truncated(run: Path) -> None:
+    path = files_of(run, "meshes")[0]
+    path.write_bytes(path.read_bytes()[:-400])
+
+
+def without_shard(table: str, *, hidden: bool, recounts: bool = False) -> Damage:
+    def damage(run: Path) -> None:
+        files_of(run, table)[0].unlink()
+        if recounts:
+            recount(run)
+        if hidden:
+            hide(run)
+
+    return damage
+
+
+def without_table(run: Path) -> None:
+    shutil.rmtree(run / "meshes")
+    hide(run)
+
+
+def without_assets(run: Path) -> None:
+    """Removes the assets and their meshes, as if there had never been any."""
+    for table in ("assets", "meshes", "textures"):
+        shutil.rmtree(run / table)
+
+    def uncounted(document: dict[str, Any]) -> None:
+        for table in ("assets", "meshes", "textures"):
+            del document["counts"][table]
+
+    manifest(uncounted)(run)
+
+
+def of_another_run(run: Path) -> None:
+    """Puts in the scenes of another run, whose ids are others."""
+    shutil.copy(OLDER_RUNS / "generate" / "scenes" / "part-c29be8c9ba341752.parquet", files_of(run, "scenes")[0])
+    hide(run)
+
+
+def unlisted(run: Path) -> None:
+    lines = (run / CHECKSUMS).read_text().splitlines(keepends=True)
+    (run / CHECKSUMS).write_text("".join(lines[1:]))
+
+
+# --- the damages: name -> what is done, where it is found, and what the finding says -------------------------------------------
+
+Damages: TypeAlias = dict[str, tuple[Damage, str, str]]
+
+BY_CHECKSUM: Damages = {
+    "a bit of a data page": (flip("scenes", 0.5), "scenes/", "SHA-256"),
+    "a bit of a footer": (flip("assets", 0.97), "assets/", "SHA-256"),
+    "the first byte": (flip("meshes", 0.0), "meshes/", "SHA-256"),
+    "the last byte": (flip("turns", 1.0), "turns/", "SHA-256"),
+    "a bit of a table without rows": (flip("grasps", 0.3), "grasps/", "SHA-256"),
+    "a bit of the settled poses": (flip("settled", 0.4, 1), "settled/", "SHA-256"),
+    "truncated": (truncated, "meshes/", "SHA-256"),
+    "emptied": (emptied, "warnings/", "SHA-256"),
+    "a missing shard": (without_shard("scenes", hidden=False), "scenes/", "is missing"),
+    "an extra shard": (copied_shard("turns", hidden=False), "turns/", f"is not in {CHECKSUMS}"),
+    "another file among the shards": (write("scenes/extra.parquet", b"PAR1"), "scenes/extra", "readers of *.parquet see it"),
+    "a row changed": (rows("turns", lambda found: found[0].update(reply="{}"), hidden=False), "turns/", "SHA-256"),
+    "a checksum left out": (unlisted, "", CHECKSUMS),
+    "no checksums": (remove(CHECKSUMS), CHECKSUMS, "is missing"),
+    "odd checksums": (write(CHECKSUMS, b"nothing\n"), CHECKSUMS, "line 1"),
+    "no manifest": (remove("manifest.json"), "manifest.json", "is missing"),
+    "a manifest that is no JSON": (write("manifest.json", b"{"), "manifest.json", "no JSON"),
+    "settings edited": (manifest(lambda m: m["settings"].update(seed=9), hidden=False), "manifest.json", "its digest"),
+    "counts edited, not the digest": (
+        manifest(lambda m: m["counts"].update(scenes=4), hidden=False),
+        "manifest.json",
+        "its digest",
+    ),
+}
+"""Damage of which the checksums and the digest are not made to fit."""
+
+BY_CONTENT: Damages = {
+    "a table is missing": (without_table, "meshes", "is missing, expected"),
+    "a shard is missing": (without_shard("scenes", hidden=True, recounts=True), "scenes", "items are rows"),
+    "all assets are missing": (without_shard("assets", hidden=True, recounts=True), "assets", "is missing, expected"),
+    "all assets are missing and not counted": (without_assets, "scenes/", "the run has no table assets"),
+    "a shard twice": (copied_shard("scenes"), "scenes/", "an earlier row has the same scene_id"),
+    "the scenes of another run": (of_another_run, "scenes", "expected the 5 that were planned"),
+    "a row twice in a shard": (rows("scenes", doubled, recounts=True), "scenes/", "an earlier row has the same scene_id"),
+    "an asset twice": (rows("assets", doubled, recounts=True), "assets/", "an earlier row has the same asset_id"),
+    "a turn twice": (rows("turns", doubled, recounts=True), "turns/", "an earlier row has the same scene_id, turn"),
+    "a row removed": (rows("scenes", without_first, recounts=True), "scenes", "4 items are rows (2) or failures (2)"),
+    "a turn removed": (rows("turns", without_first, recounts=True), "turns/", "expected 0: each turn once"),
+    "a failure removed": (rows("failures", without_first, recounts=True), "scenes", "items are rows"),
+    "a mesh removed": (rows("meshes", without_first, recounts=True), "assets", "are in no row of meshes"),
+    "a scene renamed": (setting(scene_id="task_9"), "scenes", "one was renamed or exchanged"),
+    "columns exchanged": (scene(swapped("distractor_rate", "float_rate")), "scenes/", "float_rate is"),
+    "a pose edited": (scene(moved), "turns/", "after its last correction"),
+    "an unknown asset": (scene(lambda row: row["objects"][0].update(asset_id="f" * 32)), "scenes/", "is in no row of assets"),
+    "an asset exchanged": (
+        scene(lambda row: row["objects"][0].update(asset_id=row["objects"][1]["asset_id"])),
+        "scenes/",
+        "duplicate_group is",
+    ),
+    "a scale edited": (scene(lambda row: row["objects"][0].update(scale=[0.5, 0.5, 0.5])), "scenes/", "its mesh at its scale"),
+    "an unknown support": (scene(lambda row: row["objects"][0].update(support="shelf")), "scenes/", "support names shelf"),
+    "an unknown task object": (
+        scene(lambda row: row["task"].update(task_objects=["gone_0"])),
+        "scenes/",
+        "task_objects names gone_0",
+    ),
+    "a relation of nothing": (
+        scene(lambda row: row["relations"].append({"subject": "gone_0", "kind": "on", "target": "table"})),
+        "scenes/",
+        "names gone_0",
+    ),
+    "meshes exchanged": (rows("meshes", other_mesh), "assets/", "as of its mesh"),
+    "a mesh without its hash": (rows("meshes", exchanged("glb")), "meshes/", "does not have the hash"),
+    "a hash edited": (rows("meshes", lambda found: found[0].update(sha256="0" * 64)), "meshes/", "does not have the hash"),
+    "parts exchanged with nothing": (
+        rows("meshes", lambda found: found[0]["parts"][0].update(faces=[0, 1, 999999])),
+        "meshes/",
+        "faces without vertices",
+    ),
+    "extents edited": (rows("assets", lambda found: found[0]["extents"].__setitem__(0, 9.0)), "assets/", "extents are"),
+    "volume edited": (rows("assets", lambda found: found[0].update(volume=1.0)), "assets/", "volume is 1.0"),
+    "points moved": (
+        rows("assets", lambda found: found[0].update(points=[p + 1 for p in found[0]["points"]])),
+        "assets/",
+        "outside",
+    ),
+    "clean edited": (setting(clean=False), "scenes/", "clean is False, expected True"),
+    "clean unknown": (setting(clean=None), "scenes/", "clean is None, expected True"),
+    "a rate edited": (setting(oc=0.25), "scenes/", "oc is 0.25, expected 0.0"),
+    "a number edited": (setting(num_objects=4), "scenes/", "num_objects is 4, expected 3"),
+    "a verdict removed": (scene(lambda row: row["verdicts"].pop()), "scenes/", "verdicts are not on its objects"),
+    "stable edited alone": (setting(stable=False), "scenes/", "stable is false, expected true"),
+    "movements edited alone": (setting(settle_move_max_mm=12.0), "scenes/", "stable is true, expected false"),
+    "a settled scene that is not there": (
+        rows("settled", lambda found: found[0].update(scene_id="task_77")),
+        "settled/",
+        "in no row of",
+    ),
+    "a settled object that is not there": (
+        rows("settled", lambda found: found[0]["poses"][0].update(instance="gone_0")),
+        "settled/",
+        "poses are of",
+    ),
+    "a turn of no scene": (rows("turns", lambda found: found[-1].update(scene_id="task_88")), "turns/", "in no row of"),
+    "a wrong split": (setting(split="test"), "scenes/", "split is test, expected"),
+    "no split": (setting(split=None), "scenes/", "split is None, expected"),
+    "an unknown split": (setting(split="holdout"), "scenes/", "split is 'holdout'"),
+    "an unknown stage": (scene(lambda row: row["objects"][0].update(stage="last")), "scenes/", "objects.stage is 'last'"),
+    "another table version": (columns("scenes", of_version("2")), "scenes/", "is of table version 2"),
+    "no table version": (columns("turns", lambda t: t.replace_schema_metadata(None)), "turns/", "is of table version none"),
+    "a needed column dropped": (
+        columns("scenes", lambda t: t.drop_columns(["objects"])),
+        "scenes/",
+        "column objects is missing",
+    ),
+    "a column dropped": (columns("scenes", lambda t: t.drop_columns(["aws"])), "scenes/", "column aws is missing"),
+    "a column dropped in one shard": (
+        columns("turns", lambda t: t.drop_columns(["cost"]), every=False),
+        "turns/",
+        "column cost is missing",
+    ),
+    "a column of another type": (
+        columns("turns", with_columns(lambda s: s.set(s.get_field_index("tries"), pa.field("tries", pa.int32())))),
+        "turns/",
+        "column tries is int32",
+    ),
+    "a column added": (
+        columns("failures", lambda t: t.append_column("more", pa.nulls(len(t), pa.string()))),
+        "failures/",
+        "a column more",
+    ),
+    "null where there is a value": (setting(table_type=None), "scenes/", "table_type is null"),
+    "null in an object": (scene(lambda row: row["objects"][1].update(yaw=None)), "scenes/", "objects.yaw is null"),
+    "null in a list": (
+        scene(lambda row: row["objects"][1]["position"].__setitem__(2, None)),
+        "scenes/",
+        "an element that is null",
+    ),
+    "not a number": (scene(lambda row: row["objects"][1].update(yaw=float("nan"))), "scenes/", "objects.yaw is nan"),
+    "infinite": (rows("assets", lambda found: found[0]["points"].__setitem__(0, np.inf)), "assets/", "points is inf"),
+    "a short position": (scene(lambda row: row["objects"][1].update(position=[0.1, 0.2])), "scenes/", "has 2 elements"),
+    "no rotation": (
+        scene(lambda row: row["objects"][1].update(tilt_quat_xyzw=[0.0, 0.0, 0.0, 1.1])),
+        "scenes/",
+        "tilt_quat_xyzw has norm 1.1",
+    ),
+    "a share over one": (setting(awt_understood=1.5), "scenes/", "awt_understood is 1.5"),
+    "a negative number": (setting(settle_turn_max_deg=-1.0), "scenes/", "settle_turn_max_deg is -1.0"),
+    "counts edited": (manifest(lambda m: m["counts"].update(turns=99)), "turns", "expected 99 as the manifest counts"),
+    "failed counts edited": (
+        manifest(lambda m: m["counts"].update(failed_scenes=1)),
+        "manifest.json",
+        "failed_scenes is 1, expected 2",
+    ),
+    "counts by code edited": (
+        manifest(lambda m: m["counts"]["failures_by_code"].update(reply_unusable=7)),
+        "manifest.json",
+        "failures_by_code is",
+    ),
+    "codes edited": (rows("failures", lambda found: found[0].update(code="other")), "manifest.json", "failures_by_code is"),
+    "inputs edited": (manifest(lambda m: m["inputs"].update(tasks="0" * 16)), "manifest.json", "input_fingerprint is"),
+    "the version edited": (manifest(lambda m: m.update(table_version=2)), "manifest.json", "table_version is 2"),
+    "planned items edited": (manifest(lambda m: m["planned"][0].update(count=6)), "scenes", "expected the 6 that were planned"),
+}
+"""Damage of which checksums and digest are made to fit."""
+
+BY_VERDICT: Damages = {
+    "floats": (scene(floating), "scenes/", "floats of"),
+    "collides": (scene(colliding), "scenes/", "the penetration of"),
+    "leaves the table": (scene(outside), "scenes/", "leaves_table of"),
+    "is sunk": (scene(sunk), "scenes/", "table_penetration_mm of"),
+    "is unsteady": (scene(unsteady), "scenes/", "stable is False, expected True"),
+    "relations left out": (scene(untold), "scenes/", "face to"),
+    "poses edited in all tables": (moved_everywhere, "scenes/", "expected otherwise"),
+    "without a mesh": (
+        scene(lambda row: (row["verdicts"][0].update(has_mesh=False), row.update(num_without_mesh=1, clean=None))[1]),
+        "scenes/",
+        "has_mesh of",
+    ),
+}
+"""Damage of which all that follows from it is made to fit too: only a new verdict finds it."""
+
+OF_TEXTURES: Damages = {
+    "an image exchanged": (rows("textures", other_image), "textures/", "does not have the hash"),
+    "an image exchanged with its hash": (
+        rows("textures", exchanged("image", "width", "height")),
+        "textures/",
+        "does not have the hash",
+    ),
+    "a texture removed": (rows("textures", without_first, recounts=True), "meshes/", "names the texture"),
+    "a texture twice": (rows("textures", doubled, recounts=True), "textures/", "an earlier row has the same sha256"),
+    "a size edited": (rows("textures", lambda found: found[0].update(width=7)), "textures/", "pixels, expected 7"),
+    "a look exchanged": (rows("meshes", exchanged("look", "look_distance")), "meshes/", "beside its mesh"),
+    "an asset removed": (rows("assets", without_first, recounts=True), "assets", "expected the 12 that were planned"),
+}
+
+OF_SAMPLES: Damages = {
+    "a sample edited": (
+        rows("samples", lambda found: next(r for r in found if r["objects_out"])["objects_out"][0].update(yaw=0.123)),
+        "samples/",
+        "is not as in its scene",
+    ),
+    "a sample of another split": (
+        rows("samples", lambda found: found[0].update(split="unseen")),
+        "samples/",
+        "split is unseen, expected",
+    ),
+    "a grid cut off": (rows("sdf", lambda found: shorter("values")(found[0])), "sdf/", "its grid has"),
+    "a grid of no asset": (rows("sdf", lambda found: found[0].update(asset_id="0" * 32)), "sdf/", "in no row of assets"),
+    "shares of splits edited": (
+        manifest(lambda m: m["settings"].update(train_share=0.0, validation_share=0.0)),
+        "scenes/",
+        "split is",
+    ),
+    "groups of near-duplicates edited": (rows("scenes", regrouped), "scenes/", "duplicate_group is"),
+}

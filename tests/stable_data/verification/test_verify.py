@@ -1,0 +1,282 @@
+"""verify finds every way in which a run can be damaged, and nothing in a run that is whole."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+from typer.testing import CliRunner
+
+from stable_data.cli import app
+from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
+from stable_data.errors import ConfigError
+from stable_data.extras import EXTRA_OF_MODULE
+from stable_data.storage.checksums import CHECKSUMS, read_checksums
+from stable_data.storage.manifest import read_manifest, write_manifest
+from stable_data.storage.run_changes import prune, upgrade
+from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS
+from stable_data.storage.subset import select
+from stable_data.verification.column_rules import RULES
+from stable_data.verification.findings import Finding
+from stable_data.verification.known_ids import KEYS
+from stable_data.verification.verifier import Verdicts, Verification, VerifyOptions, verify_run
+from tests.object_store import object_store
+from tests.stable_data.verification.damages import BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_SAMPLES, OF_TEXTURES, OLDER_RUNS
+from tests.stable_data.verification.editing import Damage, files_of, rows
+
+
+def verified(
+    run: Path, *, verdicts: Verdicts = "none", sample: int = 0, source: Path | None = None
+) -> tuple[Verification, list[Finding]]:
+    found = list[Finding]()
+    options = VerifyOptions(sample, verdicts=verdicts, source=None if source is None else RunFolder(str(source)))
+    return verify_run(RunFolder(str(run)), found.append, options), found
+
+
+def check(run: Path, tmp_path: Path, damage: Damage, where: str, what: str, verdicts: Verdicts = "none") -> None:
+    """Damages a copy of a run, and checks that it is found."""
+    copy = Path(shutil.copytree(run, tmp_path / "run"))
+    damage(copy)
+    result, found = verified(copy, verdicts=verdicts)
+    assert not result.is_whole
+    assert any(f.where.startswith(where) and what in f.what for f in found), [str(f) for f in found]
+    assert "damaged" in str(result)
+
+
+@pytest.mark.parametrize("name", BY_CHECKSUM)
+def test_what_a_disk_does_is_found(name: str, generated: Path, tmp_path: Path) -> None:
+    check(generated, tmp_path, *BY_CHECKSUM[name])
+
+
+@pytest.mark.parametrize("name", BY_CONTENT)
+def test_damage_with_fitting_checksums_is_found(name: str, generated: Path, tmp_path: Path) -> None:
+    check(generated, tmp_path, *BY_CONTENT[name])
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("name", BY_VERDICT)
+def test_an_edited_verdict_is_found(name: str, generated: Path, tmp_path: Path) -> None:
+    check(generated, tmp_path, *BY_VERDICT[name], verdicts="all")
+
+
+@pytest.mark.parametrize("name", OF_TEXTURES)
+def test_damaged_assets_are_found(name: str, imported: Path, tmp_path: Path) -> None:
+    check(imported, tmp_path, *OF_TEXTURES[name])
+
+
+@pytest.mark.parametrize("name", OF_SAMPLES)
+def test_damaged_samples_and_grids_are_found(name: str, clean_run: Path, tmp_path: Path) -> None:
+    check(clean_run, tmp_path, *OF_SAMPLES[name])
+
+
+@pytest.mark.sim
+def test_a_whole_run_is_whole(generated: Path, imported: Path, clean_run: Path) -> None:
+    for run in (generated, imported, clean_run):
+        result, found = verified(run, verdicts="all")
+        assert (result.is_whole, found) == (True, []), (str(result), list(map(str, found)))
+        assert result.num_checked == result.num_files > 0
+    assert (result.num_scenes, result.num_audited, result.num_simulated) == (4, 4, 0)  # preprocess does not simulate
+
+
+def test_there_are_many_ways_to_damage_a_run() -> None:
+    assert sum(map(len, (BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_TEXTURES, OF_SAMPLES))) >= 80
+
+
+# --- what is unknown ----------------------------------------------------------------------------------------------------------
+
+
+def test_an_older_run_is_not_known_to_be_whole(tmp_path: Path) -> None:
+    result, found = verified(OLDER_RUNS / "generate")
+    assert (result.is_whole, found) == (False, [])
+    line = str(result)
+    assert "not known to be whole" in line
+    assert all(word in line for word in ("no digest", "no checksums"))
+    copy = Path(shutil.copytree(OLDER_RUNS / "generate", tmp_path / "run"))
+    assert upgrade(RunFolder(str(copy))) == 0  # its tables are of the present version, and it gets checksums
+    result, found = verified(copy)
+    assert (result.is_whole, found) == (True, []), str(result)
+
+
+@pytest.mark.parametrize("version", ["run_v1", "run_v2"])
+def test_an_upgraded_run_is_whole(version: str, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(OLDER_RUNS.parent / version, tmp_path / "run"))
+    RunFolder(str(copy)).write_shard("sdf", "0" * 16, [])  # the stored runs lack their grids
+    result, _ = verified(copy)
+    assert result.num_damaged["manifest.json"] == 1  # its version, beside those of the files
+    assert upgrade(RunFolder(str(copy))) > 0
+    manifest = read_manifest(RunFolder(str(copy)))
+    assert manifest is not None
+    manifest["counts"]["sdf"] = 0
+    write_manifest(RunFolder(str(copy)), manifest)
+    result, found = verified(copy, verdicts="audit")
+    assert (result.is_whole, found, result.num_audited) == (True, [], 2), str(result)
+
+
+def test_an_unfinished_run_is_not_whole(generated: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    found = read_manifest(RunFolder(str(copy)))
+    assert found is not None
+    files_of(copy, "turns")[0].unlink()
+    write_manifest(
+        RunFolder(str(copy)), {k: v for k, v in found.items() if k not in ("counts", "planned")} | {"status": "running"}
+    )
+    result, findings = verified(copy)
+    assert not result.is_whole
+    assert not result.is_finished
+    assert findings == []
+    assert "not finished" in str(result)
+
+
+@pytest.mark.parametrize("hidden", [{"networkx", "scipy"}, {"mujoco"}])
+def test_without_the_extras_verdicts_are_unknown(hidden: set[str], generated: Path) -> None:
+    """With the base dependencies alone all else is checked, and the line says what is not."""
+    missing = [name for name in EXTRA_OF_MODULE if name in hidden or "networkx" in hidden]
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({missing})); from stable_data.cli import app; "
+        f"app(['verify', {str(generated)!r}, '--quiet', *sys.argv[1:]])"
+    )
+
+    def run(*more: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-c", code, *more], capture_output=True, text=True)
+
+    done = run("--sample", "1")
+    assert done.returncode == SOME_FAILED, done.stderr
+    assert "not known to be whole" in done.stdout
+    assert "pip install 'stable-data[geometry,sim]'" in done.stdout
+    left_out = run("--verdicts", "none" if "networkx" in hidden else "audit", "--sample", "1")
+    assert (left_out.returncode, left_out.stderr) == (DONE, ""), left_out.stdout
+
+
+# --- the command --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_last_line_says_whether_a_run_is_whole(generated: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["verify", str(generated), "--verdicts", "none"])
+    assert (done.exit_code, done.stderr) == (DONE, "")
+    (line,) = done.stdout.splitlines()
+    assert line.startswith(f"{generated}: whole (generate; ")
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    rows("turns", lambda found: found[1].update(tries=-1), hidden=False)(copy)
+    done = CliRunner().invoke(app, ["verify", str(copy), "--verdicts", "none"])
+    assert done.exit_code == SOME_FAILED
+    *findings, line = done.stdout.splitlines()
+    assert len(findings) == 2
+    assert any("row 1: tries is -1, expected a number from 0" in finding for finding in findings)
+    assert f"{copy}: damaged: 2 findings in turns (generate;" in line
+
+
+@pytest.mark.parametrize("arguments", [["nowhere"], ["RUN", "--verdicts", "some"], ["RUN", "--sample", "-1"], ["s3://"]])
+def test_bad_input_is_status_two(arguments: list[str], generated: Path, tmp_path: Path) -> None:
+    places = {"nowhere": str(tmp_path / "nowhere"), "RUN": str(generated)}
+    done = CliRunner().invoke(app, ["verify", *(places.get(word, word) for word in arguments)])
+    assert done.exit_code == NOT_STARTED
+    assert not done.stdout
+
+
+def test_the_sample_follows_from_the_seed(generated: Path) -> None:
+    def judged(seed: int) -> list[str]:
+        told = list[str]()
+        verify_run(
+            RunFolder(str(generated)),
+            lambda finding: told.append(str(finding)),
+            VerifyOptions(sample=1, seed=seed, verdicts="audit"),
+            lambda what, done, total: told.append(f"{what} {done} of {total}"),
+        )
+        return [line for line in told if line.startswith("verdicts")]
+
+    assert judged(0) == judged(1) == ["verdicts 1 of 1"]
+
+
+def test_references_to_another_run_are_resolved_in_it(generated: Path, clean_run: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    rows("scenes", lambda found: found[0].update(variant_of="task_2", varied="task", num_varied=0))(copy)
+    result, _ = verified(copy)
+    assert result.is_whole  # without the source, nothing is known of its scenes
+    assert verified(copy, source=generated)[0].is_whole
+    result, found = verified(copy, source=clean_run)
+    assert [f.what for f in found] == ["variant_of is 'task_2', which is in no row of scenes of the source"]
+
+
+# --- checksums and the manifest -----------------------------------------------------------------------------------------------
+
+
+def test_checksums_are_those_that_other_programs_check(generated: Path) -> None:
+    done = subprocess.run(["sha256sum", "-c", "--quiet", CHECKSUMS], cwd=generated, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "")
+    listed = read_checksums(RunFolder(str(generated)))
+    assert listed is not None
+    assert set(listed) == {f.relative_to(generated).as_posix() for f in generated.glob("*/part-*.parquet")}
+
+
+def test_a_stored_checksum_is_kept_although_its_file_was_changed(generated: Path, tmp_path: Path) -> None:
+    """Whoever completes a run again does not bless what happened to it in the meantime."""
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    path = files_of(copy, "turns")[0]
+    path.write_bytes(path.read_bytes() + b" ")
+    folder = RunFolder(str(copy))
+    found = read_manifest(folder)
+    assert found is not None
+    write_manifest(folder, found)
+    assert any("SHA-256" in finding.what for finding in verified(copy)[1])
+
+
+def test_odd_checksums_are_refused_in_one_line(tmp_path: Path) -> None:
+    folder = RunFolder(str(tmp_path))
+    folder.write_bytes(CHECKSUMS, b"0" * 64 + b"  a/part-1.parquet\n" + b"1" * 64 + b"  a/part-1.parquet\n")
+    with pytest.raises(ConfigError, match=r"line 2 is .* each file once"):
+        read_checksums(folder)
+
+
+def test_selections_and_pruned_runs_are_whole(generated: Path, tmp_path: Path) -> None:
+    target = RunFolder(str(tmp_path / "chosen"))
+    select(RunFolder(str(generated)), "scene_id != 'task_2'", target)
+    result, found = verified(tmp_path / "chosen")
+    assert (result.is_whole, found, result.num_scenes) == (True, [], 2), str(result)
+    select(target, "scene_id is not None", RunFolder(str(tmp_path / "joined")), [RunFolder(str(generated))])
+    result, found = verified(tmp_path / "joined")
+    assert (result.is_whole, found, result.num_scenes) == (True, [], 3), str(result)
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    prune(RunFolder(str(copy)))
+    result, found = verified(copy)
+    assert (result.is_whole, found) == (True, []), (str(result), found)
+
+
+def test_a_run_on_an_object_store_is_verified(generated: Path) -> None:
+    with object_store() as uri:
+        folder = RunFolder(uri)
+        for path in sorted(generated.glob("*/part-*.parquet")):
+            folder.write_bytes(path.relative_to(generated).as_posix(), path.read_bytes())
+        for name in (CHECKSUMS, "manifest.json"):
+            folder.write_bytes(name, (generated / name).read_bytes())
+        found = list[Finding]()
+        assert verify_run(RunFolder(uri), found.append, VerifyOptions(verdicts="none")).is_whole
+        name = files_of(generated, "turns")[0].relative_to(generated).as_posix()
+        folder.write_bytes(name, b"PAR1")
+        result = verify_run(RunFolder(uri), found.append, VerifyOptions(verdicts="none"))
+    assert result.num_damaged == {"turns": 3}  # its checksum, that it cannot be read, and how many rows are left
+
+
+# --- the rules ----------------------------------------------------------------------------------------------------------------
+
+
+def test_every_rule_names_a_column_that_exists() -> None:
+    assert RULES.keys() == SCHEMAS.keys()
+    for table, rules in RULES.items():
+        for path in (
+            *rules.given,
+            *rules.lengths,
+            *rules.words,
+            *rules.shares,
+            *rules.counts,
+            *rules.units,
+            *KEYS.get(table, ()),
+        ):
+            first, *names = path.split(".")
+            type_ = SCHEMAS[table].field(first).type
+            for name in names:
+                type_ = type_.value_type if pa.types.is_list(type_) else type_
+                assert pa.types.is_struct(type_), (table, path)
+                type_ = type_.field(name).type
