@@ -1,10 +1,12 @@
 """The paper's rearrangement table: perturbed held-out scenes, put in order by the corrector's parts and by two learned rearrangers.
 
 ``python -m benchmarks.rearrangement RUN [--count 500] [--noise 0.1] [--seeds 3] [--method NAME ...] [--lego-net FILE]
-[--struct-diffusion FILE] [--flow FILE] [--split test ...] [--json FILE]``. RUN is a preprocess run. Its clean scenes of the split
-``test``, or of the named splits, are perturbed: Gaussian noise of one standard deviation on x, y and z in metres and on yaw in radians,
-for every object by itself. FILE are weights of ``train-rearranger`` and ``train-corrector``; a method without weights is not measured.
-``--lego-steps`` and ``--diffusion-steps`` change the largest number of their steps.
+[--struct-diffusion FILE] [--flow FILE] [--split test ...] [--out FOLDER [--share K/N]] [--json FILE]``. RUN is a preprocess run. Its
+clean scenes of the split ``test``, or of the named splits, are perturbed: Gaussian noise of one standard deviation on x, y and z in metres
+and on yaw in radians, for every object by itself. FILE are weights of ``train-rearranger`` and ``train-corrector``; a method without
+weights is not measured. ``--lego-steps`` and ``--diffusion-steps`` change the largest number of their steps. With ``--out``, results
+are kept in FOLDER as they come, and a run that was stopped goes on; N processes with ``--share 1/N`` to ``N/N`` share the scenes, and the
+table is printed by the one that ends last, or by any later run.
 
 The paper leaves open: the unit of the noise, taken as metres and radians; whether heights are perturbed too, which "translation" says
 (``--plane`` leaves them); whether what carries what is known, which all methods are told here (``--infer``: they infer it from the
@@ -28,8 +30,10 @@ The figures under *paper* are published, not measured here: on other scenes, wit
 """
 
 import json
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from statistics import mean
 from types import MappingProxyType
@@ -38,10 +42,12 @@ from typing import Annotated, Any
 import numpy as np
 import torch
 import typer
+from tqdm import tqdm
 
-from benchmarks.correction import START, Result, run
+from benchmarks.correction import START, IdentityBaseline, judged
 from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms, corrector_parts
 from benchmarks.layouts import StartLayout, held_out_scenes, noisy_layouts
+from benchmarks.result_log import MeasuredLayout, ResultLog, Share
 from models.baselines.outcome import Baseline
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
@@ -52,6 +58,7 @@ from models.training.weights_file import read_notes
 from pipelines.evaluate.published import REARRANGEMENT
 from pipelines.reports.text_table import align_columns
 from pipelines.sources.scenes import scene_source
+from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, StableDataError
 from stable_data.scores.intervals import mean_interval
 
@@ -115,13 +122,13 @@ class SeedFigures:
     seconds: float
 
 
-def figures_of(results: Sequence[Result]) -> list[SeedFigures]:
+def figures_of(results: Sequence[MeasuredLayout]) -> list[SeedFigures]:
     """Returns the means of every method and seed, in the order of the results."""
     keys = dict.fromkeys((r.method, r.bucket) for r in results)
     return [_of_seed([r for r in results if (r.method, r.bucket) == key]) for key in keys]
 
 
-def _of_seed(results: Sequence[Result]) -> SeedFigures:
+def _of_seed(results: Sequence[MeasuredLayout]) -> SeedFigures:
     sampled = [r.oc_sdf for r in results if r.oc_sdf is not None]
     return SeedFigures(
         method=results[0].method,
@@ -219,7 +226,7 @@ def trained_on(files: Mapping[str, Path | None]) -> dict[str, dict[str, str | No
         files: Name of a network -> its weights.
 
     Returns:
-        Name -> the file, and from its notes ``steps`` and ``data_fingerprint``; None where the notes lack one.
+        Name -> the file, its ``sha256``, and from its notes ``steps`` and ``data_fingerprint``; None where the notes lack one.
 
     Raises:
         ConfigError: A file cannot be read.
@@ -228,7 +235,8 @@ def trained_on(files: Mapping[str, Path | None]) -> dict[str, dict[str, str | No
     for name, file in files.items():
         if file is not None:
             notes = read_notes(file)
-            found[name] = {"file": str(file), **{key: notes.get(key) for key in ("steps", "data_fingerprint")}}
+            noted = {key: notes.get(key) for key in ("steps", "data_fingerprint")}
+            found[name] = {"file": str(file), "sha256": sha256(file.read_bytes()).hexdigest(), **noted}
     return found
 
 
@@ -250,6 +258,26 @@ def layouts_of(
     return [layout for of_scene in zip(*of_seed, strict=True) for layout in of_scene]
 
 
+def measure(
+    layouts: Sequence[StartLayout], store: AssetStore, methods: Mapping[str, Baseline], log: ResultLog, limit: float = np.inf
+) -> None:
+    """Judges the layouts of the log's share, and each method on them, unless the log has the result already.
+
+    Args:
+        layouts: All layouts.
+        store: Meshes of the assets.
+        methods: Name -> method.
+        log: Keeps the results.
+        limit: Seconds after which no further layout is started; a started one is finished.
+    """
+    end, everyone = time.monotonic() + limit, {START: IdentityBaseline(), **methods}
+    missing = [(one, name) for one in log.share.of_layouts(layouts) for name in everyone if log.known(name, one) is None]
+    for layout, name in tqdm(missing, desc="rearrangement", unit="result", disable=None):
+        if time.monotonic() > end and log.known(START, layout) is None:
+            return
+        log.add(judged(name, everyone[name], layout, store))
+
+
 def main(
     place: Annotated[str, typer.Argument(metavar="RUN", help="A preprocess run.")],
     count: Annotated[int, typer.Option(min=1, help="Held-out scenes; the paper has 500.")] = 500,
@@ -266,6 +294,8 @@ def main(
     infers: Annotated[bool, typer.Option("--infer", help="What carries what is inferred from the perturbed poses.")] = False,
     is_untold: Annotated[bool, typer.Option("--untold", help="The methods are not told the size of the noise.")] = False,
     limit: Annotated[float, typer.Option(help="Seconds after which no further layout is started.")] = np.inf,
+    out: Annotated[Path | None, typer.Option(help="Folder in which results are kept, so that a stopped run goes on.")] = None,
+    share: Annotated[str, typer.Option(metavar="K/N", help="The part of the scenes that this process measures.")] = "1/1",
     file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
     """Measures the methods on perturbed held-out scenes."""
@@ -278,10 +308,21 @@ def main(
         methods, left_out = open_methods(method or (), terms, weights, steps)
         has_flow = flow != NONE and any(name.startswith("flow") for name in methods)
         networks = trained_on(weights | ({"flow": CORRECTOR if flow == AUTO else Path(flow)} if has_flow else {}))
+        asked: dict[str, Any] = {"noise": noise, "splits": split or _SPLITS[:1], "plane": is_plane, "infer": infers}
+        asked |= {"untold": is_untold, "flow": flow, "steps": steps, "networks": networks}
+        log = ResultLog(out, {"run": place, **asked}, Share.of(share))
         layouts = layouts_of(place, count, noise, seeds, split or _SPLITS[:1], along_z=not is_plane)
-        results = run(layouts, scene_source(place).store, methods, limit)
+        measure(layouts, scene_source(place).store, methods, log, limit)
     except StableDataError as found:
         raise SystemExit(str(found)) from found
+    every = [[log.known(name, layout) for name in (START, *methods)] for layout in layouts]
+    results = [one for row in every if None not in row for one in row if one is not None]
+    if len(results) < len(layouts) * (1 + len(methods)):
+        print(
+            f"{len(results)} of {len(layouts) * (1 + len(methods))} results are there; run again, with all shares, for the rest"
+        )
+        if not results or out is not None:
+            return
     figures = figures_of(results)
     objects = sum(r.num_objects for r in results if r.method == START)
     print(
@@ -294,14 +335,12 @@ def main(
         print(f"{name}: not measured, no weights (--{name.replace('_', '-')} FILE)")
     print("", table(figures, method or METHODS), sep="\n")
     if file is not None:
-        asked: dict[str, Any] = {"count": count, "noise": noise, "seeds": seeds, "splits": split or _SPLITS[:1]}
-        asked |= {"plane": is_plane, "infer": infers, "untold": is_untold, "flow": flow, "steps": steps}
-        asked["networks"] = networks
-        file.write_text(json.dumps(_document(place, asked, figures, results), indent=1) + "\n", "utf-8")
+        document = _document(place, {"count": count, "seeds": seeds, **asked}, figures, results)
+        file.write_text(json.dumps(document, indent=1) + "\n", "utf-8")
 
 
 def _document(
-    place: str, asked: Mapping[str, Any], figures: Sequence[SeedFigures], results: Sequence[Result]
+    place: str, asked: Mapping[str, Any], figures: Sequence[SeedFigures], results: Sequence[MeasuredLayout]
 ) -> dict[str, Any]:
     """The figures as JSON: means, single results, and the published figures apart."""
     names = ("moved", "emd", "oc")
@@ -309,7 +348,7 @@ def _document(
         "run": place,
         **asked,
         "figures": [asdict(f) for f in figures],
-        "results": [{key: value for key, value in asdict(r).items() if key != "tidiness"} for r in results],
+        "results": [asdict(r) for r in results],
         "published": {method: dict(zip(names, values, strict=True)) for method, values in PUBLISHED.items()},
     }
 

@@ -1,5 +1,6 @@
 """The rearrangement benchmark on three small scenes: noise, failures, means over seeds, published figures apart from measured ones."""
 
+import hashlib
 import json
 import math
 import shutil
@@ -14,10 +15,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from benchmarks.correction import Result, run
+from benchmarks.correction import judged
 from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms
 from benchmarks.layouts import StartLayout, noisy_layouts
-from benchmarks.rearrangement import METHODS, PUBLISHED, figures_of, layouts_of, main, open_methods, table, trained_on
+from benchmarks.rearrangement import METHODS, PUBLISHED, figures_of, layouts_of, main, measure, open_methods, table, trained_on
+from benchmarks.result_log import MeasuredLayout, ResultLog, Share
 from models.baselines.outcome import Baseline, BaselineResult
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
 from models.rearrangement.rearranger import open_rearranger
@@ -84,7 +86,7 @@ def layouts(scenes: list[Scene], store: AssetStore) -> list[StartLayout]:
 
 
 @pytest.fixture(scope="module")
-def results(layouts: list[StartLayout], store: AssetStore, tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
+def results(layouts: list[StartLayout], store: AssetStore, tmp_path_factory: pytest.TempPathFactory) -> list[MeasuredLayout]:
     folder = tmp_path_factory.mktemp("weights")
     methods: dict[str, Baseline] = {
         name: CorrectorParts(TERMS, True, False, False, open_rearranger(weights_of(name, folder))) for name in REARRANGERS
@@ -92,7 +94,10 @@ def results(layouts: list[StartLayout], store: AssetStore, tmp_path_factory: pyt
     lego_net = open_rearranger(weights_of("lego_net", folder))
     methods |= {"lego_net + refine + certify": CorrectorParts(TERMS, mover=lego_net)}
     methods |= {"certify": CorrectorParts(TERMS, False, False, True), "broken": Broken(), "perfect": Perfect(layouts)}
-    return run(layouts, store, methods)
+    log = ResultLog(None, {}, Share())
+    measure(layouts, store, methods, log)
+    found = [log.known(name, layout) for layout in layouts for name in ("start", *methods)]
+    return [one for one in found if one is not None]
 
 
 def test_the_noise_is_the_papers_and_depends_on_seed_and_scene_alone(scenes: list[Scene], store: AssetStore) -> None:
@@ -115,7 +120,7 @@ def test_the_noise_is_the_papers_and_depends_on_seed_and_scene_alone(scenes: lis
     assert not noise(list(noisy_layouts(many[:3], store, 0.1, 0, along_z=False)))[:, 2].any()
 
 
-def test_every_method_is_judged_on_every_scene_and_seed(results: list[Result]) -> None:
+def test_every_method_is_judged_on_every_scene_and_seed(results: list[MeasuredLayout]) -> None:
     figures = figures_of(results)
     assert [(f.method, f.seed, f.scenes) for f in figures] == [
         (name, seed, 3)
@@ -139,7 +144,7 @@ def test_every_method_is_judged_on_every_scene_and_seed(results: list[Result]) -
             assert f.emd_category <= f.emd + 1e-9
 
 
-def test_a_method_that_fails_is_counted_with_the_layout_as_it_was(results: list[Result]) -> None:
+def test_a_method_that_fails_is_counted_with_the_layout_as_it_was(results: list[MeasuredLayout]) -> None:
     broken, start = ([r for r in results if r.method == name] for name in ("broken", "start"))
     assert all(r.failed and r.reason == "no such mesh" for r in broken)
     assert not any(r.failed for r in results if r.method != "broken")
@@ -149,7 +154,7 @@ def test_a_method_that_fails_is_counted_with_the_layout_as_it_was(results: list[
     assert row.split()[1:4] == ["6", "6", "0"]
 
 
-def test_scenes_of_which_a_verdict_is_unknown_are_counted(results: list[Result]) -> None:
+def test_scenes_of_which_a_verdict_is_unknown_are_counted(results: list[MeasuredLayout]) -> None:
     own = [r for r in results if r.method == "certify"]
     open_ = [replace(r, oc_sdf=None) if k == 0 else r for k, r in enumerate(own)]
     assert [f.unknown for f in figures_of(open_)] == [1, 0]
@@ -159,12 +164,12 @@ def test_scenes_of_which_a_verdict_is_unknown_are_counted(results: list[Result])
 
 def test_poses_that_are_not_finite_are_a_failure(layouts: list[StartLayout], store: AssetStore) -> None:
     parts = CorrectorParts(TERMS, True, False, False, Lost())  # type: ignore[arg-type]
-    (start, lost) = run(layouts[:1], store, {"lost": parts})
+    lost = judged("lost", parts, layouts[0], store)
     assert (lost.converged, lost.failed, lost.reason) == (False, True, "the new poses are not finite")
-    assert lost.emd_mm == start.emd_mm
+    assert lost.move_mean_mm == 0
 
 
-def test_published_figures_are_never_measured_ones(results: list[Result]) -> None:
+def test_published_figures_are_never_measured_ones(results: list[MeasuredLayout]) -> None:
     lines = table(figures_of(results)).splitlines()
     rows = {name: next(line for line in lines if line.startswith(f"{name} ")) for name in ("start", *METHODS)}
     assert rows["struct_diffusion"].split()[-3:] == ["0.21", "0.23", "0.25"]
@@ -217,7 +222,8 @@ def test_the_command_measures_held_out_scenes_of_a_run(clean_run: Path, tmp_path
     ]
     assert found["published"]["lego_net"] == {"moved": 0.28, "emd": 0.43, "oc": 0.32}
     assert len(found["results"]) == 4
-    assert found["networks"] == {"lego_net": {"file": weights, "steps": None, "data_fingerprint": "abc"}}
+    digest = hashlib.sha256(Path(weights).read_bytes()).hexdigest()
+    assert found["networks"] == {"lego_net": {"file": weights, "sha256": digest, "steps": None, "data_fingerprint": "abc"}}
     assert "lego_net: unknown training steps, data abc, " in done.stdout
     assert trained_on({"flow": DEFAULT_WEIGHTS})["flow"]["steps"] is not None
     train = of_split(clean_run, tmp_path / "train", "train")
@@ -229,3 +235,31 @@ def test_the_command_measures_held_out_scenes_of_a_run(clean_run: Path, tmp_path
     with pytest.raises(ConfigError, match="no clean scene of the split test"):
         layouts_of(str(chosen_on), 1, 0.1, 1)
     assert len(layouts_of(str(chosen_on), 1, 0.1, 1, ["test", "validation"])) == 1
+
+
+def test_a_stopped_measurement_goes_on_and_shares_make_the_same_results(
+    layouts: list[StartLayout], results: list[MeasuredLayout], store: AssetStore, tmp_path: Path
+) -> None:
+    methods: dict[str, Baseline] = {"broken": Broken(), "perfect": Perfect(layouts)}
+    asked = {"noise": 0.1}
+    for number in (1, 2):
+        measure(layouts, store, methods, ResultLog(tmp_path, asked, Share(number, 2)))
+    file = tmp_path / "results-2-of-2.jsonl"
+    whole = file.read_bytes()
+    assert len(whole.splitlines()) == 6  # one of three scenes, two seeds, three methods
+    file.write_bytes(whole[:-40])  # a stop within a line
+    measure(layouts, store, methods, ResultLog(tmp_path, asked, Share(2, 2)))
+    log = ResultLog(tmp_path, asked, Share())
+    found = [log.known(name, layout) for layout in layouts for name in ("start", *methods)]
+    assert [replace(one, seconds=0.0) for one in found if one is not None] == [
+        replace(one, seconds=0.0) for one in results if one.method in ("start", *methods)
+    ]
+    measure(layouts, store, {"perfect": Lost()}, log)  # type: ignore[dict-item]  # nothing is left to measure
+    with pytest.raises(ConfigError, match=r"noise: 0\.1 -> 0\.2"):
+        ResultLog(tmp_path, {"noise": 0.2}, Share())
+    file.write_text("{}\n")
+    with pytest.raises(ConfigError, match="line 1 is no result"):
+        ResultLog(tmp_path, asked, Share())
+    for wrong in ("", "3/2", "0/2", "1"):
+        with pytest.raises(ConfigError, match="expected K/N"):
+            Share.of(wrong)
