@@ -21,7 +21,7 @@ def run_pipelines(arguments: Sequence[str]) -> int:
     Raises:
         ConfigError: This package was installed without a checkout (``no_pipelines``).
     """
-    checkout = Path(__file__).resolve().parents[1]
+    checkout = Path(__file__).resolve().parents[2]
     if not (checkout / "pipelines").is_dir():
         found = f"{arguments[0]} needs pipelines/, which is not installed"
         raise ConfigError(f"{found}, expected a checkout; run the command in one", "no_pipelines")
