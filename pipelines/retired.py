@@ -38,15 +38,18 @@ A verb is also the name of its table in a file of settings; a key is the same in
 class CommandGroup(TyperGroup):
     """The verbs of a command line; retired names are refused before any option is read."""
 
-    @with_clear_errors
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Finds the command for the arguments, see the base class.
 
         Raises:
             typer.Exit: With status 2, if the verb or one of its options is retired.
         """
-        verb, *words = args
-        for name in (verb, *(f"{verb} {word.partition('=')[0]}" for word in words)):
-            if name in RETIRED:
-                raise ConfigError(f"{name} is retired; {RETIRED[name]}", "retired")
+        _refuse_retired(*args)
         return super().resolve_command(ctx, args)
+
+
+@with_clear_errors
+def _refuse_retired(verb: str, *words: str) -> None:
+    for name in (verb, *(f"{verb} {word.partition('=')[0]}" for word in words)):
+        if name in RETIRED:
+            raise ConfigError(f"{name} is retired; {RETIRED[name]}", "retired")
