@@ -86,7 +86,13 @@ def cannot_write(where: str, error: OSError) -> ConfigError:
 
 
 def cannot_read(where: str, path: str, error: Exception) -> ConfigError:
-    """Returns the error for a shard that is not a readable Parquet file."""
+    """Returns the error for a shard that is not a readable Parquet file.
+
+    Raises:
+        MemoryError: It is the error, which says nothing about the file.
+    """
+    if isinstance(error, MemoryError):
+        raise error
     reason = str(error).strip().partition("\n")[0]
     return ConfigError(
         f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "

@@ -7,6 +7,7 @@ for all its workers::
     STABLE_DATA_LIMITS="mesh.max_faces=4000000, item.max_memory_bytes=17179869184" stable-data lint DIR
 """
 
+import ctypes
 import os
 import re
 import resource
@@ -28,7 +29,7 @@ _ATTRIBUTE = re.compile(r"^ {8}(\w+): (.+(?:\n {12}.+)*)", re.MULTILINE)  # of t
 
 @dataclass(frozen=True, slots=True)
 class ItemLimits:
-    """What one item may cost a worker of a job, whatever it is. The time is a setting of each job, ``seconds_per_item``.
+    """What one item may cost a worker of a job, whatever it is. The time is the setting seconds_per_item of each job.
 
     Attributes:
         max_memory_bytes: Memory that a worker allocates for one item, beyond what it has already.
@@ -71,27 +72,39 @@ class FileLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class MeshLimits:
-    """A binary glTF.
+class GltfLimits:
+    """A scene in a glTF file.
 
     Attributes:
-        max_bytes: Size of the file.
-        max_json_bytes: Size of its JSON chunk.
+        max_json_bytes: Size of the JSON chunk of a GLB.
         max_json_levels: Nesting of lists and objects in the JSON.
-        max_nodes: Nodes of its scene.
+        max_nodes: Nodes of the scene.
         max_primitives: Primitives, counted once for each node that shows their mesh.
         max_corners: Vertices of those primitives, counted in the same way.
         max_faces: Triangles of those primitives, counted in the same way.
-        max_colliders: Convex parts in the file.
     """
 
-    max_bytes: int = 128 * MIB
-    max_json_bytes: int = 4 * MIB
+    max_json_bytes: int = 16 * MIB
     max_json_levels: int = 64
     max_nodes: int = 10_000
     max_primitives: int = 20_000
+    max_corners: int = 8_000_000
+    max_faces: int = 8_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class MeshLimits(GltfLimits):
+    """A mesh of a library, a GLB. Of a glTF that is imported, its size and its triangles are those of the groups file and model.
+
+    Attributes:
+        max_bytes: Size of the file.
+        max_colliders: Convex parts in the file.
+    """
+
+    max_json_bytes: int = 4 * MIB
     max_corners: int = 3_000_000
     max_faces: int = 1_000_000
+    max_bytes: int = 128 * MIB
     max_colliders: int = 1_000
 
 
@@ -100,7 +113,8 @@ class ModelLimits:
     """A model of another project: COLLADA, URDF, SDFormat, MJCF, USD.
 
     Attributes:
-        max_faces: Triangles of an asset; larger ones than the library keeps are reduced.
+        max_faces: Triangles of what is seen of an asset, and of what collides (in USD: of both together); an asset with more than the
+            library keeps is reduced.
         max_collider_faces: Triangles of one collider that is cut into convex parts.
         max_links: Links, joints, frames and files of a model.
         max_shapes: What is seen and what collides of a model.
@@ -285,8 +299,8 @@ class Limits:
     Attributes:
         item: See :class:`ItemLimits`.
         file: See :class:`FileLimits`.
-        mesh: See :class:`MeshLimits`: an asset.
-        gltf_scene: The same for a scene in glTF.
+        mesh: See :class:`MeshLimits`.
+        gltf_scene: See :class:`GltfLimits`.
         model: See :class:`ModelLimits`.
         scene_file: See :class:`SceneFileLimits`.
         image: See :class:`ImageLimits`.
@@ -301,11 +315,7 @@ class Limits:
     item: ItemLimits = field(default_factory=ItemLimits)
     file: FileLimits = field(default_factory=FileLimits)
     mesh: MeshLimits = field(default_factory=MeshLimits)
-    gltf_scene: MeshLimits = field(
-        default_factory=lambda: MeshLimits(
-            max_bytes=1 * GIB, max_json_bytes=16 * MIB, max_faces=8_000_000, max_corners=8_000_000
-        )
-    )
+    gltf_scene: GltfLimits = field(default_factory=GltfLimits)
     model: ModelLimits = field(default_factory=ModelLimits)
     scene_file: SceneFileLimits = field(default_factory=SceneFileLimits)
     image: ImageLimits = field(default_factory=ImageLimits)
@@ -336,23 +346,35 @@ class Limit:
         value: Its value in this process.
         default: Its default.
         meaning: What it limits.
+        about: What its group is about.
     """
 
     name: str
     value: int | float
     default: int | float
     meaning: str
+    about: str
+
+    @property
+    def group(self) -> str:
+        """The name of its group."""
+        return self.name.partition(".")[0]
 
 
 def list_limits() -> list[Limit]:
     """Returns all limits in the order of their groups."""
-    defaults = Limits().values()
-    meanings: dict[str, str] = {}
+    defaults, found = Limits().values(), []
     for group in fields(LIMITS):
-        text = type(getattr(LIMITS, group.name)).__doc__ or ""
-        for found in _ATTRIBUTE.finditer(text.partition("Attributes:")[2]):
-            meanings[f"{group.name}.{found[1]}"] = " ".join(found[2].split())
-    return [Limit(name, value, defaults[name], meanings.get(name, "")) for name, value in LIMITS.values().items()]
+        values = getattr(LIMITS, group.name)
+        about = " ".join((type(values).__doc__ or "").partition("\n\n")[0].split())
+        texts = [
+            (kind.__doc__ or "").partition("Attributes:")[2] for kind in type(values).__mro__
+        ]  # a group may extend another one
+        meanings = {name: " ".join(text.split()) for name, text in _ATTRIBUTE.findall("\n".join(texts))}
+        for one in fields(values):
+            name = f"{group.name}.{one.name}"
+            found.append(Limit(name, getattr(values, one.name), defaults[name], meanings.get(one.name, ""), about))
+    return found
 
 
 def read_limits(text: str) -> Limits:
@@ -384,7 +406,16 @@ def read_limits(text: str) -> Limits:
     return limits
 
 
-LIMITS = read_limits(os.environ.get(SETTING, ""))
+def _limits_of_process() -> Limits:
+    """The limits that :data:`SETTING` states; ends the program if it is wrong, because no part of it may run with other limits."""
+    try:
+        return read_limits(os.environ.get(SETTING, ""))
+    except ConfigError as error:
+        sys.stderr.write(f"error: {error}\n")
+        raise SystemExit(2) from error
+
+
+LIMITS = _limits_of_process()
 """The limits of this process."""
 
 
@@ -392,16 +423,17 @@ def at_most(group: Any, name: str, unit: str = "") -> str:
     """Says how much is allowed, with the name of the limit and of the setting that changes it.
 
     Args:
-        group: A group of :data:`LIMITS`, or limits that a caller chose.
+        group: A group of :data:`LIMITS`, or limits that a caller chose; of these, values of :data:`LIMITS` are named too.
         name: A field of it.
         unit: The unit, as a word of the message.
 
     Returns:
         Such as ``at most 1,000,000 faces (mesh.max_faces in STABLE_DATA_LIMITS)``; without the setting for a caller's own limits.
     """
-    own = next((one.name for one in fields(LIMITS) if getattr(LIMITS, one.name) is group), None)
-    where = name if own is None else f"{own}.{name} in {SETTING}"
     value = getattr(group, name)
+    alike = {one.name: mine for one in fields(LIMITS) if type(mine := getattr(LIMITS, one.name)) is type(group)}
+    own = next((known for known, mine in alike.items() if getattr(mine, name) == value), None)
+    where = name if own is None else f"{own}.{name} in {SETTING}"
     number = f"{value:,}" if isinstance(value, int) else f"{value:g}"
     return f"at most {number}{unit and ' '}{unit} ({where})"
 
@@ -415,13 +447,17 @@ def worker_environment() -> Mapping[str, str]:
 def memory_limited(num_bytes: int) -> Iterator[None]:
     """Bounds the memory that this process allocates in the body, beyond what it has already; on Linux, elsewhere nothing happens.
 
-    The system refuses what exceeds the bound: Python and numpy raise MemoryError, other code ends the process or reports an error.
-    Memory that is shared with other processes, or mapped from files, does not count.
+    The system refuses what exceeds the bound: Python and most libraries raise MemoryError, other code ends the process. Memory that
+    is shared with other processes, or mapped from files, does not count, and neither does what an earlier body has freed, although
+    the process keeps it: what a body may allocate does not depend on those before it.
 
     Args:
         num_bytes: The bound.
+
+    Raises:
+        MemoryError: In place of the RuntimeError with which torch says that memory ran out.
     """
-    used = _allocated()
+    used = _MEMORY.used()
     if used is None:
         yield
         return
@@ -430,17 +466,48 @@ def memory_limited(num_bytes: int) -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))
     try:
         yield
+    except RuntimeError as error:
+        if is_out_of_memory(error):
+            raise MemoryError(str(error)) from error
+        raise
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
-def _allocated() -> int | None:
-    """The memory of this process that RLIMIT_DATA counts, bytes; None if the system does not say it."""
-    if not sys.platform.startswith("linux"):
-        return None
-    try:
-        with open("/proc/self/status", "rb") as status:  # noqa: PTH123 - called for each item
-            line = next((line for line in status if line.startswith(b"VmData:")), None)
-    except OSError:
-        return None
-    return None if line is None else int(line.split()[1]) * KIB
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether an error says that memory ran out; torch has no class for it."""
+    return isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "DefaultCPUAllocator" in str(error))
+
+
+class _Memory:
+    """The memory of this process."""
+
+    def __init__(self) -> None:
+        self._spare: int | None = None  # memory that is reserved and was never used, as stacks of threads, at the first call
+
+    def used(self) -> int | None:
+        """The part of what RLIMIT_DATA counts that is in use, or was reserved at the first call; bytes, None if it is unknown."""
+        if not sys.platform.startswith("linux"):
+            return None
+        self._give_back()
+        try:
+            with open("/proc/self/status", "rb") as status:  # noqa: PTH123 - called for each item
+                sizes = {name: rest for name, _, rest in (line.partition(b":") for line in status)}
+            counted, *touched = (int(sizes[name].split()[0]) * KIB for name in (b"VmData", b"RssAnon", b"VmSwap"))
+        except (OSError, KeyError):
+            return None
+        spare = max(0, counted - sum(touched))
+        self._spare = spare if self._spare is None else self._spare
+        return counted - max(0, spare - self._spare)
+
+    def _give_back(self) -> None:
+        """Gives the system what libraries have freed and keep, as far as they can; their addresses stay reserved."""
+        arrow = sys.modules.get("pyarrow")
+        if arrow is not None:
+            arrow.default_memory_pool().release_unused()
+        if hasattr(_C, "malloc_trim"):  # of glibc
+            _C.malloc_trim(0)
+
+
+_C = ctypes.CDLL(None) if sys.platform.startswith("linux") else None
+_MEMORY = _Memory()

@@ -148,8 +148,8 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
     def _answers(self, items: Sequence[I], isolated: bool) -> list[A]:
         if not isolated:
             return self.answers(items)
-        seconds = self.settings.seconds_per_item * max(1, len(items))
-        found = run_isolated(self.answers, items, seconds=seconds, prepare=self.prepare_to_ask)
+        num, seconds = max(1, len(items)), self.settings.seconds_per_item
+        found = run_isolated(self.answers, items, seconds=num * seconds, num_items=num, prepare=self.prepare_to_ask)
         if isinstance(found, ProcessFailure):
             raise self.unanswered(found, items)
         return found

@@ -55,7 +55,7 @@ class CorrectWork(SceneWork[CorrectSettings, str, CertificationRequest]):
 
     def unanswered(self, loss: ProcessFailure, items: Sequence[str]) -> ConfigError:
         """The error if the process of the flow was lost."""
-        found = f"the flow {str(loss).replace('_', ' ')} over {len(items)} scenes such as {items[0]}"
+        found = f"the flow, for scenes such as {items[0]}, {loss.told(self.settings.seconds_per_item, len(items))}"
         return ConfigError(f"{found}; free memory, set scenes_per_shard lower, or set weights to none", "flow_failed")
 
     def finished(self, item: str, answer: CertificationRequest) -> Rows:

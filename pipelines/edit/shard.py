@@ -105,7 +105,8 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
 
     def unanswered(self, loss: ProcessFailure, items: Sequence[EditRequest]) -> ConfigError:
         """The error if the process of the reasoner was lost."""
-        found = f"the reasoner {str(loss).replace('_', ' ')} over {len(items)} edits such as {items[0].edit_id}"
+        told = loss.told(self.settings.seconds_per_item, len(items))
+        found = f"the reasoner, for edits such as {items[0].edit_id}, {told}"
         return ConfigError(f"{found}; free memory, or set scenes_per_shard lower", "engine_failed")
 
     def finished(self, item: EditRequest, answer: EditReply) -> Rows:

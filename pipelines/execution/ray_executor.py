@@ -259,13 +259,16 @@ def _first_line(error: BaseException) -> str:
 
 @contextmanager
 def item_limited(seconds: float) -> Iterator[None]:
-    """Ends this process if it is a worker of Ray and the body exceeds the time or the memory of an item.
+    """Gives the body the time and the memory of an item if this process is a worker of Ray; in any other process there is no limit.
 
-    Its shard is then run item by item, in separate processes. Only the end of the process stops a parser that hangs in C code. In
-    any other process there is no limit.
+    The process ends if the body takes longer, because nothing else stops a parser that hangs in C code. Its shard is then run item by
+    item, in separate processes.
 
     Args:
         seconds: The time limit. That on memory is one of :class:`stable_data.limits.ItemLimits`.
+
+    Raises:
+        MemoryError: The body needs more memory; code in C may end the process instead.
     """
     if not (ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE):
         yield
@@ -274,8 +277,6 @@ def item_limited(seconds: float) -> Iterator[None]:
     try:
         with memory_limited(LIMITS.item.max_memory_bytes):
             yield
-    except MemoryError:
-        os._exit(1)
     finally:
         faulthandler.cancel_dump_traceback_later()
 
@@ -287,17 +288,18 @@ class ProcessFailure(StrEnum):
     TIMED_OUT = "timed_out"
     OUT_OF_MEMORY = "out_of_memory"
 
-    def told(self, seconds: float) -> str:
+    def told(self, seconds: float, num_items: int = 1) -> str:
         """Says what happened, as the end of a sentence.
 
         Args:
-            seconds: The time limit.
+            seconds: The time limit of an item.
+            num_items: The number of items of the call.
         """
-        if self is ProcessFailure.CRASHED:
-            return "ended the process that did it"
+        each = f" for each of {num_items} items" if num_items > 1 else ""
         if self is ProcessFailure.TIMED_OUT:
-            return f"took over {seconds:g} s (seconds_per_item)"
-        return f"needed more memory, expected {at_most(LIMITS.item, 'max_memory_bytes', 'bytes')}"
+            return f"took over {seconds:g} s{each} (seconds_per_item)"
+        found = "needed" if self is ProcessFailure.OUT_OF_MEMORY else "ended the process that did it, perhaps because it needed"
+        return f"{found} more memory, expected {at_most(LIMITS.item, 'max_memory_bytes', 'bytes')}{each}"
 
 
 class IsolatedProcess:
@@ -319,13 +321,14 @@ class IsolatedProcess:
         """Ends the process."""
         self._end()
 
-    def call(self, function: Callable[..., R], *arguments: object, seconds: float) -> R | ProcessFailure:
+    def call(self, function: Callable[..., R], *arguments: object, seconds: float, num_items: int = 1) -> R | ProcessFailure:
         """Calls a function in the separate process.
 
         Args:
             function: A picklable function.
             arguments: Its arguments.
             seconds: The time limit of the call, without the start of the process.
+            num_items: The number of items whose memory it may use.
 
         Returns:
             The result, or how the process ended: it died twice, or exceeded the limit of time or of memory.
@@ -335,7 +338,7 @@ class IsolatedProcess:
                 if self._pool is None:
                     self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
                     self._pool.submit(self._prepare).result(timeout=_START_SECONDS)
-                return self._pool.submit(_bounded, function, *arguments).result(timeout=seconds)
+                return self._pool.submit(_bounded, num_items, function, *arguments).result(timeout=seconds)
             except BrokenProcessPool:
                 self._end()
             except MemoryError:
@@ -355,15 +358,19 @@ class IsolatedProcess:
 
 
 def run_isolated(
-    function: Callable[..., R], *arguments: object, seconds: float, prepare: Callable[[], object] | None = None
+    function: Callable[..., R],
+    *arguments: object,
+    seconds: float,
+    num_items: int = 1,
+    prepare: Callable[[], object] | None = None,
 ) -> R | ProcessFailure:
     """Calls a function in a separate process, see :meth:`IsolatedProcess.call`."""
     with IsolatedProcess(prepare) as process:
-        return process.call(function, *arguments, seconds=seconds)
+        return process.call(function, *arguments, seconds=seconds, num_items=num_items)
 
 
-def _bounded(function: Callable[..., R], *arguments: object) -> R:
-    with memory_limited(LIMITS.item.max_memory_bytes):
+def _bounded(num_items: int, function: Callable[..., R], *arguments: object) -> R:
+    with memory_limited(num_items * LIMITS.item.max_memory_bytes):
         return function(*arguments)
 
 

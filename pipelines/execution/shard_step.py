@@ -14,7 +14,7 @@ from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressTally
 from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, item_limited, run_isolated
 from stable_data.errors import ConfigError, Notice, StableDataError
-from stable_data.limits import LIMITS, at_most
+from stable_data.limits import LIMITS, at_most, is_out_of_memory
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
@@ -22,7 +22,7 @@ from stable_data.storage.table_rows import notice_row
 Rows: TypeAlias = dict[str, list[schemas.Row]]
 """Rows by table."""
 
-NOT_OF_AN_ITEM = (ConfigError, OSError, MemoryError)
+NOT_OF_AN_ITEM = (ConfigError, OSError)
 """Errors of the run or the machine, not of an item: a retry may succeed."""
 
 CONTENT_ADDRESSED = {"textures": "sha256"}
@@ -263,17 +263,15 @@ def rows_or_failure(
         raise
     except StableDataError as error:
         return {"failures": [notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
-    except MemoryError:
-        message = f"{item_id}: memory is not enough for it, a worker has {at_most(LIMITS.item, 'max_memory_bytes', 'bytes')}"
-        code = str(ProcessFailure.OUT_OF_MEMORY)
-        return {"failures": [notice_row(Notice(item_id, progress.step, code, f"{message}; is it hostile?"))]}
     except Exception as error:  # noqa: BLE001 - the one place where an unexpected error becomes a row
-        message = f"{item_id}: {unexpected_failure(error)}"
-        return {"failures": [notice_row(Notice(item_id, progress.step, "unexpected", message))]}
+        code = str(ProcessFailure.OUT_OF_MEMORY) if is_out_of_memory(error) else "unexpected"
+        return {"failures": [notice_row(Notice(item_id, progress.step, code, f"{item_id}: {unexpected_failure(error)}"))]}
 
 
 def unexpected_failure(error: Exception) -> str:
-    """The message for an unexpected error, one line."""
+    """The message for an error that is none of this project, one line."""
+    if is_out_of_memory(error):
+        return f"memory is not enough for it, a worker has {at_most(LIMITS.item, 'max_memory_bytes', 'bytes')}; is it hostile?"
     return f"{type(error).__name__}: {' '.join(str(error).split())}; please report this with the file"
 
 

@@ -74,7 +74,6 @@ class LocalCertifier:
         Raises:
             ConfigError: The whole run cannot continue.
             OSError: The machine has a problem, such as a full disk.
-            MemoryError: The machine has too little memory.
         """
         try:
             return self.corrector.certify(request, self.store)

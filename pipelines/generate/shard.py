@@ -303,7 +303,7 @@ class GenerateWork(ShardStep[Task]):
             except ConfigError:
                 raise
             except Exception as error:  # noqa: BLE001 - else the whole shard would be made again, and its questions be asked again
-                reason = f"the search for places failed ({type(error).__name__}: {error})"
+                reason = f"the search for places failed: {unexpected_failure(error)}"
                 return Placement((), dict.fromkeys((o.instance for o in problem.objects), reason))
         found = process.call(search, problem, seconds=seconds)
         if not isinstance(found, ProcessFailure):
@@ -329,8 +329,11 @@ class GenerateWork(ShardStep[Task]):
             found = process.call(partial(_read_asset, self._physics()), asset_id, seconds=seconds)
             if isinstance(found, ProcessFailure):
                 return f"asset {asset_id}: reading it {found.told(seconds)}"
-        with item_limited(seconds):
-            return store.fault_of(asset_id)
+        try:
+            with item_limited(seconds):
+                return store.fault_of(asset_id)
+        except MemoryError as error:
+            return f"asset {asset_id}: {unexpected_failure(error)}"
 
     def _physics(self) -> "GenerateWork":
         """The work for a separate process, which is no worker of Ray and cannot reach shared engines or the tally."""

@@ -52,11 +52,11 @@ def resolve_convention(settings: S, source: object, name: str, workers: WorkerPo
     """
     if settings.position_convention != "auto" or workers.are_this_process:
         return settings.settled(source)
-    seconds = _MEASURED_ITEMS * settings.seconds_per_item
-    resolved = run_isolated(settings.settled, source, seconds=seconds)
+    seconds = settings.seconds_per_item
+    resolved = run_isolated(settings.settled, source, seconds=_MEASURED_ITEMS * seconds)
     if isinstance(resolved, ProcessFailure):
         raise ConfigError(
-            f"{name}: the check of what positions mean {resolved.told(seconds)}, over a layout or mesh; set "
+            f"{name}: the check of what positions mean {resolved.told(seconds, _MEASURED_ITEMS)}, over a layout or mesh; set "
             "position_convention to box_centre or mesh_centre",
             "convention_unknown",
         )

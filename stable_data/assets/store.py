@@ -392,6 +392,8 @@ class AssetStore:
             if error.code in _TRANSIENT:
                 raise
             return MeshError(str(error), error.code)  # a new error: the traceback of the old one references the file's content
+        except MemoryError:
+            raise
         except Exception as error:  # a bug with an unusual file must cost one asset, not the job
             found = f"{type(error).__name__}: {error}"
             raise MeshError(f"asset {asset_id}: {found}; please report this with the file", "unexpected") from error

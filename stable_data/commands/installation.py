@@ -73,11 +73,16 @@ def features(
 @with_clear_errors
 def limits() -> None:
     """List what one item from outside may cost: the limits of all readers and workers, and how to change them."""
+    from itertools import groupby
+
     from stable_data.limits import SETTING, list_limits
 
-    for one in list_limits():
-        was = "" if one.value == one.default else f" (default {one.default:,})"
-        echo(f"{one.name} = {one.value:,}{was}\n    {one.meaning}")
+    for group, found in groupby(list_limits(), lambda one: one.group):
+        for number, one in enumerate(found):
+            if not number:
+                echo(f"\n{group}: {one.about}\n")
+            was = "" if one.value == one.default else f" (default {one.default:,})"
+            echo(f"{one.name} = {one.value:,}{was}\n    {one.meaning}")
     echo(f"\n{SETTING}='name=value, ...' changes limits, for a command and all its workers.")
 
 

@@ -93,6 +93,8 @@ def judge(name: str, bodies: Sequence[RigidBody], table: Tabletop, options: Phys
         return unknown_result(bodies, str(error))
     except ModuleNotFoundError as error:
         return unknown_result(bodies, f"judge {name} {install_hint(error) or f'cannot be loaded: {error}'}")
+    except MemoryError:
+        raise
     except Exception as error:  # noqa: BLE001 - the engine fails for this scene, the others judge it
         found = " ".join(str(error).split())
         return unknown_result(bodies, f"{JUDGES[name].engine} failed: {type(error).__name__}: {found}")

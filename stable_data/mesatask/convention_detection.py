@@ -32,6 +32,8 @@ def position_convention(dataset: MesaTaskDataset, store: AssetStore, num_scenes:
             scene, _ = dataset.read(scene_id)
             pairs = [(o, store.mesh_of(o)) for o in scene.objects]
             names = frozenset(o.instance for o, mesh in pairs if mesh is not None and reveals_convention(o, mesh.vertices))
+        except MemoryError:
+            raise
         except Exception:  # noqa: BLE001, S112 - the scene shows nothing about positions; the step that uses it reports the error
             continue
         if names:
@@ -40,6 +42,8 @@ def position_convention(dataset: MesaTaskDataset, store: AssetStore, num_scenes:
     for scene, names in revealing[:: max(1, math.ceil(len(revealing) / _NUM_JUDGED))]:
         try:
             num_resting.update({c: _count_resting(scene, names, store, c) for c in PositionConvention})
+        except MemoryError:
+            raise
         except Exception:  # noqa: BLE001, S112 - likewise
             continue
     box, mesh_centre = num_resting[PositionConvention.BOX_CENTRE], num_resting[PositionConvention.MESH_CENTRE]

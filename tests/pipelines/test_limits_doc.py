@@ -1,6 +1,7 @@
 """The page on limits: its tables are those of the code."""
 
 import re
+from itertools import groupby
 from pathlib import Path
 
 from pipelines.settings import JOBS
@@ -17,11 +18,16 @@ def shown(value: int | float) -> str:
     return f"{value:,}"
 
 
-def limit_rows() -> list[str]:
-    return [
-        f"| `{one.name}` | {shown(one.default) if one.name.endswith('_bytes') else f'{one.default:,}'} | {one.meaning} |"
-        for one in list_limits()
-    ]
+def limit_tables() -> str:
+    """A table for each group of limits, under what the group is about."""
+    text = ""
+    for group, found in groupby(list_limits(), lambda one: one.group):
+        limits = list(found)
+        text += f"\n### {group}\n\n{limits[0].about}\n\n| limit | default | what it limits |\n|---|---|---|\n"
+        for one in limits:
+            default = shown(one.default) if one.name.endswith("_bytes") else f"{one.default:,}"
+            text += f"| `{one.name}` | {default} | {one.meaning} |\n"
+    return text
 
 
 def job_rows() -> list[str]:
@@ -35,7 +41,8 @@ def rows_after(head: str) -> list[str]:
 
 
 def test_the_page_lists_the_limits_of_the_code() -> None:
-    assert rows_after("limit") == limit_rows(), "\n".join(["docs/limits.md should have:", *limit_rows()])
+    found = PAGE.read_text("utf-8").partition("## All limits\n")[2]
+    assert found == limit_tables(), f"docs/limits.md should have:\n{limit_tables()}"
 
 
 def test_the_page_lists_the_times_of_all_jobs() -> None:

@@ -1,15 +1,26 @@
 """The limits: their names and values, how they are changed, what a message says, and the bound on memory."""
 
 import os
+import re
 import subprocess
 import sys
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NoReturn
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, cannot_read
+from stable_data.importers.mjcf.reader import _compile
+from stable_data.judges.registry import judge
 from stable_data.limits import LIMITS, SETTING, ImageLimits, Limits, at_most, list_limits, memory_limited, read_limits
+from stable_data.mesatask.convention_detection import position_convention
+from stable_data.robot.acting.rollout import _call
+from stable_data.scene import Tabletop
 
 
 def test_every_limit_has_a_positive_default_and_says_what_it_limits() -> None:
@@ -17,6 +28,26 @@ def test_every_limit_has_a_positive_default_and_says_what_it_limits() -> None:
     assert len(limits) == len({one.name for one in limits}) > 70
     assert [one.name for one in limits if not one.meaning.endswith(".") or one.default <= 0] == []
     assert all(is_dataclass(getattr(LIMITS, group.name)) for group in fields(LIMITS))
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_limit_is_used_in_the_code() -> None:
+    """In a module that names its group, or the class of it, and the limit."""
+    code = [path.read_text("utf-8") for name in ("stable_data", "models", "pipelines") for path in (ROOT / name).rglob("*.py")]
+    code = [text for text in code if "class ItemLimits" not in text]
+    for one in list_limits():
+        name, kind = one.name.partition(".")[2], type(getattr(LIMITS, one.group)).__name__
+        users = [text for text in code if re.search(rf"LIMITS\.{one.group}\b|\b{kind}\b", text)]
+        assert any(re.search(rf"\b{name}\b", text) for text in users), one.name
+
+
+def test_groups_are_told_apart() -> None:
+    """Of ``max_bytes`` alone nobody knows of what."""
+    about = {one.group: one.about for one in list_limits()}
+    assert len(set(about.values())) == len(about) == len(fields(LIMITS))
+    assert all(text.endswith(".") for text in about.values())
 
 
 def test_limits_are_changed_by_their_names() -> None:
@@ -58,15 +89,33 @@ def test_a_message_names_the_limit_and_its_setting() -> None:
     assert at_most(LIMITS.mesh, "max_faces", "faces") == f"at most 1,000,000 faces (mesh.max_faces in {SETTING})"
     assert at_most(LIMITS.layout, "max_reach", "m") == f"at most 10 m (layout.max_reach in {SETTING})"
     assert at_most(ImageLimits(max_scans=7), "max_scans") == "at most 7 (max_scans)"  # chosen by a caller
+    assert at_most(replace(LIMITS.mesh, max_faces=7), "max_nodes").endswith(f"(mesh.max_nodes in {SETTING})")
 
 
 def test_the_variable_holds_for_a_command() -> None:
     command = [sys.executable, "-m", "stable_data", "limits"]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, SETTING: "json.max_levels=7"}, check=True)
+    assert "\njson: JSON of any kind.\n" in done.stdout
     assert "json.max_levels = 7 (default 64)\n    Nesting of lists and objects" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "stable_data limits",
+        "pipelines --help",
+        *(
+            pytest.param(f"{name} --help", marks=pytest.mark.slow)
+            for name in ("models.picture_features", "models.point_encoder.pretrain", "models.scene_rating.usual_layouts")
+        ),
+    ],
+)
+def test_wrong_limits_end_every_program_in_one_line(program: str) -> None:
+    command = [sys.executable, "-m", *program.split()]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, SETTING: "json.levels=7"}, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {SETTING}: 'json.levels=7' names no limit")
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
@@ -86,6 +135,123 @@ for allocate in (lambda: np.ones(2**28, np.uint8), lambda: bytearray(2**28), lam
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["refused"] * 3
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
+def test_what_a_body_may_allocate_does_not_depend_on_those_before() -> None:
+    code = """
+import numpy as np
+from stable_data.limits import memory_limited
+kept = []
+for size in (200, 200, 300, 300, 200):
+    with memory_limited(2**28):
+        try:
+            blocks = [np.ones(100_000, np.uint8) for _ in range(10 * size)]
+            kept += blocks[::100]  # what lies between is free again, but stays with the process
+            print("allocated")
+        except MemoryError:
+            print("refused")
+    blocks = None
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["allocated"] * 2 + ["refused"] * 2 + ["allocated"]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
+def test_a_reader_with_too_little_memory_does_not_call_its_file_broken() -> None:
+    code = """
+import io
+import numpy as np
+from PIL import Image
+from stable_data.geometry.gltf_reader import load_glb
+from stable_data.geometry.gltf_writer import write_glb
+from stable_data.geometry.images import decode_images
+from stable_data.geometry.mesh import Mesh
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.mesh_files import read_mesh_file
+from stable_data.limits import memory_limited
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+corners = np.random.default_rng(0).normal(size=(900_000, 3))
+glb, file = write_glb(Mesh(corners, np.arange(900_000).reshape(-1, 3))), io.BytesIO()
+Image.new("RGB", (6000, 6000)).save(file, "PNG")
+record = np.zeros(300_000, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+record["corners"] = corners.reshape(-1, 3, 3)
+with TemporaryDirectory() as folder:
+    (Path(folder) / "a.stl").write_bytes(bytes(80) + np.uint32(len(record)).tobytes() + record.tobytes())
+    corners = record = None
+    for read in (
+        lambda: load_glb(glb, "mug"),
+        lambda: decode_images({0: file.getvalue()}, "mug", side=1024, has_alpha=False),
+        lambda: read_mesh_file(Boundary(Path(folder)), "a.stl", "mug", max_faces=10**6),
+    ):
+        for limit in (2**34, 2**24):
+            try:
+                with memory_limited(limit):
+                    read()
+                print("read")
+            except Exception as error:
+                print(type(error).__name__)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["read", "MemoryError"] * 3
+
+
+TORCH = "[enforce fail at alloc_cpu.cpp:127] err == 0. DefaultCPUAllocator: can't allocate memory: you tried to allocate 268435456 bytes"
+
+
+def _fail(error: Exception) -> Callable[..., NoReturn]:
+    def fail(*_: object, **__: object) -> NoReturn:
+        raise error
+
+    return fail
+
+
+def _detect_convention() -> None:
+    dataset: Any = SimpleNamespace(scene_ids=("a",), read=_fail(MemoryError()))
+    position_convention(dataset, dataset)
+
+
+def _settle(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stable_data.judges.registry.import_module", lambda _: SimpleNamespace(settle=_fail(MemoryError())))
+    judge("mujoco", (), Tabletop("desk", (1.0, 1.0)))
+
+
+def _compile_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stable_data.importers.mjcf.reader._Shapes.of", _fail(MemoryError()))
+    _compile(SimpleNamespace(), "a.xml")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda _: _detect_convention(),
+        _settle,
+        _compile_model,
+        lambda _: _call("policy", "act", _fail(MemoryError())),
+        lambda _: _raise_cannot_read(),
+    ],
+)
+def test_what_reports_other_errors_lets_those_of_memory_through(
+    use: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(MemoryError):
+        use(monkeypatch)
+
+
+def _raise_cannot_read() -> None:
+    error = pa.ArrowMemoryError("malloc of size 2147483648 failed")
+    raise cannot_read("run", "part-0.parquet", error) from error
+
+
+def test_torch_has_no_error_of_its_own_for_memory() -> None:
+    with pytest.raises(RuntimeError, match="alloc_cpu"):
+        _call("policy", "act", _fail(RuntimeError(TORCH)))
+    with pytest.raises(MemoryError, match="alloc_cpu"), memory_limited(2**34):
+        raise RuntimeError(TORCH)
+    with pytest.raises(RuntimeError, match="another"), memory_limited(2**34):
+        raise RuntimeError("another")
 
 
 def test_a_bound_that_is_far_away_changes_nothing() -> None:

@@ -77,7 +77,7 @@ def parsing(path: str, expected: str) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):
             yield
-    except StableDataError:
+    except (StableDataError, MemoryError):
         raise
     except Exception as error:  # each library has exceptions of its own, and lets those of numpy through
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"

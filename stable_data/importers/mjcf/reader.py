@@ -128,8 +128,8 @@ class _ModelReader:
         shapes = _compile(isolated, self.ref.path)
         self._check(shapes)
         seen, collides = shapes.seen(), shapes.collides
-        num_faces = sum(shapes.num_faces(geom) for geom in {*seen, *np.flatnonzero(collides)})
-        check_face_count(quote_value(self.ref.path), num_faces, self.options.max_faces)
+        for geoms in (seen, np.flatnonzero(collides)):
+            check_face_count(quote_value(self.ref.path), sum(map(shapes.num_faces, geoms)), self.options.max_faces)
         surfaces = tuple(self._surface(shapes, geom, isolated) for geom in seen)
         if not any(len(surface.triangles) for surface in surfaces):
             self._fail("has nothing that is seen", "a geom that is not transparent", "mesh_empty")
@@ -235,7 +235,7 @@ def _compile(isolated: IsolatedModel, path: str) -> "_Shapes":
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # attributes of older versions
                 return _Shapes.of(isolated, is_solid=is_solid)
-        except (ValueError, TypeError, RuntimeError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError) as error:
+        except (ValueError, TypeError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError) as error:
             failure = failure or error
     found = " ".join(str(failure).split())[:300]
     message = f"{quote_value(path)}: MuJoCo does not compile it ({found}), expected a model that it compiles; correct it"

@@ -93,7 +93,7 @@ def read_usd_scene(boundary: Boundary, path: str) -> UsdScene:
                 raise SceneError(f"{path}: metersPerUnit is {unit}, expected a positive number; correct it", "unit_implausible")
             _check_gravity(stage, path, is_y_up)
             bodies, grounds = _StageReader(stage, path, unit, is_y_up, notices).read()
-        except StableDataError:
+        except (StableDataError, MemoryError):
             raise
         except Exception as error:
             found = " ".join(str(error).split())[:300]
@@ -150,6 +150,8 @@ def _opened(place: Path, name: str) -> Sdf.Layer:
     """A layer alone, without those that it composes."""
     try:
         layer = Sdf.Layer.OpenAsAnonymous(str(place))
+    except MemoryError:
+        raise
     except Exception as error:
         found = " ".join(str(error).split())[:300]
         raise MeshError(f"{name}: USD cannot read it ({found}), expected a USD layer; repair it", "model_unreadable") from error
@@ -165,6 +167,8 @@ def _placed_stage(folder: Path, contents: Mapping[str, bytes], path: str) -> Usd
         place.write_bytes(content)
     try:
         stage = Usd.Stage.Open(str(folder / path))
+    except MemoryError:
+        raise
     except Exception as error:
         found = " ".join(str(error).split())[:300]
         raise MeshError(f"{path}: USD cannot open it ({found}), expected a stage; repair it", "model_unreadable") from error

@@ -13,7 +13,7 @@ from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.usd.layers import LayerLoader, layer_names, quiet_usd
 from stable_data.json_text import quote_value
-from stable_data.limits import LIMITS, SETTING, FileLimits, memory_limited
+from stable_data.limits import LIMITS, SETTING, FileLimits, at_most, memory_limited
 
 _MOST_ANSWER = 16 * 2**20  # bytes
 
@@ -100,8 +100,9 @@ class LayerScanner:
             line = b""
         if not line or not line.endswith(b"\n"):
             self._stop()
-            seconds = f"{LIMITS.item.max_scan_seconds} s (item.max_scan_seconds in {SETTING})"
-            found = f"was not read in {seconds}" if line is None else "ends the process that reads it"
+            found = f"was not read in {LIMITS.item.max_scan_seconds} s (item.max_scan_seconds in {SETTING})"
+            if line is not None:
+                found = f"ends the process that reads it, perhaps because it needs more memory: it has {_memory()}"
             raise MeshError(f"{quote_value(path)} {found}, expected a layer of USD; export it again", "model_unreadable")
         answer: dict[str, Any] = json.loads(line)
         if "error" in answer:
@@ -134,5 +135,12 @@ def answer_paths() -> None:
                 answer = asdict(LayerFacts.of(Boundary(root, limits), json.loads(line)))
         except MeshError as error:
             answer = {"error": str(error), "code": error.code}
+        except MemoryError:
+            found = f"{quote_value(json.loads(line))} needs more memory, expected {_memory()}; is it hostile?"
+            answer = {"error": found, "code": "file_too_large"}
         answers.write(json.dumps(answer).encode() + b"\n")
         answers.flush()
+
+
+def _memory() -> str:
+    return at_most(LIMITS.item, "max_memory_bytes", "bytes")

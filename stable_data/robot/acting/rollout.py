@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from stable_data.errors import ConfigError, StableDataError
+from stable_data.limits import is_out_of_memory
 from stable_data.robot.acting.episode_log import EpisodeLog
 from stable_data.robot.acting.policies import ActingPolicy, actions_of
 from stable_data.robot.env import RobotEnv
@@ -46,6 +47,8 @@ def _call(name: str, method: str, function: Callable[[], R]) -> R:
     except StableDataError:
         raise
     except Exception as error:
+        if is_out_of_memory(error):
+            raise
         line = " ".join(str(error).split())
         raise ConfigError(
             f"policy {name}: {method}() raised {type(error).__name__}: {line}; correct the policy and run again",

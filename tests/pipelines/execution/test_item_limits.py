@@ -1,17 +1,35 @@
 """The memory of an item is bounded in workers and in separate processes, and a run has one set of limits."""
 
-import os
+import shutil
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
+from pipelines.correct.settings import CorrectSettings
+from pipelines.correct.shard import CorrectWork
+from pipelines.edit.settings import EditSettings
+from pipelines.edit.shard import EditWork
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, _runtime
 from pipelines.execution.resume import check_resume, new_manifest
-from pipelines.execution.shard_step import failed_process, rows_or_failure
+from pipelines.execution.shard_step import ItemStep, Rows, Shard, failed_process, rows_or_failure
+from pipelines.generate import shard as generation
+from pipelines.generate.settings import GenerateSettings
+from pipelines.generate.shard import GenerateWork
+from pipelines.preprocess.asset import AssetUse
+from pipelines.preprocess.settings import PreprocessSettings
+from pipelines.preprocess.shard import AssetStep
+from pipelines.sources.edits import EditRequest
 from stable_data.errors import ConfigError
-from stable_data.limits import LIMITS, SETTING
+from stable_data.geometry.gltf_writer import write_glb
+from stable_data.geometry.mesh import Mesh
+from stable_data.limits import SETTING
 from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
 from tests.bounds import limit
@@ -24,6 +42,16 @@ def allocate(num_bytes: int) -> int:
     return len(bytes(bytearray(num_bytes)))
 
 
+def allocate_tensor(num_bytes: int) -> int:
+    import torch
+
+    return len(torch.ones(num_bytes, dtype=torch.uint8))
+
+
+def allocate_tensor_of_a_byte() -> int:
+    return allocate_tensor(1)
+
+
 def test_a_separate_process_has_the_memory_of_an_item(monkeypatch: pytest.MonkeyPatch) -> None:
     with IsolatedProcess() as apart:
         assert apart.call(allocate, 64 * MIB, seconds=60) == 64 * MIB
@@ -31,6 +59,12 @@ def test_a_separate_process_has_the_memory_of_an_item(monkeypatch: pytest.Monkey
     with IsolatedProcess() as apart:
         assert apart.call(allocate, 256 * MIB, seconds=60) is ProcessFailure.OUT_OF_MEMORY
         assert apart.call(allocate, MIB, seconds=60) == MIB
+
+
+def test_a_separate_process_tells_that_torch_has_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SETTING, f"item.max_memory_bytes={64 * MIB}")
+    with IsolatedProcess(allocate_tensor_of_a_byte) as apart:
+        assert apart.call(allocate_tensor, 256 * MIB, seconds=60) is ProcessFailure.OUT_OF_MEMORY
 
 
 def test_the_row_of_an_item_names_what_it_exceeded() -> None:
@@ -44,42 +78,92 @@ def test_the_row_of_an_item_names_what_it_exceeded() -> None:
         assert row["message"].startswith("mug: ")
         assert f"(item.max_memory_bytes in {SETTING})" in row["message"]
     assert "seconds_per_item" in failed_process(ProcessFailure.TIMED_OUT, "mug", 60)["failures"][0]["message"]
+    assert "item.max_memory_bytes" in failed_process(ProcessFailure.CRASHED, "mug", 60)["failures"][0]["message"]
 
 
-class Hungry:
-    """Allocates 256 MiB for one shard, within the limits of an item."""
+@dataclass(frozen=True, slots=True)
+class Allocating(ItemStep[int]):
+    """Allocates so many MiB for an item, with torch and without, where an item has 64 MiB."""
 
-    def __call__(self, shard: int, *, isolated: bool = False) -> str:
-        from pipelines.execution.ray_executor import item_limited, run_isolated
+    TABLES: ClassVar = ("failures",)
 
-        size = 256 * MIB if shard == 1 else MIB
-        if isolated:
-            return f"{shard} {run_isolated(allocate, size, seconds=60)}"
-        with item_limited(60):
-            allocate(size)
-        return f"{shard} together"
+    def item_rows(self, item: int, progress: ItemProgress) -> Rows:
+        (allocate_tensor if item % 2 else allocate)(item * MIB)
+        return {}
+
+    def __call__(self, shard: Shard[int], *, isolated: bool = False) -> list[tuple[str, str]]:
+        with pytest.MonkeyPatch.context() as patch:
+            limit(patch, "item", max_memory_bytes=64 * MIB)  # the workers have the limits of the session
+            return [(row["id"], row["code"]) for row in self.shard(shard, isolated=isolated).rows.get("failures", ())]
 
 
 @pytest.mark.ray
-def test_a_worker_that_needs_more_ends_and_its_item_alone_fails() -> None:
-    work = HungryWithLimits()
-    assert sorted(WorkerPool(1).run(work, [0, 1])) == ["0 together", "1 out_of_memory"]
+def test_what_needs_more_memory_in_a_worker_fails_alone() -> None:
+    work, shard = Allocating(), Shard("0" * 16, (8, 257, 9, 256, 8))
+    assert list(WorkerPool(1).run(work, [shard])) == [[("257", "out_of_memory"), ("256", "out_of_memory")]]
 
 
-class HungryWithLimits(Hungry):
-    """The same where an item has 64 MiB; the fixture's workers have the limits of the session."""
+def test_a_reader_that_needs_more_memory_is_not_said_to_find_a_broken_file(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, asset_id = tmp_path / "data", min(path.stem for path in tiny.glob("Assets_library/*.glb"))
+    shutil.copytree(tiny, root)
+    corners = np.random.default_rng(0).normal(size=(900_000, 3))
+    big = write_glb(Mesh(corners, np.arange(900_000).reshape(-1, 3)))
+    (root / "Assets_library" / f"{asset_id}.glb").write_bytes(big)
+    monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
+    step, use = AssetStep(str(root), PreprocessSettings()), AssetUse(asset_id, "", 1.0, (), ())
+    (row,) = step.shard(Shard("0" * 16, (use,)), isolated=True).rows["failures"]
+    assert (row["id"], row["code"]) == (asset_id, "out_of_memory")
+    assert "item.max_memory_bytes" in row["message"]
 
-    def __call__(self, shard: int, *, isolated: bool = False) -> str:
-        from dataclasses import replace
 
-        os.environ[SETTING] = f"item.max_memory_bytes={64 * MIB}"  # of the separate process
-        was = LIMITS.item
-        LIMITS.item = replace(was, max_memory_bytes=64 * MIB)
-        try:
-            return super().__call__(shard, isolated=isolated)
-        finally:
-            LIMITS.item = was
-            del os.environ[SETTING]
+@dataclass(frozen=True, slots=True)
+class Batch(CorrectWork):
+    """A batched computation that holds 20 MiB for each scene."""
+
+    def prepare_to_ask(self) -> None:
+        """Nothing."""
+
+    def answers(self, items: Sequence[str]) -> list[Any]:
+        held = [bytearray(20 * MIB) for _ in items]
+        return [None for _ in held]
+
+
+def test_a_batch_has_the_memory_of_its_items(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
+    work = Batch("", CorrectSettings())
+    assert len(work._answers(["a"] * 8, isolated=True)) == 8
+    monkeypatch.setenv(SETTING, f"item.max_memory_bytes={8 * MIB}")
+    with pytest.raises(
+        ConfigError, match=r"for scenes such as a, needed more memory, expected at most .* for each of 8 items"
+    ) as caught:
+        work._answers(["a"] * 8, isolated=True)
+    assert "item.max_memory_bytes" in str(caught.value)
+
+
+@pytest.mark.parametrize("work", [CorrectWork("", CorrectSettings()), EditWork("", EditSettings())])
+def test_a_lost_batch_names_the_setting(work: Any) -> None:
+    items = ["a"] * 3 if isinstance(work, CorrectWork) else [EditRequest("a", "s", "move it")] * 3
+    told = str(work.unanswered(ProcessFailure.TIMED_OUT, items))
+    assert f"took over {work.settings.seconds_per_item:g} s for each of 3 items (seconds_per_item)" in told
+    assert "item.max_memory_bytes" in str(work.unanswered(ProcessFailure.CRASHED, items))
+
+
+def test_what_is_not_read_or_placed_for_want_of_memory_costs_no_shard_of_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The questions of the shard are not asked again."""
+
+    def need_more(*_: object) -> Any:
+        raise MemoryError
+
+    monkeypatch.setattr(
+        generation, "_opened", lambda _: SimpleNamespace(answers=SimpleNamespace(certifier=SimpleNamespace(store=store)))
+    )
+    store, work = SimpleNamespace(fault_of=need_more), GenerateWork((), GenerateSettings())
+    assert "item.max_memory_bytes" in (work._fault_of("mug", process=None) or "")
+    placed = work._searched(need_more, SimpleNamespace(objects=[SimpleNamespace(instance="mug")]), process=None)  # type: ignore[arg-type]
+    assert "item.max_memory_bytes" in placed.dropped["mug"]
+    assert not issubclass(MemoryError, generation._NOT_OF_AN_ITEM)  # so the judge of a scene makes it a row
 
 
 def test_workers_on_a_cluster_get_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
