@@ -24,7 +24,7 @@ from stable_data.geometry.mesh import (
     weld_vertices,
 )
 from stable_data.geometry.surface import Surface
-from stable_data.limits import LIMITS, MeshLimits, at_most
+from stable_data.limits import LIMITS, GltfLimits, MeshLimits, at_most
 from stable_data.scene import FloatArray, IntArray
 
 _FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
@@ -59,7 +59,7 @@ _LEVEL_STEPS = np.zeros(256, np.int8)  # change of the nesting level at each cha
 _LEVEL_STEPS[list(b"[{")] = 1
 _LEVEL_STEPS[list(b"]}")] = -1
 # The exceptions of json, struct, numpy and indexing on invalid content.
-_PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, MemoryError, RecursionError, TypeError, ValueError, struct.error)
+_PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError, struct.error)
 _ADDRESS = re.compile(re.escape(TEXTURE) + "([0-9a-f]{64})")
 _Result = TypeVar("_Result")
 
@@ -101,7 +101,7 @@ class PlacedNode:
     mesh: int | None
 
 
-def placed_nodes(document: dict[str, Any], asset_id: str, *, limits: MeshLimits = LIMITS.mesh) -> tuple[PlacedNode, ...]:
+def placed_nodes(document: dict[str, Any], asset_id: str, *, limits: GltfLimits = LIMITS.mesh) -> tuple[PlacedNode, ...]:
     """Returns the nodes of the default scene of a glTF document, each after the node above it, in file order.
 
     Args:
@@ -115,8 +115,25 @@ def placed_nodes(document: dict[str, Any], asset_id: str, *, limits: MeshLimits 
     return _guarded(_GlbReader(asset_id, limits, document=document), lambda reader: tuple(reader.placed_nodes()))
 
 
+def count_triangles(document: dict[str, Any], asset_id: str, *, limits: GltfLimits) -> tuple[int, int]:
+    """Counts the triangles and vertices of the default scene of a glTF document, each as often as it is shown; none is read.
+
+    Args:
+        document: The JSON of the file, not trusted.
+        asset_id: The file's name in messages.
+        limits: Sizes beyond which the file is refused.
+
+    Raises:
+        MeshError: As :func:`placed_nodes`.
+    """
+    return _guarded(
+        _GlbReader(asset_id, limits, document=document),
+        lambda reader: reader.count_triangles(mesh for mesh, _ in reader.placed_meshes()),
+    )
+
+
 def load_meshes(
-    data: bytes | Path, asset_id: str, indices: Sequence[int], *, limits: MeshLimits = LIMITS.mesh
+    data: bytes | Path, asset_id: str, indices: Sequence[int], *, limits: GltfLimits = LIMITS.mesh
 ) -> tuple[dict[int, Mesh], tuple[Notice, ...]]:
     """Reads meshes of a file by their numbers; other arguments are those of :func:`load_glb`.
 
@@ -212,7 +229,7 @@ class _GlbReader:
     """Reads one file; every size stated in it is checked against the bytes that exist."""
 
     asset_id: str
-    limits: MeshLimits
+    limits: GltfLimits
     textures: TextureLookup | None = None
     notices: list[Notice] = field(default_factory=list)
     document: dict[str, Any] = field(default_factory=dict)
@@ -275,7 +292,7 @@ class _GlbReader:
     def meshes(self, indices: Sequence[int]) -> dict[int, Mesh]:
         """See :func:`load_meshes`."""
         self._refuse_unsupported()
-        self._num_faces(indices)
+        self.count_triangles(indices)
         found = {}
         for index in dict.fromkeys(indices):
             parts = [Mesh(corners, faces) for _, corners, faces in self._primitives(self._entry("meshes", index)) if len(faces)]
@@ -338,8 +355,8 @@ class _GlbReader:
 
     def _placed_primitives(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:
         """Every primitive of the scene with its corners (V, 3), z up, in the scene's frame, and its triangles (F, 3)."""
-        placed = list(self._placed_meshes())
-        if not self._num_faces(mesh_index for mesh_index, _ in placed):
+        placed = list(self.placed_meshes())
+        if not self.count_triangles(mesh_index for mesh_index, _ in placed)[0]:
             self.fail("glb_no_faces", "has no triangle", "at least one; is it a point cloud, a skeleton or an empty node?")
         primitives: dict[int, list[tuple[dict[str, Any], FloatArray, IntArray]]] = {}
         for mesh_index, world_from_node in placed:
@@ -351,8 +368,8 @@ class _GlbReader:
                 # From y up to z up.
                 yield primitive, moved[:, [0, 2, 1]] * (1.0, -1.0, 1.0), triangles[:, ::-1] if is_mirrored else triangles
 
-    def _num_faces(self, mesh_indices: Iterable[int]) -> int:
-        """Counts the triangles of meshes, each as often as it is listed, before any is read.
+    def count_triangles(self, mesh_indices: Iterable[int]) -> tuple[int, int]:
+        """Counts the triangles and vertices of meshes, each as often as it is listed, before any is read.
 
         Primitives may share an accessor and nodes may share a mesh, so a small file can describe a very large scene.
         """
@@ -370,7 +387,7 @@ class _GlbReader:
                     num_faces += times * (indices // 3 if mode == _TRIANGLES else max(indices - 2, 0))
         self.check_limit("max_corners", num_corners)
         self.check_limit("max_faces", num_faces)
-        return num_faces
+        return num_faces, num_corners
 
     def _count(self, accessor: int) -> int:
         return self._size(self._entry("accessors", accessor), f"accessors[{accessor}]", "count")
@@ -379,13 +396,13 @@ class _GlbReader:
         """The convex parts of the mesh ``colliders``, centred on their common box, with the node transform of the scene's one mesh."""
         meshes = self.document.get("meshes", [])
         found = [k for k, mesh in enumerate(meshes) if mesh.get("name") == COLLIDERS and "extras" in mesh]
-        placed = list(self._placed_meshes())
+        placed = list(self.placed_meshes())
         if not found or len(placed) != 1:
             return ()
         world_from_node, mesh = placed[0][1], meshes[found[0]]
         counts = mesh["extras"][PART_FACES]
         self.check_limit("max_colliders", len(counts))
-        self._num_faces(found[:1])
+        self.count_triangles(found[:1])
         surfaces = list(self._primitives(mesh))
         num_faces = len(surfaces[0][2]) if surfaces else 0
         if not counts or not all(type(count) is int and count >= 4 for count in counts) or sum(counts) != num_faces:
@@ -403,7 +420,8 @@ class _GlbReader:
         size = len(content)
         if size == 0:
             self.fail("glb_zero_bytes", "file is empty", "a GLB; copy it again")
-        self.check_limit("max_bytes", size)
+        if isinstance(self.limits, MeshLimits):  # a scene is packed from files that have limits of their own
+            self.check_limit("max_bytes", size)
         if size < 20:  # 12 bytes of header and 8 bytes before the first chunk
             self.fail("glb_truncated", f"file has {size} bytes", "a GLB header and a chunk; copy it again")
         magic, version, claimed, json_length, json_type = struct.unpack_from("<5I", content)
@@ -432,7 +450,7 @@ class _GlbReader:
             expected = "plain accessors; export it without compression or instancing"
             self.fail("glb_unsupported", f"requires {required!r:.200}", expected)
 
-    def _placed_meshes(self) -> Iterator[tuple[int, FloatArray]]:
+    def placed_meshes(self) -> Iterator[tuple[int, FloatArray]]:
         """Yields (mesh index, world_from_node (4, 4)) of every mesh in the scene, in file order."""
         for node in self.placed_nodes():
             if node.mesh is not None:

@@ -135,7 +135,7 @@ def read_mesh_file(
     _refuse_archives(content, path)
     beside = _FilesBeside(root, path, asset_id, image)
     if suffix in (".glb", ".gltf"):
-        found = read_gltf(content, path, beside, max_faces=max_faces, max_bytes=root.limits.max_bytes)
+        found = read_gltf(content, path, beside, max_faces=max_faces, files=root.limits)
     elif suffix == ".obj":
         found = read_obj(content, path, beside, max_faces=max_faces)
     elif suffix == ".dae":

@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import PurePosixPath
 from typing import Literal, TypeAlias
 
@@ -180,7 +181,7 @@ def assemble(model: RigidModel, root: Boundary, asset_id: str, *, max_faces: int
     if len(visuals) + len(collisions) > LIMITS.model.max_shapes:
         found = f"asset {asset_id}: has {len(visuals) + len(collisions)} shapes"
         raise MeshError(f"{found}, expected {at_most(LIMITS.model, 'max_shapes')}; simplify it", "mesh_too_large")
-    solid = [reading.surfaces(link, shape) for link, shape in collisions]
+    solid = reading.surfaces(collisions)
     surfaces = _seen(reading, visuals, solid)
     colliders, refused = _colliders(collisions, solid)
     if refused:
@@ -250,24 +251,25 @@ class _Reading:
     max_faces: int
     notices: list[Notice]
     files: dict[tuple[str, str], MeshFile] = field(default_factory=dict)
-    num_faces: int = 0
 
     def note(self, code: str, message: str) -> None:
         self.notices.append(Notice(self.asset_id, "read", code, f"asset {self.asset_id}: {message}"))
 
-    def surfaces(self, link: Link, shape: LinkShape, *, is_turned: bool = False) -> tuple[Surface, ...]:
-        """The triangles of a shape in the frame of the model, metres.
+    def surfaces(self, shapes: Sequence[tuple[Link, LinkShape]], *, is_turned: bool = False) -> list[tuple[Surface, ...]]:
+        """The triangles of all that is seen, or of all that collides: those of each shape in the frame of the model, metres.
 
         Args:
-            link: The shape's link.
-            shape: What to read.
+            shapes: What to read, each with its link.
             is_turned: Take the other reading of a mesh's upward axis.
         """
-        geometry, matrix = shape.geometry, link.model_from_link @ shape.link_from_shape
-        found = self._mesh(shape, is_turned) if geometry.kind == "mesh" else (Surface(_primitive(geometry)),)
-        self.num_faces += sum(len(surface.triangles) for surface in found)
-        check_face_count(f"asset {self.asset_id}: all its shapes", self.num_faces, self.max_faces)
-        return transformed(tuple(_with_look(surface, shape) for surface in found), matrix)
+        made, num_faces = [], 0
+        for link, shape in shapes:
+            geometry, matrix = shape.geometry, link.model_from_link @ shape.link_from_shape
+            found = self._mesh(shape, is_turned) if geometry.kind == "mesh" else (Surface(_primitive(geometry)),)
+            num_faces += sum(len(surface.triangles) for surface in found)
+            check_face_count(f"asset {self.asset_id}: its shapes", num_faces, self.max_faces)
+            made.append(transformed(tuple(_with_look(surface, shape) for surface in found), matrix))
+        return made
 
     def _mesh(self, shape: LinkShape, is_turned: bool) -> tuple[Surface, ...]:
         geometry = shape.geometry
@@ -311,7 +313,7 @@ def _seen(
 ) -> tuple[Surface, ...]:
     """The surfaces of what is seen."""
     hard = tuple(surface for group in solid for surface in group)
-    seen = tuple(surface for link, shape in visuals for surface in reading.surfaces(link, shape))
+    seen = tuple(chain.from_iterable(reading.surfaces(visuals)))
     if not seen and not hard:
         found = f"asset {reading.asset_id}: has no visual and no collision shape"
         raise MeshError(f"{found}, expected one; is it a frame, a light or a plugin?", "mesh_empty")
@@ -320,7 +322,7 @@ def _seen(
         return hard
     path = reading.other_axis(visuals)
     if path and hard and not _boxes_agree(seen, hard):
-        turned = tuple(surface for link, shape in visuals for surface in reading.surfaces(link, shape, is_turned=True))
+        turned = tuple(chain.from_iterable(reading.surfaces(visuals, is_turned=True)))
         if _boxes_agree(turned, hard):
             how = "is not turned to z up" if _is_gltf(path) else "is turned to z up"
             reading.note(

@@ -181,9 +181,11 @@ class _SdfFile:
         return MeshError(f"{self.path}: {found}, expected {expected}", code)
 
     def model(self) -> RigidModel:
-        if self.path in self.trail or len(self.trail) >= LIMITS.model.max_levels:
-            found = "includes itself" if self.path in self.trail else "is included over more levels"
-            raise self.fail(found, f"{at_most(LIMITS.model, 'max_levels')} levels of models that end", "cyclic_reference")
+        if self.path in self.trail:
+            raise self.fail("includes itself", "models that do not include each other", "cyclic_reference")
+        if len(self.trail) >= LIMITS.model.max_levels:
+            most = at_most(LIMITS.model, "max_levels", "levels")
+            raise self.fail("is included over more levels", f"{most}; write the models out", "cyclic_reference")
         content = self.root.read_bytes(self.path, "max_xml_bytes")
         self.read.append(len(content))
         if len(self.read) > LIMITS.model.max_links:

@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,18 +11,18 @@ from typing import Any, NoReturn
 from urllib.parse import unquote_to_bytes
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import load_surfaces
+from stable_data.geometry.gltf_reader import count_triangles, load_surfaces
 from stable_data.geometry.surface import Surface
-from stable_data.importers.formats.mesh_file import Companions, MeshFile, parsing
+from stable_data.importers.formats.mesh_file import Companions, MeshFile, check_face_count, parsing
 from stable_data.json_text import json_value
-from stable_data.limits import LIMITS, MeshLimits
+from stable_data.limits import LIMITS, FileLimits, GltfLimits, at_most
 
 _MAGIC = b"glTF"
 _JSON_CHUNK, _BIN_CHUNK = 0x4E4F534A, 0x004E4942
 _CODES = {"glb_no_faces": "mesh_empty", "glb_nan_vertices": "mesh_not_finite", "glb_too_large": "mesh_too_large"}
 
 
-def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: int, max_bytes: int) -> MeshFile:
+def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: int, files: FileLimits) -> MeshFile:
     """Reads a glTF or GLB; all is packed to one GLB in memory for the reader of :mod:`stable_data.geometry.gltf_reader`.
 
     Args:
@@ -29,13 +30,13 @@ def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: i
         path: Its name in messages.
         companions: Where buffers and images come from.
         max_faces: Triangles beyond which it is refused.
-        max_bytes: Bytes of all buffers and images beyond which it is refused.
+        files: The limit on the bytes of all buffers and images.
 
     Raises:
         MeshError: ``cyclic_reference``, ``mesh_empty``, ``mesh_not_finite``, ``mesh_too_large``, ``model_unreadable``, a code of
             :func:`stable_data.geometry.gltf_reader.load_glb`, or that of a buffer which cannot be read.
     """
-    document, whole = pack_gltf(content, path, companions, max_bytes=max_bytes)
+    document, whole = pack_gltf(content, path, companions, limits=LIMITS.mesh, files=files)
     with parsing(path, "glTF 2.0"):
         asset = document.get("asset", {})
         extras = asset.get("extras", {})
@@ -43,24 +44,27 @@ def read_gltf(content: bytes, path: str, companions: Companions, *, max_faces: i
         licence = str(extras.get("license") or extras.get("licence") or "")
         rights = str(asset.get("copyright") or "")
         author = str(extras.get("author") or "")
-    limits = MeshLimits(max_bytes=len(whole), max_faces=max_faces, max_corners=3 * max_faces)
     with codes_of_files():
-        found = load_surfaces(whole, path, limits=limits)
+        any_number = replace(LIMITS.mesh, max_faces=sys.maxsize, max_corners=sys.maxsize)
+        num_faces, num_corners = count_triangles(document, path, limits=any_number)
+        check_face_count(path, max(num_faces, -(-num_corners // 3)), max_faces)
+        found = load_surfaces(whole, path, limits=replace(any_number, max_bytes=len(whole)))
     return MeshFile(tuple(_as_in_the_file(surface) for surface in found), None, "y", licence, rights, author)
 
 
-def gltf_document(content: bytes, path: str) -> dict[str, Any]:
+def gltf_document(content: bytes, path: str, limits: GltfLimits) -> dict[str, Any]:
     """Returns the JSON of a glTF or GLB; of a GLB only the beginning with this JSON is needed.
 
     Args:
         content: The file; not trusted.
         path: Its name in messages.
+        limits: The limit on the JSON of a GLB.
 
     Raises:
-        MeshError: ``model_unreadable``.
+        MeshError: ``model_unreadable``, ``mesh_too_large``.
     """
     with parsing(path, "glTF 2.0"):
-        return _opened(content)[0]
+        return _opened(content, path, limits)[0]
 
 
 def json_span(content: bytes) -> tuple[int, int]:
@@ -73,21 +77,24 @@ def json_length(head: bytes) -> int:
     return int(struct.unpack_from("<I", head, 12)[0]) if head.startswith(_MAGIC) and len(head) >= 20 else 0
 
 
-def pack_gltf(content: bytes, path: str, companions: Companions, *, max_bytes: int) -> tuple[dict[str, Any], bytes]:
+def pack_gltf(
+    content: bytes, path: str, companions: Companions, *, limits: GltfLimits, files: FileLimits
+) -> tuple[dict[str, Any], bytes]:
     """Returns the JSON of a glTF or GLB, and the file with all its buffers and images as one GLB.
 
     Args:
         content: The file; not trusted.
         path: Its name in messages.
         companions: Where buffers and images come from.
-        max_bytes: Bytes of all buffers and images beyond which it is refused.
+        limits: The limit on the JSON of a GLB.
+        files: The limit on the bytes of all buffers and images.
 
     Raises:
         MeshError: ``cyclic_reference``, ``mesh_too_large``, ``model_unreadable``, or the code of a buffer which cannot be read.
     """
     with parsing(path, "glTF 2.0"):
-        document, binary = _opened(content)
-        packed = _Packing(path, companions, document, binary, max_bytes)
+        document, binary = _opened(content, path, limits)
+        packed = _Packing(path, companions, document, binary, files)
         packed.check_nodes()
         return document, packed.glb()
 
@@ -108,13 +115,16 @@ def _as_in_the_file(surface: Surface) -> Surface:
     return replace(surface, triangles=turned, image=image)
 
 
-def _opened(content: bytes) -> tuple[dict[str, Any], bytes | None]:
+def _opened(content: bytes, path: str, limits: GltfLimits) -> tuple[dict[str, Any], bytes | None]:
     """The JSON of a file, and the binary chunk of a GLB."""
     if not content.startswith(_MAGIC):
         return _object(content), None
     version, _, length, kind = struct.unpack_from("<4I", content, 4)
-    if version != 2 or kind != _JSON_CHUNK or length > min(LIMITS.mesh.max_json_bytes, len(content) - 20):
+    if version != 2 or kind != _JSON_CHUNK or length > len(content) - 20:
         raise ValueError(f"version {version}, a first chunk of kind {kind:#x} and {length} bytes")
+    if length > limits.max_json_bytes:
+        most = at_most(limits, "max_json_bytes", "bytes")
+        raise MeshError(f"{path}: has {length:,} bytes of JSON, expected {most}; simplify it", "mesh_too_large")
     document, end = _object(content[20 : 20 + length]), 20 + length
     if end + 8 > len(content):
         return document, None
@@ -133,13 +143,13 @@ class _Packing:
     """Brings the buffers and images of a document into one binary chunk."""
 
     def __init__(
-        self, path: str, companions: Companions, document: dict[str, Any], binary: bytes | None, max_bytes: int
+        self, path: str, companions: Companions, document: dict[str, Any], binary: bytes | None, files: FileLimits
     ) -> None:
         self.path = path
         self.companions = companions
         self.document = document
         self.binary = binary
-        self.max_bytes = max_bytes
+        self.files = files
         self.chunks: list[bytes] = []
         self.size = 0
 
@@ -190,8 +200,9 @@ class _Packing:
         """Adds content to the chunk; returns where it starts."""
         start, filler = self.size, -len(content) % 4
         self.size += len(content) + filler
-        if self.size > self.max_bytes:
-            self.fail(f"its buffers and images have {self.size} bytes", f"at most {self.max_bytes}", "mesh_too_large")
+        if self.size > self.files.max_bytes:
+            most = at_most(self.files, "max_bytes", "bytes")
+            self.fail(f"its buffers and images have {self.size} bytes", most, "mesh_too_large")
         self.chunks += (content, bytes(filler))
         return start
 

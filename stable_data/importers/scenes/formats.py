@@ -66,8 +66,8 @@ def _is_gltf_candidate(boundary: Boundary, path: str) -> bool:
     size = json_length(boundary.read_head(path, _GLB_HEAD))
     try:
         # Of a GLB only its JSON is read: a folder may hold thousands of single assets.
-        is_small = 0 < size <= LIMITS.mesh.max_json_bytes
+        is_small = 0 < size <= LIMITS.gltf_scene.max_json_bytes
         content = boundary.read_head(path, _GLB_HEAD + size) if is_small else boundary.read_bytes(path)
-        return has_free_body(gltf_document(content, path))
+        return has_free_body(gltf_document(content, path, LIMITS.gltf_scene))
     except StableDataError:
         return True

@@ -190,7 +190,7 @@ def _compare(scene: GltfScene, content: bytes, poses: Mapping[str, BodyPose], ch
     Raises:
         SceneError: See above (``patch_differs``).
     """
-    document = gltf_document(content, scene.file.path)
+    document = gltf_document(content, scene.file.path, LIMITS.gltf_scene)
     if content.startswith(b"glTF"):
         (_, end), (_, old_end) = json_span(content), json_span(scene.content)
         if content[end:] != scene.content[old_end:]:

@@ -79,9 +79,9 @@ def read_gltf_scene(boundary: Boundary, path: str) -> GltfScene:
     """
     content = boundary.read_bytes(path)
     beside = _FilesBeside(boundary, path)
-    if not gltf_nodes.has_free_body(gltf_document(content, path)):
+    if not gltf_nodes.has_free_body(gltf_document(content, path, LIMITS.gltf_scene)):
         raise _no_free_body(path)
-    document, packed = pack_gltf(content, path, beside, max_bytes=LIMITS.file.max_file_bytes)
+    document, packed = pack_gltf(content, path, beside, limits=LIMITS.gltf_scene, files=boundary.limits)
     notices = list(beside.notices)
     with parsing(path, "glTF 2.0"), codes_of_files():
         nodes = placed_nodes(document, path, limits=LIMITS.gltf_scene)

@@ -1,6 +1,7 @@
 """Models of a few bytes that ask for much time or memory: each is refused soon, and the limit is named."""
 
 import io
+import json
 import struct
 import zipfile
 from collections.abc import Callable
@@ -17,10 +18,11 @@ from stable_data.importers.mesh_files import files_beside, read_mesh_file
 from stable_data.importers.mjcf.reader import READER as MJCF
 from stable_data.importers.mjcf.text import MjcfText
 from stable_data.importers.mjcf_files import collect_files
+from stable_data.importers.scenes.gltf_scenes import read_gltf_scene
 from stable_data.importers.source import ReaderOptions, SourceRef
 from stable_data.importers.usd.layers import LayerLoader, check_prims
 from stable_data.importers.usd.shapes import triangulate
-from stable_data.limits import LIMITS, SETTING
+from stable_data.limits import LIMITS, SETTING, FileLimits
 from tests.bounds import limit, soon
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -55,6 +57,54 @@ def test_a_gltf_names_a_limited_number_of_images(tmp_path: Path) -> None:
     refused(
         tmp_path, "thing.gltf", f'{{"asset": {{"version": "2.0"}}, "images": [{images}]}}', "file_too_large", "file.max_files"
     )
+
+
+def many_nodes(count: int, extras: str = "") -> bytes:
+    """A GLB whose scene shows one triangle in so many nodes."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": list(range(count))}],
+        "nodes": [{"mesh": 0, "name": "a-rigid"}] * count,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36}],
+        "extras": extras,
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4s4I", b"glTF", 2, 64 + len(text), len(text), 0x4E4F534A)
+    return head + text + struct.pack("<2I", 36, 0x004E4942) + corners
+
+
+def test_the_limits_of_a_mesh_hold_for_one_that_is_imported_and_may_be_raised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes, long = many_nodes(10_001), many_nodes(2, "x" * 5 * 2**20)
+    refused(tmp_path, "nodes.glb", nodes, "mesh_too_large", "mesh.max_nodes")
+    refused(tmp_path, "json.glb", long, "mesh_too_large", "mesh.max_json_bytes")
+    limit(monkeypatch, "model", max_faces=10_000)
+    limit(monkeypatch, "mesh", max_nodes=20_000, max_json_bytes=2**23, max_faces=1)  # of a library, which reduces them
+    refused(tmp_path, "nodes.glb", nodes, "mesh_too_large", "model.max_faces")
+    limit(monkeypatch, "model", max_faces=10_001)
+    for name, count in (("nodes.glb", 10_001), ("json.glb", 2)):
+        file, _ = read_mesh_file(Boundary(tmp_path), name, "thing", max_faces=LIMITS.model.max_faces)
+        assert sum(len(surface.triangles) for surface in file.surfaces) == count
+
+
+def test_all_buffers_together_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "thing.glb").write_bytes(many_nodes(1))
+    with pytest.raises(MeshError, match=r"expected at most 35 bytes \(max_bytes\)"):
+        read_mesh_file(Boundary(tmp_path, FileLimits(max_file_bytes=10**6, max_bytes=35)), "thing.glb", "thing", max_faces=9)
+
+
+def test_a_scene_in_gltf_has_limits_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "json.glb").write_bytes(many_nodes(2, "x" * 5 * 2**20))  # more than of a mesh
+    assert len(read_gltf_scene(Boundary(tmp_path), "json.glb").nodes) == 2
+    limit(monkeypatch, "gltf_scene", max_json_bytes=2**22)
+    with pytest.raises(MeshError, match=r"at most 4,194,304 bytes \(gltf_scene\.max_json_bytes in STABLE_DATA_LIMITS\)"):
+        read_gltf_scene(Boundary(tmp_path), "json.glb")
 
 
 def dae(geometry: str, nodes: str) -> str:

@@ -458,6 +458,18 @@ def test_a_small_file_cannot_ask_for_endless_triangles(tmp_path: Path) -> None:
     assert code_of(tmp_path, sdf(link(shape * 500)), max_faces=1000) == "mesh_too_large"
 
 
+def test_one_mesh_for_what_is_seen_and_what_collides_counts_once(tmp_path: Path) -> None:
+    (tmp_path / "c.stl").write_text(CUBE_STL)
+    geometry = "<geometry><mesh filename='c.stl'/></geometry>"
+    both, more = f"<visual>{geometry}</visual><collision>{geometry}</collision>", f"<visual>{geometry}</visual>"
+    asset = read(tmp_path, f"<robot name='r'><link name='a'>{both}</link></robot>", "urdf", max_faces=12)
+    assert sum(len(surface.triangles) for surface in asset.surfaces) == 12
+    assert (
+        code_of(tmp_path, f"<robot name='r'><link name='a'>{both}{more}</link></robot>", "urdf", max_faces=12)
+        == "mesh_too_large"
+    )
+
+
 def test_long_chains_end(tmp_path: Path) -> None:
     frames = "".join(f"<frame name='f{k}'><pose relative_to='f{k + 1}'>0 0 0 0 0 0</pose></frame>" for k in range(1500))
     far = f"<visual name='v'><pose relative_to='f0'>0 0 0 0 0 0</pose>{BOX}</visual>"
