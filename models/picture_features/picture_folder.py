@@ -8,6 +8,7 @@ from PIL import Image, UnidentifiedImageError
 
 from models.picture_features.extractor import Pictures
 from stable_data.errors import ConfigError
+from stable_data.geometry.images import open_image
 from stable_data.limits import LIMITS, at_most
 
 SUFFIXES = (".jpeg", ".jpg", ".png", ".webp")
@@ -57,13 +58,11 @@ def read_picture(path: Path) -> Pictures:
         ConfigError: It is no picture, or is too large (``pictures_invalid``).
     """
     try:
-        with Image.open(path, formats=_FORMATS) as image:
-            if image.width * image.height > LIMITS.image.max_pixels:
-                most = at_most(LIMITS.image, "max_pixels")
-                raise ConfigError(f"{path}: has {image.width} x {image.height} pixels, expected {most}", "pictures_invalid")
+        with open_image(path, _FORMATS) as image:
             clear = image.convert("RGBA")
-    except ConfigError:
-        raise
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except Image.DecompressionBombError as error:
+        most = at_most(LIMITS.image, "max_pixels", "pixels")
+        raise ConfigError(f"{path}: is too large ({error}), expected {most}", "pictures_invalid") from error
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
         raise ConfigError(f"{path}: cannot be read ({error}), expected a picture", "pictures_invalid") from error
     return np.asarray(Image.alpha_composite(Image.new("RGBA", clear.size, "black"), clear).convert("RGB"))

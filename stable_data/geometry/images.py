@@ -3,10 +3,11 @@
 import hashlib
 import io
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -115,26 +116,48 @@ def decode_images(images: Mapping[K, bytes], name: str, *, side: int, has_alpha:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
             for key, content in images.items():
                 # Each scan of a progressive JPEG decodes the whole picture again. The marker cannot occur in coded data.
                 if content.startswith(b"\xff\xd8") and content.count(b"\xff\xda") > LIMITS.image.max_scans:
                     raise ValueError(f"a JPEG with more scans, expected {at_most(LIMITS.image, 'max_scans')}")
-                with Image.open(io.BytesIO(content), formats=_FORMATS) as picture:  # reads only the header
+                with open_image(io.BytesIO(content), _FORMATS) as picture:
                     num_pixels += picture.width * picture.height
                     if num_pixels > LIMITS.image.max_pixels:
-                        most = at_most(LIMITS.image, "max_pixels")
-                        raise Image.DecompressionBombError(f"{num_pixels} pixels in all textures, expected {most}")
+                        raise Image.DecompressionBombError(f"{num_pixels} pixels in all textures")
                     decoded[key] = _reduced(picture, side, has_alpha=has_alpha)
-    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        message = f"{name}: a texture is too large ({type(error).__name__}: {error!s:.200}), expected fewer pixels; reduce it"
-        raise MeshError(message, "texture_too_large") from error
+    except Image.DecompressionBombError as error:
+        found = f"a texture is too large ({type(error).__name__}: {error!s:.200})"
+        most = at_most(LIMITS.image, "max_pixels", "pixels")
+        raise MeshError(f"{name}: {found}, expected {most}; reduce it", "texture_too_large") from error
+    except MemoryError:
+        raise
     except Exception as error:  # each decoder of Pillow raises its own exceptions
         found = "another format" if isinstance(error, UnidentifiedImageError) else f"{type(error).__name__}: {error}"
         expected = f"{', '.join(_FORMATS[:-1])} or {_FORMATS[-1]}"
         message = f"{name}: a texture cannot be read ({found:.200}), expected {expected}; export it again"
         raise MeshError(message, "texture_invalid") from error
     return decoded
+
+
+def open_image(file: Path | IO[bytes], formats: Sequence[str]) -> "Image.Image":
+    """Opens an image file; only its header is read.
+
+    Args:
+        file: The file.
+        formats: The formats that are allowed, as Pillow names them.
+
+    Raises:
+        PIL.Image.DecompressionBombError: It has more pixels than the limit, which takes the place of Pillow's own.
+    """
+    from PIL import Image
+
+    Image.MAX_IMAGE_PIXELS = LIMITS.image.max_pixels
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)  # up to twice as many are only a warning
+        try:
+            return Image.open(file, formats=formats)
+        except Image.DecompressionBombWarning as error:
+            raise Image.DecompressionBombError(str(error)) from error
 
 
 def _reduced(picture: "Image.Image", side: int, *, has_alpha: bool) -> "Image.Image":

@@ -13,6 +13,7 @@ from PIL import Image
 
 from stable_data.errors import MeshError
 from stable_data.geometry.images import encode_texture, texture_pixels
+from tests.bounds import limit
 
 pytestmark = pytest.mark.sim
 RNG = np.random.default_rng(0)
@@ -143,6 +144,21 @@ def test_an_image_of_too_many_bytes_or_pixels_is_not_decoded() -> None:
     with pytest.raises(MeshError, match="DecompressionBomb") as caught:
         encode_texture(bytes(bomb), "a")
     assert caught.value.code == "texture_too_large"
+    assert "at most 134,217,728 pixels (image.max_pixels in STABLE_DATA_LIMITS)" in str(caught.value)
+
+
+@pytest.mark.parametrize(("most", "code"), [(99, "texture_too_large"), (90_000_000, ""), (None, "")])
+def test_the_limit_of_pixels_is_ours_and_may_be_raised(most: int | None, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pillow alone would refuse more than 89,478,485."""
+    large = encoded(Image.new("1", (10_000, 9_000)) if code == "" else Image.new("1", (10, 10)), "PNG")
+    if most is not None:
+        limit(monkeypatch, "image", max_pixels=most)
+    if code:
+        with pytest.raises(MeshError) as caught:
+            encode_texture(large, "a")
+        assert caught.value.code == code
+    else:
+        assert encode_texture(large, "a").width == 1024
 
 
 @settings(max_examples=150, deadline=None)
