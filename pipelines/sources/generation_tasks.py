@@ -338,8 +338,12 @@ def _of_run(run: RunFolder, where: str) -> Iterator[LayoutTask | Notice]:
     query = parse_filter(where, schemas.SCHEMAS["scenes"]) if where.strip() else None
     for batch in run.batches("scenes", where=None if query is None else query.expression):
         for row in batch.to_pylist():
-            scene = scene_from_row(row)
-            yield task_of_scene(scene) if scene.task is not None else _without_task(scene.scene_id)
+            try:
+                scene = scene_from_row(row)
+            except SceneError as error:
+                yield Notice(str(row["scene_id"]), STEP, error.code, str(error))
+            else:
+                yield task_of_scene(scene) if scene.task is not None else _without_task(scene.scene_id)
 
 
 def _of_dataset(dataset: MesaTaskDataset) -> Iterator[LayoutTask | Notice]:

@@ -190,8 +190,8 @@ def compile_tasks(
         key = one.code if one.goal is None else str(one.goal.kind)
         if shown[key] < examples:
             shown[key] += 1
-            instruction = "no task" if one.scene.task is None else one.scene.task.task
-            echo(f"\n{one.scene.scene_id}: {instruction}")
+            task = None if one.scene is None else one.scene.task
+            echo(f"\n{'a scene' if one.scene is None else one.scene.scene_id}: {'no task' if task is None else task.task}")
             echo(f"  {one.message}" if one.goal is None else f"  {one.goal}")
             for step in () if one.goal is None else one.goal.steps:
                 echo(f"    {step}")

@@ -112,14 +112,9 @@ def export_run(
             raise cannot_write(str(out), error) from error
 
 
-def _piece_of(piece: Sequence[Scene]) -> str:
-    frame = piece[0].frame
-    assert frame is not None
-    return frame.support
-
-
-def _joined(piece: Sequence[Scene], store: AssetStore) -> Scene:
+def _joined(rows: Sequence[Row], store: AssetStore) -> Scene:
     """The scenes on one piece of furniture as one scene."""
+    piece = [scene_from_row(row) for row in rows]
     frame = piece[0].frame
     assert frame is not None
     if frame.asset_id is None:
@@ -132,7 +127,7 @@ def _joined(piece: Sequence[Scene], store: AssetStore) -> Scene:
 
 def _export(
     scenes: RunScenes,
-    shown: Iterable[Row] | Iterable[Sequence[Scene]],
+    shown: Iterable[Row] | Iterable[Sequence[Row]],
     total: int,
     annotations: Mapping[str, AssetAnnotation],
     out: Path,
@@ -142,7 +137,7 @@ def _export(
 ) -> ExportResult:
     written, existing, cached, boxes, failures, used = 0, 0, 0, 0, list[str](), set[str]()
     for item in shown:
-        name = item["scene_id"] if isinstance(item, dict) else _piece_of(item)
+        name = item["scene_id"] if isinstance(item, dict) else item[0]["surface"]["support"]
         try:
             row, scene = (item, scene_from_row(item)) if isinstance(item, dict) else (None, _joined(item, scenes.store))
             if chosen.scene_path(scene, out).exists():

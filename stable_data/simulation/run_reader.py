@@ -169,7 +169,7 @@ class RunScenes:
 
 
 class ScenePieces:
-    """The scenes of a run by the piece of furniture on which they stand, read on demand, the highest surface first.
+    """The rows of scenes of a run by the piece of furniture on which they stand, read on demand, the highest surface first.
 
     Args:
         scenes: Selected rows of the table ``scenes``, with all columns.
@@ -179,25 +179,26 @@ class ScenePieces:
 
     def __init__(self, scenes: TableFiles, surfaces: TableFiles, limit: int | None) -> None:
         self._scenes = scenes
-        places: dict[str, list[tuple[float, int, int]]] = {}
+        places: dict[str, list[tuple[float, int, int]]] = {}  # minus the height
         for group in range(len(surfaces.groups)):
             for row, surface in enumerate(surfaces.read([group])["surface"].to_pylist()):
                 if surface is not None and surface["support"] is not None:
-                    places.setdefault(surface["support"], []).append((-surface["origin"][2], group, row))
+                    height = (surface["origin"] or [None])[-1] or 0.0  # one that states none cannot be read
+                    places.setdefault(surface["support"], []).append((-height, group, row))
         self._places = [sorted(places[name]) for name in sorted(places)][:limit]
 
     def __len__(self) -> int:
         return len(self._places)
 
-    def __iter__(self) -> Iterator[list[Scene]]:
-        """The scenes of each piece."""
+    def __iter__(self) -> Iterator[list[Row]]:
+        """The rows of each piece, with all columns."""
         read: tuple[int, pa.Table] | None = None
         for piece in self._places:
             found = {}
             for order, group, row in sorted(piece, key=lambda place: place[1:]):
                 if read is None or read[0] != group:
                     read = group, self._scenes.read([group])
-                found[order, group, row] = scene_from_row(read[1].slice(row, 1).to_pylist()[0])
+                found[order, group, row] = read[1].slice(row, 1).to_pylist()[0]
             yield [found[place] for place in piece]
 
 

@@ -17,9 +17,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stable_data.errors import ConfigError
-from stable_data.scene import IntArray, Relation, RelationKind, Scene, SceneObject, Stage, Tabletop
+from stable_data.scene import FloatArray, IntArray, Relation, RelationKind, Scene, SceneObject, Stage, Tabletop
 from stable_data.storage.schemas import OBJECT, TASK
-from stable_data.storage.table_rows import surface_from_row, task_from_row
+from stable_data.storage.table_rows import ROW_ERRORS, surface_from_row, task_from_row
 
 T = TypeVar("T")
 
@@ -75,20 +75,22 @@ def _naming_what_is_broken() -> Iterator[None]:
     """Says that rows are not those of a job: a run may come from anywhere."""
     try:
         yield
-    except (pa.ArrowException, LookupError, TypeError, ValueError) as error:
+    except MemoryError:
+        raise
+    except (pa.ArrowException, *ROW_ERRORS) as error:
         reason = f"{type(error).__name__}: {error}"
         message = f"table scenes: rows cannot be used ({reason:.200}), expected what a job writes; make the run again"
         raise ConfigError(message, "rows_invalid") from error
 
 
 def _scenes(table: pa.Table) -> list[Scene]:
-    sizes, zones = _vectors(table["table_size"], 2), _vectors(table["restricted_zone"], 4)
+    sizes, zones = map(tuple, _table_sizes(table).tolist()), _vectors(table["restricted_zone"], 4)
     surfaces = [surface_from_row(row) for row in table["surface"].to_pylist()]
-    tables = map(Tabletop, table["table_type"].to_pylist(), sizes, zones, (clearance for _, clearance in surfaces))
+    tables = map(Tabletop, _texts(table["table_type"]), sizes, zones, (clearance for _, clearance in surfaces))
     tasks = (task_from_row(None if task is None else {"source_json": None, **task}) for task in table["task"].to_pylist())
     objects = _split(_objects(_flat(table["objects"])), table["objects"])
     relations = _split(_relations(_flat(table["relations"])), table["relations"])
-    heads = zip(table["scene_id"].to_pylist(), tables, objects, tasks, relations, strict=True)
+    heads = zip(_texts(table["scene_id"]), tables, objects, tasks, relations, strict=True)
     fixed = (frozenset(names or ()) for names in table["fixed"].to_pylist())
     return [Scene(*head, fixed=own, frame=frame) for head, own, (frame, _) in zip(heads, fixed, surfaces, strict=True)]
 
@@ -153,11 +155,11 @@ class SceneArrays:
         objects = _flat(table["objects"])
         position, yaw = _numbers(objects, "position", 3), _numbers(objects, "yaw", 1)
         return cls(
-            scene_ids=table["scene_id"].to_pylist(),
+            scene_ids=_texts(table["scene_id"]),
             instructions=pc.struct_field(table["task"], "task").to_pylist(),
-            table_size=_flat(_of_length(table["table_size"], 2)).to_numpy().astype(np.float32).reshape(-1, 2),
+            table_size=_table_sizes(table).astype(np.float32),
             counts=_counts(table["objects"]),
-            instances=pc.struct_field(objects, "instance").to_pylist(),
+            instances=_texts(pc.struct_field(objects, "instance")),
             asset_ids=pc.struct_field(objects, "asset_id").to_pylist(),
             poses=np.hstack([position, yaw]),
             size=_numbers(objects, "size", 3),
@@ -166,15 +168,43 @@ class SceneArrays:
         )
 
 
+def _given(column: Any) -> Any:
+    """The column, which has no null: where it is flat, those that follow would belong to other rows."""
+    if column.null_count:
+        raise ValueError(f"{column.null_count} values of type {column.type!s:.50} are missing")
+    return column
+
+
 def _flat(column: pa.ChunkedArray) -> pa.Array:
     """Concatenates the elements of a list column."""
-    return column.combine_chunks().flatten()
+    return _given(column).combine_chunks().flatten()
 
 
 def _counts(column: pa.ChunkedArray) -> IntArray:
-    """Returns the number of elements of each list, 0 for null."""
-    lengths: IntArray = pc.fill_null(pc.list_value_length(column), 0).to_numpy().astype(np.int64)
+    """Returns the number of elements of each list."""
+    lengths: IntArray = pc.list_value_length(_given(column)).to_numpy().astype(np.int64)
     return lengths
+
+
+def _texts(column: Any) -> list[str]:
+    """The texts of a column."""
+    return list(_given(column).to_pylist())
+
+
+def _finite(values: pa.Array) -> FloatArray:
+    """Numbers as an array."""
+    numbers: FloatArray = _given(values).to_numpy()
+    if not np.isfinite(numbers).all():
+        raise ValueError("a number is not finite")
+    return numbers
+
+
+def _table_sizes(table: pa.Table) -> FloatArray:
+    """The extents of the tables, (S, 2)."""
+    sizes = _finite(_flat(_of_length(table["table_size"], 2))).reshape(-1, 2)
+    if not (sizes > 0).all():
+        raise ValueError("a table has no extents")
+    return sizes
 
 
 def _split(items: Sequence[T], column: pa.ChunkedArray) -> Iterator[tuple[T, ...]]:
@@ -185,12 +215,9 @@ def _split(items: Sequence[T], column: pa.ChunkedArray) -> Iterator[tuple[T, ...
 
 def _numbers(objects: pa.StructArray, name: str, width: int) -> npt.NDArray[np.float32]:
     """Returns a numeric field of every object, (M, width) float32."""
-    values = pc.struct_field(objects, name)
+    values = _given(pc.struct_field(objects, name))
     flat = values if width == 1 else _of_length(values, width).flatten()
-    if values.null_count:
-        raise ValueError(f"an object has no {name}")
-    numbers: npt.NDArray[np.float32] = flat.to_numpy().astype(np.float32).reshape(-1, width)
-    return numbers
+    return _finite(flat).astype(np.float32).reshape(-1, width)
 
 
 def _of_length(column: Any, width: int) -> Any:
@@ -203,30 +230,30 @@ def _of_length(column: Any, width: int) -> Any:
 def _vectors(column: pa.Array | pa.ChunkedArray, width: int) -> Iterator[Any]:
     """Yields lists of one length as tuples, and None for null."""
     array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-    whole = zip(*[iter(_of_length(array, width).flatten().to_numpy().tolist())] * width, strict=True)
+    whole = zip(*[iter(_finite(_of_length(array, width).flatten()).tolist())] * width, strict=True)
     return (next(whole) if valid else None for valid in column.is_valid().to_pylist())
 
 
 def _objects(rows: pa.StructArray) -> list[SceneObject]:
-    def texts(name: str) -> list[Any]:
-        return list(pc.struct_field(rows, name).to_pylist())
+    def given(name: str) -> pa.Array:
+        return _given(pc.struct_field(rows, name))
 
-    def vectors(name: str, width: int) -> Iterator[Any]:
-        return _vectors(pc.struct_field(rows, name), width)
+    def values(name: str) -> list[Any]:
+        return list(pc.struct_field(rows, name).to_pylist())
 
     # Positional, in the order of SceneObject's fields: keyword arguments would take a third of the time.
     columns = (
-        texts("instance"),
-        texts("category"),
-        vectors("position", 3),
-        texts("yaw"),
-        vectors("size", 3),
-        texts("asset_id"),
-        vectors("scale", 3),
-        vectors("tilt_quat_xyzw", 4),
-        texts("description"),
-        [_STAGES[stage] for stage in texts("stage")],
-        texts("support"),
+        _texts(given("instance")),
+        _texts(given("category")),
+        _vectors(given("position"), 3),
+        _finite(given("yaw")).tolist(),
+        _vectors(given("size"), 3),
+        values("asset_id"),
+        _vectors(pc.struct_field(rows, "scale"), 3),
+        _vectors(given("tilt_quat_xyzw"), 4),
+        _texts(given("description")),
+        [_STAGES[stage] for stage in values("stage")],
+        values("support"),
     )
     return list(map(SceneObject, *columns))
 

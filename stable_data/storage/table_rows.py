@@ -11,7 +11,6 @@ import pyarrow as pa
 from stable_data.condition import condition_document, condition_of
 from stable_data.errors import Notice, SceneError
 from stable_data.json_text import json_text, quote_value
-from stable_data.limits import LIMITS, at_most
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.judge_columns import FURTHER_COLUMNS
 from stable_data.metrics.reach_columns import REACH_COLUMNS
@@ -20,6 +19,9 @@ from stable_data.storage.schemas import SAMPLE_OBJECT, SCHEMAS, TASK, Row
 
 VARIANT_COLUMNS = ("variant_of", "varied", "num_varied")
 """Columns of ``scenes`` that state of which scene a row is a variant."""
+
+ROW_ERRORS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What a value causes that no job has written: a run may come from anywhere."""
 
 
 def arrow_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
@@ -89,6 +91,7 @@ def task_from_row(row: Mapping[str, Any] | None) -> TaskInfo | None:
     """Returns the task info of a value that :func:`task_row` made."""
     if row is None:
         return None
+    _check((row["environment"], row["task"]), ())
     return TaskInfo(
         environment=row["environment"],
         task=row["task"],
@@ -129,7 +132,7 @@ def scene_from_row(row: Mapping[str, Any]) -> Scene:
     try:
         scene = _scene_of(row)
         _check_scene(scene)
-    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+    except ROW_ERRORS as error:
         reason = f"{type(error).__name__}: {error}"
         message = f"{quote_value(row.get('scene_id'))}: the row of its scene cannot be used ({reason:.200})"
         raise SceneError(f"{message}, expected what a job writes; make the run again", "row_invalid") from error
@@ -149,18 +152,16 @@ def _check_scene(scene: Scene) -> None:
         texts += (o.instance, o.category, o.description)
         numbers += (*_several(o.position, 3), *_several(o.size, 3), o.yaw)
         numbers += (*_several(o.scale, 3), *_several(o.tilt_quat_xyzw, 4))
-    if scene.frame is not None:
-        texts += (scene.frame.support, scene.frame.surface)
-        numbers += (*_several(scene.frame.origin, 3), scene.frame.yaw)
-    if scene.task is not None:
-        texts += (scene.task.environment, scene.task.task)
-        if len(scene.task.task) > LIMITS.text.max_instruction:
-            most = at_most(LIMITS.text, "max_instruction", "characters")
-            raise ValueError(f"a task of {len(scene.task.task):,} characters, expected {most}")
+    _check(texts, numbers)
+    if not (width > 0 and depth > 0):
+        raise ValueError("the table has no extents")
+
+
+def _check(texts: Sequence[str], numbers: Iterable[float]) -> None:
     if not all(type(text) is str for text in texts):
         raise TypeError("a text is null")
-    if not (all(map(math.isfinite, numbers)) and width > 0 and depth > 0):
-        raise ValueError("a number is not finite, or the table has no extents")
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("a number is not finite")
 
 
 def _several(values: Sequence[float] | None, count: int) -> Sequence[float]:
@@ -193,10 +194,11 @@ def _surface_row(scene: Scene) -> Row | None:
 
 
 def surface_from_row(row: Mapping[str, Any] | None) -> tuple[SupportFrame | None, float | None]:
-    """Returns the frame and the clearance of a value of the column ``surface``."""
+    """Returns the frame and the clearance of a value of the column ``surface``; raises one of :data:`ROW_ERRORS`."""
     if row is None or row["support"] is None:
         return None, None if row is None else row["clearance"]
     frame = SupportFrame(row["support"], row["surface"], tuple(row["origin"]), row["yaw"], row["asset_id"])
+    _check((frame.support, frame.surface), (*_several(frame.origin, 3), frame.yaw))
     return frame, row["clearance"]
 
 

@@ -16,7 +16,7 @@ from stable_data.tasks.geometry import TaskGeometry, known_containers
 from stable_data.tasks.goal import Goal
 
 UNUSABLE = "scene_unusable"
-"""Reason of a scene whose geometry cannot be read."""
+"""Reason of a scene that cannot be read, or whose geometry cannot."""
 
 _REASONS = {
     "no_task": "the scene has no task",
@@ -24,7 +24,7 @@ _REASONS = {
     "goal_not_checkable": "no state of the scene shows that the task is done",
     "goal_unresolved": "an object of the goal is missing or ambiguous",
     "goal_true_at_start": "the goal holds at the start",
-    UNUSABLE: "the geometry of the scene cannot be read",
+    UNUSABLE: "the scene or its geometry cannot be read",
 }
 
 
@@ -33,13 +33,13 @@ class SceneGoal:
     """What became of the goal of one scene.
 
     Attributes:
-        scene: The scene.
+        scene: The scene; None if its row is none of a scene.
         goal: Its goal; None if it does not compile.
         code: Why it does not, or empty.
         message: The same in one line, or empty.
     """
 
-    scene: Scene
+    scene: Scene | None
     goal: Goal | None
     code: str = ""
     message: str = ""
@@ -60,8 +60,9 @@ def run_goals(run: RunFolder, where: str | None = None, limit: int | None = None
     store, annotations = run_store(run.uri), run_annotations(run)
     rows = (row for group in range(len(files.groups)) for part in row_slices(files.read([group])) for row in part.to_pylist())
     for row in islice(rows, limit):
-        scene = scene_from_row(row)
+        scene = None
         try:
+            scene = scene_from_row(row)
             scene, shapes, _ = store.resolved(scene)
             geometry = TaskGeometry(scene, tuple(shapes), known_containers(scene, annotations))
             yield SceneGoal(scene, compile_goal(geometry))

@@ -2,10 +2,13 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
@@ -134,6 +137,20 @@ def test_tasks_of_scenes_are_their_instructions_and_tables(dataset: Path, clean_
     assert list(of_run.tasks) == [task_of_scene(scene_from_row(row)) for row in rows]
     few = tasks_of_scenes(str(clean_run), f"scene_id == '{rows[0]['scene_id']}'")
     assert [task.scene_id for task in few.tasks] == [rows[0]["scene_id"]]
+
+
+def test_a_row_that_is_no_scene_costs_no_other_task(clean_run: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(clean_run, run)
+    file = next((run / "scenes").glob("part-*.parquet"))
+    table = pq.read_table(file)
+    rows = table.to_pylist()
+    rows[0]["table_size"] = None
+    pq.write_table(pa.Table.from_pylist(rows, table.schema), file)
+    source = tasks_of_scenes(str(run))
+    assert len(source.tasks) == len(tasks_of_scenes(str(clean_run)).tasks) - 1
+    (notice,) = (odd for odd in source.odd if odd.code == "row_invalid")
+    assert notice.item_id == rows[0]["scene_id"]
 
 
 def test_one_instruction_is_one_task() -> None:

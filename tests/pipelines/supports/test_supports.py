@@ -189,20 +189,24 @@ def test_joined_scenes_open_in_mujoco_and_stay_at_rest(made: str, tmp_path: Path
         export_run(RunFolder(made), tmp_path / "m", "mesatask", SceneSelection(joined=True))
 
 
-def test_a_piece_that_cannot_be_joined_is_one_failure(made: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("column", "value", "told"), [("asset_id", "sofa", "sofa"), ("yaw", None, "cannot be used")])
+def test_a_piece_that_cannot_be_joined_is_one_failure(
+    made: str, tmp_path: Path, column: str, value: str | None, told: str
+) -> None:
+    """The run lacks its asset, or its row is none of a scene."""
     run = tmp_path / "run"
     shutil.copytree(made, run)
     (scenes,) = (run / "scenes").glob("*.parquet")
     table = pq.read_table(scenes)
     rows = table.to_pylist()
     for row in rows[4:]:
-        row["surface"]["asset_id"] = "sofa"  # which the run lacks
+        row["surface"][column] = value
     pq.write_table(pa.Table.from_pylist(rows, table.schema), scenes)
     result = export_run(RunFolder(str(run)), tmp_path / "out", "glb", SceneSelection(joined=True))
     assert result.num_written == 1
     (failure,) = result.failures
     assert failure.startswith(f"{COFFEE}_00001: ")
-    assert "sofa" in failure
+    assert told in failure
     refused = CliRunner().invoke(stable_data, ["export", str(run), str(tmp_path / "o"), "--format", "original", "--join"])
     assert refused.exit_code == 2
     assert "--join" in refused.output
