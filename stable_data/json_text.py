@@ -10,6 +10,8 @@ from typing import Any
 from stable_data.errors import Notice, SceneError
 from stable_data.limits import LIMITS, at_most
 
+_ENDS = ("\n", "\r")  # of a line
+
 
 class ReadLog:
     """Collects the notices about one item; every message starts with the item's id.
@@ -124,7 +126,7 @@ def json_value(text: str) -> Any:
         ValueError: The text is not JSON, contains NaN, an integer of thousands of digits or text that is not UTF-8, has too many
             values, or nests too deep; the message is one line.
     """
-    if text.endswith("\0") and len(text) > LIMITS.text.max_line:
+    if is_cut(text):
         raise ValueError(f"it is longer, expected {at_most(LIMITS.text, 'max_line', 'characters')}")
     if _has_many_values(text):
         raise ValueError(_too_many())
@@ -140,6 +142,11 @@ def json_value(text: str) -> Any:
     return value
 
 
+def is_cut(line: str) -> bool:
+    """Whether a line of :func:`bounded_lines` is cut."""
+    return line.endswith("\0") and len(line) > LIMITS.text.max_line
+
+
 def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
     """Reads a text file line by line; a file may have any number of lines, of limited length.
 
@@ -148,7 +155,8 @@ def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
         newline: As for ``open``.
 
     Yields:
-        The lines with their ends. One that is too long is cut and ends with a null character; the next one follows.
+        The lines with their ends. One that is too long is cut and ends with a null character, before it with a double quote if what
+        is cut off has an odd number of these; the next one follows.
 
     Raises:
         OSError: The file cannot be read.
@@ -156,10 +164,12 @@ def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
     most = LIMITS.text.max_line
     with path.open(encoding="utf-8-sig", errors="surrogateescape", newline=newline) as stream:
         while line := stream.readline(most):
-            if len(line) == most and not line.endswith("\n"):
-                line += "\0"
-                while (rest := stream.readline(most)) and not rest.endswith("\n"):
-                    pass
+            if len(line) == most and not line.endswith(_ENDS):
+                rest, num_quotes = line, 0
+                while rest and not rest.endswith(_ENDS):
+                    rest = stream.readline(most)
+                    num_quotes += rest.count('"')
+                line += '"' * (num_quotes % 2) + "\0"
             yield line
 
 

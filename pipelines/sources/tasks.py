@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from models.semantic_reasoner.staged_layout import LayoutTask
 from stable_data.errors import ConfigError, Notice, SceneError, cannot_write
-from stable_data.json_text import bounded_lines, is_unicode, json_value, quote_value
+from stable_data.json_text import bounded_lines, is_cut, is_unicode, json_value, quote_value
 from stable_data.limits import LIMITS, at_most
 from stable_data.scene import Tabletop
 from stable_data.storage.run_folder import bounded_batches
@@ -167,9 +167,11 @@ def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
         lines = enumerate(bounded_lines(path), 1)
         yield from ((number, partial(_parse_line, line)) for number, line in lines if line.strip())
     elif path.suffix == ".csv":
-        reader = csv.DictReader(bounded_lines(path, newline=""), restkey="fields beyond the header")
+        csv.field_size_limit(LIMITS.text.max_line)
+        lines = _CsvLines(path)
+        reader = csv.DictReader(lines, restkey="fields beyond the header")
         _check_columns(path, list(reader.fieldnames or ()))
-        yield from enumerate(_csv_rows(reader), 1)
+        yield from enumerate(_csv_rows(reader, lines), 1)
     elif path.suffix == ".parquet":
         with pq.ParquetFile(path) as file:
             _check_columns(path, list(file.schema_arrow.names))
@@ -182,8 +184,29 @@ def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
         raise _invalid_file(path, f"ends in {path.suffix or 'nothing'}")
 
 
-def _csv_rows(reader: Iterator[dict[str, Any]]) -> Iterator[Callable[[], Mapping[str, Any]]]:
+class _CsvLines:
+    """The lines of a CSV file; one that is too long is replaced by a short one that opens or closes a quotation as it does.
+
+    Attributes:
+        has_cut: Whether a line was replaced since this was last set to False.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.has_cut = False
+
+    def __iter__(self) -> Iterator[str]:
+        for line in bounded_lines(self._path, newline=""):
+            if is_cut(line):
+                self.has_cut = True
+                yield '"\n' if line.count('"') % 2 else "-\n"
+            else:
+                yield line
+
+
+def _csv_rows(reader: Iterator[dict[str, Any]], lines: _CsvLines) -> Iterator[Callable[[], Mapping[str, Any]]]:
     while True:
+        lines.has_cut = False
         try:
             row = next(reader)
         except StopIteration:
@@ -191,7 +214,8 @@ def _csv_rows(reader: Iterator[dict[str, Any]]) -> Iterator[Callable[[], Mapping
         except csv.Error as error:  # concerns this row alone: the reader continues with the next line
             yield partial(_refused, str(error))
         else:
-            yield partial(dict, row)
+            too_long = f"a line is longer, expected {at_most(LIMITS.text, 'max_line', 'characters')}"
+            yield partial(_refused, too_long) if lines.has_cut else partial(dict, row)
 
 
 def _refused(reason: str) -> Mapping[str, Any]:

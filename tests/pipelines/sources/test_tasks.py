@@ -158,7 +158,38 @@ def test_a_line_without_an_end_is_a_failure_of_its_row(suffix: str, tmp_path: Pa
     assert isinstance(lost, Notice)
     assert isinstance(first, LayoutTask)
     assert isinstance(last, LayoutTask)
-    assert suffix == "csv" or "at most 1,000 characters (text.max_line in STABLE_DATA_LIMITS)" in lost.message
+    assert "at most 1,000 characters (text.max_line in STABLE_DATA_LIMITS)" in lost.message
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize(
+    "long",
+    [
+        f'"put a mug, {"x" * 5000}",office_table,120 60',
+        f'"put a ""mug"", {"x" * 5000}",office_table,120 60',
+        f'"put a mug,@{"x" * 5000}",office_table,120 60',
+        f'"put a mug,{"x" * 5000}@on it",office_table,120 60',
+        f'"put a mug,@{"x" * 5000}@on it",office_table,120 60',
+    ],
+)
+def test_a_long_line_of_csv_swallows_no_other_row(long: str, end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With and without quotation marks, which may be opened and closed on other lines (@)."""
+    limit(monkeypatch, "text", max_line=1000)
+    path, good = tmp_path / "tasks.csv", "Lift it.,office_table,120 60"
+    lines = ["instruction,table_type,table_size_cm", good, *long.split("@"), good, good]
+    path.write_bytes("".join(line + end for line in lines).encode())
+    first, lost, *last = read_tasks(path)
+    assert isinstance(lost, Notice)
+    assert "text.max_line in STABLE_DATA_LIMITS" in lost.message
+    assert [type(task) for task in (first, *last)] == [LayoutTask] * 3
+
+
+def test_a_field_of_csv_may_be_as_long_as_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, "text", max_instruction=10**6)
+    path = tmp_path / "tasks.csv"
+    path.write_text(f"instruction,table_type,table_size_cm\n{'x' * 200_000},office_table,120 60\n", "utf-8")
+    (task,) = read_tasks(path)
+    assert isinstance(task, LayoutTask)
 
 
 def test_an_instruction_has_a_limited_length(tmp_path: Path) -> None:
