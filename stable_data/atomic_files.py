@@ -44,9 +44,9 @@ def safe_file_name(name: str, reserved: Set[str] = frozenset()) -> str:
 
     Example:
         >>> safe_file_name("1_mug_0"), safe_file_name("../1 mug")
-        ('1_mug_0', '1_mug-f4bd1811')
+        ('1_mug_0', '1_mug-f4bd1811cd88589d')
     """
     if _PLAIN.fullmatch(name) and len(name) <= _MAX_LENGTH and name not in reserved:
         return name
     readable = re.sub(r"[^A-Za-z0-9_+-]+", "_", name).strip("_+-")[:_MAX_LENGTH] or "x"
-    return f"{readable}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    return f"{readable}-{hashlib.sha256(name.encode()).hexdigest()[:16]}"

@@ -37,6 +37,7 @@ class MesaTaskDataset:
     def __init__(self, root: Path, limits: LayoutLimits | None = None) -> None:
         self.root = Path(root)
         self._limits = limits or LIMITS.layout
+        self._layouts = (self.root / LAYOUT_FOLDER).resolve()
         log = ReadLog(self.root.name)
         self._folders = _scene_folders(self.root, log)
         self.scene_ids: tuple[str, ...] = tuple(sorted(self._folders))
@@ -91,12 +92,31 @@ class MesaTaskDataset:
         """
         path = self.layout_path(scene_id)
         log = ReadLog(scene_id)
-        data = read_bounded(path, self._limits, "max_bytes", log)
+        data = self._content(path, self._limits, "max_bytes", log)
         table_type = path.parent.parent.name
         scene, notices = read_layout(data, scene_id, table_type, annotations=self.annotations, limits=self._limits)
         objects = tuple(self._with_known_asset(scene_object, log) for scene_object in scene.objects)
-        scene = replace(scene, objects=objects, task=_task_beside(path, log))
+        scene = replace(scene, objects=objects, task=self._task_beside(path, log))
         return scene, (*notices, *log.notices)
+
+    def _content(self, path: Path, limits: LayoutLimits, name: str, log: ReadLog) -> bytes:
+        """Reads a file whose real path is among the layouts."""
+        if not path.resolve().is_relative_to(self._layouts):
+            raise log.error(
+                "path_outside", f"{path} leads out of {LAYOUT_FOLDER}, expected a file inside; put the file itself there"
+            )
+        return read_bounded(path, limits, name, log)
+
+    def _task_beside(self, layout_path: Path, log: ReadLog) -> TaskInfo | None:
+        """Reads the task info of a scene; an invalid one is only a notice, because the scene is usable without it."""
+        path = layout_path.with_name(TASK_INFO_FILE)
+        if not path.exists():
+            return None
+        try:
+            return read_task_info(self._content(path, LIMITS.layout, "max_task_bytes", log), log.item_id)
+        except SceneError as error:
+            log.warn("task_info_invalid", f"{str(error).removeprefix(log.item_id + ': ')}; the scene is read without it")
+            return None
 
     def _with_known_asset(self, scene_object: SceneObject, log: ReadLog) -> SceneObject:
         """Removes the asset of an object if it is unknown."""
@@ -148,15 +168,3 @@ def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
 def _free_name(folder: Path, taken: Mapping[str, Path]) -> str:
     """The id of a scene: its folder's name, with the table type if another scene has that name."""
     return folder.name if folder.name not in taken else f"{folder.parent.name}/{folder.name}"
-
-
-def _task_beside(layout_path: Path, log: ReadLog) -> TaskInfo | None:
-    """Reads the task info of a scene; an invalid one is only a notice, because the scene is usable without it."""
-    path = layout_path.with_name(TASK_INFO_FILE)
-    if not path.exists():
-        return None
-    try:
-        return read_task_info(read_bounded(path, LIMITS.layout, "max_task_bytes", log), log.item_id)
-    except SceneError as error:
-        log.warn("task_info_invalid", f"{str(error).removeprefix(log.item_id + ': ')}; the scene is read without it")
-        return None

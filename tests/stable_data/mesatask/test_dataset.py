@@ -55,6 +55,26 @@ def meshes(real: MesaTaskDataset) -> Callable[[str], FloatArray]:
     return vertices
 
 
+def test_a_layout_outside_of_the_folder_is_not_read(tmp_path: Path) -> None:
+    """A link to the whole folder, or to its layouts, is what the user made."""
+    root, layout_file = tmp_path / "data", make_dataset(tmp_path / "data") / "layout.json"
+    content = layout_file.read_bytes()
+    (tmp_path / "link").symlink_to(root)
+    assert len(MesaTaskDataset(tmp_path / "link").read(layout_file.parent.name)[0].objects) == 1
+    (tmp_path / "secret.json").write_bytes(content)
+    layout_file.unlink()
+    layout_file.symlink_to(tmp_path / "secret.json")
+    with pytest.raises(SceneError, match="leads out of Layout_info") as caught:
+        MesaTaskDataset(root).read(layout_file.parent.name)
+    assert caught.value.code == "path_outside"
+    layout_file.unlink()
+    layout_file.write_bytes(content)
+    layout_file.with_name("task_info.json").symlink_to(tmp_path / "secret.json")
+    scene, notices = MesaTaskDataset(root).read(layout_file.parent.name)
+    assert scene.task is None
+    assert "leads out of Layout_info" in notices[-1].message
+
+
 def test_real_scenes_read_without_a_notice_and_write_back_as_they_stood(real: MesaTaskDataset, truth: dict[str, Any]) -> None:
     assert real.scene_ids == tuple(sorted(truth))
     assert not real.notices
