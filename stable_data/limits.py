@@ -286,9 +286,9 @@ class WorkLimits:
     """
 
     max_audit_triangles: int = 300_000_000
-    max_repair_parts: int = 50_000
-    max_repair_pairs: int = 2_000_000
-    max_repair_sums: int = 50_000_000
+    max_repair_parts: int = 20_000
+    max_repair_pairs: int = 1_000_000
+    max_repair_sums: int = 15_000_000
     max_support_faces: int = 1_000_000
 
 
@@ -509,5 +509,5 @@ class _Memory:
             _C.malloc_trim(0)
 
 
-_C = ctypes.CDLL(None) if sys.platform.startswith("linux") else None
+_C: Any = ctypes.CDLL(None) if sys.platform.startswith("linux") else None
 _MEMORY = _Memory()

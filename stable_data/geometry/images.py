@@ -3,7 +3,7 @@
 import hashlib
 import io
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -139,7 +139,7 @@ def decode_images(images: Mapping[K, bytes], name: str, *, side: int, has_alpha:
     return decoded
 
 
-def open_image(file: Path | IO[bytes], formats: Sequence[str]) -> "Image.Image":
+def open_image(file: Path | IO[bytes], formats: tuple[str, ...]) -> "Image.Image":
     """Opens an image file; only its header is read.
 
     Args:

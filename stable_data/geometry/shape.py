@@ -106,12 +106,14 @@ def winding_number(points: FloatArray, triangles: FloatArray) -> FloatArray:
     Sums exact solid angles (Van Oosterom and Strackee 1983), so holes in the mesh change the result only gradually. Meant for a few
     points: libigl first builds a tree, which takes ten times as long.
     """
-    total = np.empty(len(points))
-    step = max(1, _MOST_ANGLES // max(1, len(triangles)))
-    for start in range(0, len(points), step):
-        a, b, c = (triangles[None, :, n] - points[start : start + step, None] for n in range(3))  # (P, F, 3) each
-        la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
-        numerator = np.einsum("pij,pij->pi", a, np.cross(b, c))
-        denominator = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
-        total[start : start + step] = 2 * np.arctan2(numerator, denominator).sum(1)
-    return total / (4 * np.pi)
+    corners = np.ascontiguousarray(np.moveaxis(triangles, 0, 2))[:, :, None]  # (corner, axis, 1, F): whole rows are fast
+    total, width = np.zeros(len(points)), min(max(len(triangles), 1), _MOST_ANGLES)
+    for start in range(0, len(points), step := max(1, _MOST_ANGLES // width)):
+        asked = points[start : start + step].T[:, :, None]
+        for first in range(0, len(triangles), width):
+            (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (corner[..., first : first + width] - asked for corner in corners)
+            la, lb, lc = (np.sqrt(x * x + y * y + z * z) for x, y, z in ((ax, ay, az), (bx, by, bz), (cx, cy, cz)))
+            numerator = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+            ab, bc, ca = ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az
+            total[start : start + step] += np.arctan2(numerator, la * lb * lc + ab * lc + bc * la + ca * lb).sum(1)
+    return total / (2 * np.pi)

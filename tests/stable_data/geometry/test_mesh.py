@@ -279,6 +279,10 @@ TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 TETRAHEDRON_CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
+CUP_CORNERS = np.array([[x, y, z] for z in (0.0, 1.0) for x, y in ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))])
+CUP = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]])
+
+
 def copies(corners: FloatArray, faces: IntArray, places: FloatArray) -> Mesh:
     """The same part at many places (N, 3), with corners of its own at each; corners (C, 3) or (N, C, 3)."""
     vertices = corners + places[:, None]
@@ -324,13 +328,14 @@ def test_many_faces_on_one_edge_take_little_time() -> None:
 @pytest.mark.parametrize(
     ("mesh", "found"),
     [
-        (lambda: copies(TETRAHEDRON_CORNERS, TETRAHEDRON, lattice(37)[:50_001]), "50001 parts"),
+        (lambda: copies(TETRAHEDRON_CORNERS, TETRAHEDRON, lattice(28)[:20_001]), "20001 parts"),
         (
             lambda: copies(
                 (np.arange(3000) + 9)[:, None, None] * (TETRAHEDRON_CORNERS - 0.2), TETRAHEDRON[:, ::-1], np.zeros((3000, 3))
             ),
             "pairs of parts",
         ),
+        (lambda: copies(CUP_CORNERS, CUP, lattice(11)[:1300]), "faces around holes, hole by hole"),
     ],
 )
 def test_what_would_take_too_long_is_refused_with_the_limit(mesh: Callable[[], Mesh], found: str) -> None:

@@ -5,7 +5,9 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from stable_data.importers.scenes.gltf_scenes import read_gltf_scene
 from stable_data.importers.source import ReaderOptions, SourceRef
 from stable_data.importers.usd.layers import LayerLoader, check_prims
 from stable_data.importers.usd.shapes import triangulate
-from stable_data.limits import LIMITS, SETTING, FileLimits
+from stable_data.limits import LIMITS, SETTING, FileLimits, GltfLimits
 from tests.bounds import limit, soon
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -91,6 +93,25 @@ def test_the_limits_of_a_mesh_hold_for_one_that_is_imported_and_may_be_raised(
     for name, count in (("nodes.glb", 10_001), ("json.glb", 2)):
         file, _ = read_mesh_file(Boundary(tmp_path), name, "thing", max_faces=LIMITS.model.max_faces)
         assert sum(len(surface.triangles) for surface in file.surfaces) == count
+
+
+@dataclass(frozen=True)
+class Asked(GltfLimits):
+    """Limits that remember which of them were asked for."""
+
+    names: ClassVar[set[str]] = set()
+
+    def __getattribute__(self, name: str) -> Any:
+        Asked.names.add(name)
+        return super().__getattribute__(name)
+
+
+def test_every_limit_of_a_gltf_scene_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is listed but never compared with anything would be a promise that nobody keeps."""
+    (tmp_path / "a.glb").write_bytes(many_nodes(2))
+    monkeypatch.setattr(LIMITS, "gltf_scene", Asked())
+    read_gltf_scene(Boundary(tmp_path), "a.glb")
+    assert {one.name for one in fields(GltfLimits)} <= Asked.names
 
 
 def test_all_buffers_together_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
