@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, StableDataError
 
 SETTING = "STABLE_DATA_LIMITS"
 """The environment variable that changes limits: ``name=value`` pairs, joined by commas; names are ``group.field``."""
@@ -455,7 +455,7 @@ def memory_limited(num_bytes: int) -> Iterator[None]:
         num_bytes: The bound.
 
     Raises:
-        MemoryError: In place of the RuntimeError with which torch says that memory ran out.
+        MemoryError: The body needs more, also in place of the error of a library that has another one for it.
     """
     used = _MEMORY.used()
     if used is None:
@@ -466,7 +466,7 @@ def memory_limited(num_bytes: int) -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))
     try:
         yield
-    except RuntimeError as error:
+    except Exception as error:
         if is_out_of_memory(error):
             raise MemoryError(str(error)) from error
         raise
@@ -475,8 +475,9 @@ def memory_limited(num_bytes: int) -> Iterator[None]:
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error says that memory ran out; torch has no class for it."""
-    return isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "DefaultCPUAllocator" in str(error))
+    """Whether an error says that memory ran out; torch and MuJoCo have no class of their own for it."""
+    is_foreign = not isinstance(error, StableDataError)
+    return isinstance(error, MemoryError) or (is_foreign and "allocate memory" in str(error))
 
 
 class _Memory:

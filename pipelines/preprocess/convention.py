@@ -55,8 +55,9 @@ def resolve_convention(settings: S, source: object, name: str, workers: WorkerPo
     seconds = settings.seconds_per_item
     resolved = run_isolated(settings.settled, source, seconds=_MEASURED_ITEMS * seconds)
     if isinstance(resolved, ProcessFailure):
+        num_items = _MEASURED_ITEMS if resolved is ProcessFailure.TIMED_OUT else 1  # of the memory it has that of one
         raise ConfigError(
-            f"{name}: the check of what positions mean {resolved.told(seconds, _MEASURED_ITEMS)}, over a layout or mesh; set "
+            f"{name}: the check of what positions mean {resolved.told(seconds, num_items)}, over a layout or mesh; set "
             "position_convention to box_centre or mesh_centre",
             "convention_unknown",
         )

@@ -8,6 +8,7 @@ from typing import cast
 from stable_data.errors import ConfigError, MeshError
 from stable_data.extras import install_hint
 from stable_data.judges.judge import VERDICT_OPTIONS, Judge
+from stable_data.limits import is_out_of_memory
 from stable_data.metrics.judge_columns import FURTHER, JUDGES, verdict_columns
 from stable_data.scene import Tabletop
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, SettleResult, unknown_result
@@ -93,9 +94,10 @@ def judge(name: str, bodies: Sequence[RigidBody], table: Tabletop, options: Phys
         return unknown_result(bodies, str(error))
     except ModuleNotFoundError as error:
         return unknown_result(bodies, f"judge {name} {install_hint(error) or f'cannot be loaded: {error}'}")
-    except MemoryError:
-        raise
-    except Exception as error:  # noqa: BLE001 - the engine fails for this scene, the others judge it
+    except Exception as error:
+        if is_out_of_memory(error):
+            raise
+        # The engine fails for this scene, the others judge it.
         found = " ".join(str(error).split())
         return unknown_result(bodies, f"{JUDGES[name].engine} failed: {type(error).__name__}: {found}")
 

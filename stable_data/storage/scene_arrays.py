@@ -89,7 +89,8 @@ def _scenes(table: pa.Table) -> list[Scene]:
     tables = map(Tabletop, _texts(table["table_type"]), sizes, zones, (clearance for _, clearance in surfaces))
     tasks = (task_from_row(None if task is None else {"source_json": None, **task}) for task in table["task"].to_pylist())
     objects = _split(_objects(_flat(table["objects"])), table["objects"])
-    relations = _split(_relations(_flat(table["relations"])), table["relations"])
+    related = table["relations"]  # null in a run that was made before there were any
+    relations = _split(_relations(related.combine_chunks().flatten()), related)
     heads = zip(_texts(table["scene_id"]), tables, objects, tasks, relations, strict=True)
     fixed = (frozenset(names or ()) for names in table["fixed"].to_pylist())
     return [Scene(*head, fixed=own, frame=frame) for head, own, (frame, _) in zip(heads, fixed, surfaces, strict=True)]
@@ -181,8 +182,8 @@ def _flat(column: pa.ChunkedArray) -> pa.Array:
 
 
 def _counts(column: pa.ChunkedArray) -> IntArray:
-    """Returns the number of elements of each list."""
-    lengths: IntArray = pc.list_value_length(_given(column)).to_numpy().astype(np.int64)
+    """Returns the number of elements of each list, 0 for null."""
+    lengths: IntArray = pc.fill_null(pc.list_value_length(column), 0).to_numpy().astype(np.int64)
     return lengths
 
 

@@ -10,14 +10,25 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
+import mujoco
 import numpy as np
 import pyarrow as pa
 import pytest
 
-from stable_data.errors import ConfigError, cannot_read
+from stable_data.errors import ConfigError, MeshError, cannot_read
 from stable_data.importers.mjcf.reader import _compile
 from stable_data.judges.registry import judge
-from stable_data.limits import LIMITS, SETTING, ImageLimits, Limits, at_most, list_limits, memory_limited, read_limits
+from stable_data.limits import (
+    LIMITS,
+    SETTING,
+    ImageLimits,
+    Limits,
+    at_most,
+    is_out_of_memory,
+    list_limits,
+    memory_limited,
+    read_limits,
+)
 from stable_data.mesatask.convention_detection import position_convention
 from stable_data.robot.acting.rollout import _call
 from stable_data.scene import Tabletop
@@ -221,6 +232,12 @@ def _settle(monkeypatch: pytest.MonkeyPatch) -> None:
     judge("mujoco", (), Tabletop("desk", (1.0, 1.0)))
 
 
+def test_mujoco_has_none_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stable_data.importers.mjcf.reader._Shapes.of", _fail(mujoco.FatalError("Could not allocate memory")))
+    with pytest.raises(MemoryError), memory_limited(2**34):
+        _compile(SimpleNamespace(), "a.xml")  # type: ignore[arg-type]
+
+
 def _compile_model(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stable_data.importers.mjcf.reader._Shapes.of", _fail(MemoryError()))
     _compile(SimpleNamespace(), "a.xml")  # type: ignore[arg-type]
@@ -251,6 +268,7 @@ def _raise_cannot_read() -> None:
 def test_torch_has_no_error_of_its_own_for_memory() -> None:
     with pytest.raises(RuntimeError, match="alloc_cpu"):
         _call("policy", "act", _fail(RuntimeError(TORCH)))
+    assert not is_out_of_memory(MeshError("the file says: cannot allocate memory", "model_unreadable"))
     with pytest.raises(MemoryError, match="alloc_cpu"), memory_limited(2**34):
         raise RuntimeError(TORCH)
     with pytest.raises(RuntimeError, match="another"), memory_limited(2**34):

@@ -38,7 +38,7 @@ from stable_data.importers.model_names import name_of_path, nameless_notice
 from stable_data.importers.source import GivenInertial, GivenLicence, ReaderOptions, SourceAsset, SourceRef
 from stable_data.importers.stated_licences import LicenceFiles, licences_of_file
 from stable_data.json_text import is_unicode, quote_value
-from stable_data.limits import LIMITS
+from stable_data.limits import LIMITS, is_out_of_memory
 from stable_data.scene import FloatArray, Vec3
 
 if TYPE_CHECKING:
@@ -236,6 +236,8 @@ def _compile(isolated: IsolatedModel, path: str) -> "_Shapes":
                 warnings.simplefilter("ignore")  # attributes of older versions
                 return _Shapes.of(isolated, is_solid=is_solid)
         except (ValueError, TypeError, RuntimeError, mujoco.FatalError, mujoco.UnexpectedError) as error:
+            if is_out_of_memory(error):
+                raise
             failure = failure or error
     found = " ".join(str(failure).split())[:300]
     message = f"{quote_value(path)}: MuJoCo does not compile it ({found}), expected a model that it compiles; correct it"

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
@@ -129,6 +130,7 @@ def answer_paths() -> None:
     root, limits = Path(sys.argv[1]), FileLimits(**json.loads(sys.argv[2]))
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries may print
+    import_module("pxr.Sdf")  # its memory is not that of a layer
     for line in sys.stdin.buffer:
         try:
             with memory_limited(LIMITS.item.max_memory_bytes):

@@ -95,13 +95,19 @@ def test_items_that_end_or_hold_their_process_are_failures(bare: Path, tmp_path:
     assert run.table("scenes", ["scene_id"])["scene_id"].to_pylist() == [scene.name]
 
 
+@pytest.mark.parametrize(
+    ("loss", "told"),
+    [
+        (ProcessFailure.CRASHED, "ended the process that did it, .*item.max_memory_bytes in STABLE_DATA_LIMITS"),
+        (ProcessFailure.OUT_OF_MEMORY, "needed more memory, expected at most 8,589,934,592 bytes .item.max_memory_bytes in .*"),
+        (ProcessFailure.TIMED_OUT, "took over 600 s for each of 64 items .seconds_per_item"),
+    ],
+)
 def test_a_check_of_positions_that_dies_stops_with_what_to_set(
-    bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: ProcessFailure, told: str
 ) -> None:
-    monkeypatch.setattr(convention, "run_isolated", lambda *_, seconds: ProcessFailure.CRASHED)
-    with pytest.raises(
-        ConfigError, match=r"ended the process that did it, over a layout or mesh; set position_convention to box_centre"
-    ):
+    monkeypatch.setattr(convention, "run_isolated", lambda *_, seconds: loss)
+    with pytest.raises(ConfigError, match=rf"{told}\), over a layout or mesh; set position_convention to box_centre"):
         preprocess(str(bare), str(tmp_path / "out"), SMALL, WorkerPool(1))
 
 

@@ -13,6 +13,7 @@ from stable_data.errors import MeshError, Notice
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.source import SourceRef
 from stable_data.importers.usd.scan import LayerScanner
+from stable_data.limits import SETTING
 from tests.bounds import limit
 from tests.stable_data.importers.usd.stages import add_box, add_material, bind, found, read, read_all, refusal, save, stage_at
 
@@ -242,6 +243,11 @@ def test_a_layer_that_ends_the_parser_costs_that_layer_alone(tmp_path: Path, mon
         with pytest.raises(MeshError, match="ends the process"):
             scan("good.usda")
         assert scan("good.usda").has_default, "the next one is read by a new process"
+    for num_bytes in (2**23, 2**26):  # with so little USD ends the process, with a little more it raises an error
+        with monkeypatch.context() as patch, LayerScanner(Boundary(tmp_path)) as scan:
+            patch.setenv(SETTING, f"item.max_memory_bytes={num_bytes}")
+            with pytest.raises(MeshError, match="more memory.*item.max_memory_bytes in STABLE_DATA_LIMITS"):
+                scan("good.usda")
     limit(monkeypatch, "item", max_scan_seconds=0)
     with LayerScanner(Boundary(tmp_path)) as scan, pytest.raises(MeshError, match="was not read"):
         scan("good.usda")
