@@ -246,7 +246,7 @@ def test_a_layer_that_ends_the_parser_costs_that_layer_alone(tmp_path: Path, mon
     for num_bytes in (2**23, 2**26):  # with so little USD ends the process, with a little more it raises an error
         with monkeypatch.context() as patch, LayerScanner(Boundary(tmp_path)) as scan:
             patch.setenv(SETTING, f"item.max_memory_bytes={num_bytes}")
-            with pytest.raises(MeshError, match="more memory.*item.max_memory_bytes in STABLE_DATA_LIMITS"):
+            with pytest.raises(MeshError, match=r"more memory.*item\.max_memory_bytes in STABLE_DATA_LIMITS"):
                 scan("good.usda")
     limit(monkeypatch, "item", max_scan_seconds=0)
     with LayerScanner(Boundary(tmp_path)) as scan, pytest.raises(MeshError, match="was not read"):
