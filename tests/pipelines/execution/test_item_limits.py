@@ -33,23 +33,10 @@ from stable_data.limits import SETTING
 from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
 from tests.bounds import limit
+from tests.pipelines.execution.allocating import allocate, allocate_tensor
 
 MIB = 2**20
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
-
-
-def allocate(num_bytes: int) -> int:
-    return len(bytes(bytearray(num_bytes)))
-
-
-def allocate_tensor(num_bytes: int) -> int:
-    import torch
-
-    return len(torch.ones(num_bytes, dtype=torch.uint8))
-
-
-def allocate_tensor_of_a_byte() -> int:
-    return allocate_tensor(1)
 
 
 def test_a_separate_process_has_the_memory_of_an_item(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,7 +50,7 @@ def test_a_separate_process_has_the_memory_of_an_item(monkeypatch: pytest.Monkey
 
 def test_a_separate_process_tells_that_torch_has_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={64 * MIB}")
-    with IsolatedProcess(allocate_tensor_of_a_byte) as apart:
+    with IsolatedProcess(allocate_tensor) as apart:
         assert apart.call(allocate_tensor, 256 * MIB, seconds=60) is ProcessFailure.OUT_OF_MEMORY
 
 
