@@ -367,9 +367,7 @@ def list_limits() -> list[Limit]:
     for group in fields(LIMITS):
         values = getattr(LIMITS, group.name)
         about = " ".join((type(values).__doc__ or "").partition("\n\n")[0].split())
-        texts = [
-            (kind.__doc__ or "").partition("Attributes:")[2] for kind in type(values).__mro__
-        ]  # a group may extend another one
+        texts = [(kind.__doc__ or "").partition("Attributes:")[2] for kind in type(values).__mro__]  # it may extend another one
         meanings = {name: " ".join(text.split()) for name, text in _ATTRIBUTE.findall("\n".join(texts))}
         for one in fields(values):
             name = f"{group.name}.{one.name}"
