@@ -310,7 +310,7 @@ class IsolatedProcess:
     """
 
     def __init__(self, prepare: Callable[[], object] | None = None) -> None:
-        self._prepare = prepare or _nothing
+        self._prepare = prepare
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> "IsolatedProcess":
@@ -337,7 +337,7 @@ class IsolatedProcess:
             try:
                 if self._pool is None:
                     self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-                    self._pool.submit(self._prepare).result(timeout=_START_SECONDS)
+                    self._pool.submit(_begin, self._prepare).result(timeout=_START_SECONDS)
                 return self._pool.submit(_bounded, num_items, function, *arguments).result(timeout=seconds)
             except BrokenProcessPool:
                 self._end()
@@ -374,5 +374,7 @@ def _bounded(num_items: int, function: Callable[..., R], *arguments: object) -> 
         return function(*arguments)
 
 
-def _nothing() -> None:
-    """The default preparation: the call returns when the process has started."""
+def _begin(prepare: Callable[[], object] | None) -> None:
+    """Prepares a separate process, which has imported this module by then."""
+    if prepare is not None:
+        prepare()

@@ -149,7 +149,7 @@ def test_a_row_that_is_no_scene_costs_no_other_task(clean_run: Path, tmp_path: P
     pq.write_table(pa.Table.from_pylist(rows, table.schema), file)
     source = tasks_of_scenes(str(run))
     assert len(source.tasks) == len(tasks_of_scenes(str(clean_run)).tasks) - 1
-    (notice,) = (odd for odd in source.odd if odd.code == "row_invalid")
+    (notice,) = (odd for odd in source.lost if odd.code == "row_invalid")
     assert notice.item_id == rows[0]["scene_id"]
 
 
