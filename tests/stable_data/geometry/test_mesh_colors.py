@@ -168,7 +168,7 @@ def test_the_pixels_of_all_textures_are_limited(monkeypatch: pytest.MonkeyPatch)
     picture = encoded(Image.new("RGB", (8, 8), "#f08020"), "PNG")
     limit(monkeypatch, "image", max_pixels=128)
     assert [colour for colour, _ in painted(with_pictures(picture, picture))] == ["#f08020"]
-    with pytest.raises(MeshError, match="192 pixels in all textures.*expected at most 128"):
+    with pytest.raises(MeshError, match=r"192 pixels in all textures.*expected at most 128"):
         painted(with_pictures(picture, picture, picture))
 
 
