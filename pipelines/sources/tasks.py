@@ -164,8 +164,8 @@ def tabletop(table_type: str, size_cm: object, restricted_cm: object = None) -> 
 def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
     """Yields the number of each row, from 1, with a function that reads the row and may raise a SceneError."""
     if path.suffix == ".jsonl":
-        lines = enumerate(bounded_lines(path), 1)
-        yield from ((number, partial(_parse_line, line)) for number, line in lines if line.strip())
+        numbered = enumerate(bounded_lines(path), 1)
+        yield from ((number, partial(_parse_line, line)) for number, line in numbered if line.strip())
     elif path.suffix == ".csv":
         csv.field_size_limit(LIMITS.text.max_line)
         lines = _CsvLines(path)

@@ -128,8 +128,9 @@ class _ModelReader:
         shapes = _compile(isolated, self.ref.path)
         self._check(shapes)
         seen, collides = shapes.seen(), shapes.collides
-        for geoms in (seen, np.flatnonzero(collides)):
-            check_face_count(quote_value(self.ref.path), sum(map(shapes.num_faces, geoms)), self.options.max_faces)
+        for geoms in (seen, np.flatnonzero(collides).tolist()):
+            num_faces = sum(shapes.num_faces(geom) for geom in geoms)
+            check_face_count(quote_value(self.ref.path), num_faces, self.options.max_faces)
         surfaces = tuple(self._surface(shapes, geom, isolated) for geom in seen)
         if not any(len(surface.triangles) for surface in surfaces):
             self._fail("has nothing that is seen", "a geom that is not transparent", "mesh_empty")
