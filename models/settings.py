@@ -26,7 +26,9 @@ Count: TypeAlias = Annotated[int, Ge(0)]
 PositiveCount: TypeAlias = Annotated[int, Ge(1)]
 
 _Kind: TypeAlias = Any  # a dataclass; for mypy a class is not hashable, which the argument of a cached function must be
-_CONFIG = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True)
+_CONFIG = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+# Docstrings are looked for in the source of all modules, which takes seconds: only where they are shown.
+_WITH_DOCSTRINGS = ConfigDict(**_CONFIG, use_attribute_docstrings=True)
 _EXPECTED = {
     "bool_type": "true or false",
     "dataclass_type": "a table",
@@ -123,7 +125,8 @@ def setting_meanings(kind: _Kind) -> dict[str, str]:
     found = dict.fromkeys(_hints(kind), "")
     parts: list[_Kind] = [part for part in reversed(kind.__mro__) if is_dataclass(part)]
     for part in parts:  # pydantic does not read the docstrings of inherited fields
-        schema = _model_around(part).model_json_schema()["$defs"][part.__name__]["properties"]
+        model = create_model(part.__name__, __config__=_WITH_DOCSTRINGS, value=(part, ...))
+        schema = model.model_json_schema()["$defs"][part.__name__]["properties"]
         found |= {key: " ".join(of["description"].split()) for key, of in schema.items() if "description" in of}
     return found
 

@@ -7,7 +7,7 @@ import torch
 from tokenizers import Tokenizer
 from torch import Tensor, nn
 from torch.nn.functional import pad
-from transformers import BertConfig, BertModel
+from transformers import BertConfig
 
 from models.instruction_reader.phrases import REGIONS
 
@@ -204,6 +204,8 @@ class ReaderNetwork(nn.Module):
     """
 
     def __init__(self, config: BertConfig) -> None:
+        from transformers import BertModel  # its import takes seconds, and jobs that read no instruction import this module
+
         super().__init__()
         self.encoder = BertModel(config, add_pooling_layer=False)
         size = config.hidden_size
