@@ -13,9 +13,9 @@ Pictures: TypeAlias = npt.NDArray[np.uint8]
 Rows: TypeAlias = npt.NDArray[np.float32]
 """(N, D) float32, one row for each picture."""
 
-BATCH = 8
-"""Pictures that a network sees at a time. It is fixed, and the last batch is filled up: a row then depends on its picture alone, because
-a matrix product of another shape may sum in another order."""
+BATCH = 2
+"""Pictures that a network sees at a time, as many as a scene has. It is fixed, and the last batch is filled up: a row then depends on its
+picture alone, because a matrix product of another shape may sum in another order."""
 
 
 class FeatureExtractor(Protocol):

@@ -79,7 +79,8 @@ class InceptionFeatures:
 def prepared(pictures: Tensor) -> Tensor:
     """Prepares pictures (N, H, W, 3) uint8 for the network: (N, 3, 299, 299) float32, -1 to 1."""
     values = pictures.permute(0, 3, 1, 2).float() / 255
-    return 2 * functional.interpolate(values, size=(_SIDE, _SIDE), mode="bilinear", align_corners=False) - 1
+    scaled = 2 * functional.interpolate(values, size=(_SIDE, _SIDE), mode="bilinear", align_corners=False) - 1
+    return scaled.contiguous(memory_format=torch.channels_last)  # a quarter faster on a CPU
 
 
 class InceptionNetwork(nn.Sequential):
@@ -117,7 +118,8 @@ def inception_network(layers: Sequence[LayerWeights]) -> InceptionNetwork:
     names = [
         f"{name}.{part}" for name, m in network.named_modules() if isinstance(m, _Convolution) for part in ("weight", "bias")
     ]
-    network.load_state_dict(dict(zip(names, folded, strict=True)), assign=True)
+    laid_out = (tensor.contiguous(memory_format=torch.channels_last) if tensor.dim() == 4 else tensor for tensor in folded)
+    network.load_state_dict(dict(zip(names, laid_out, strict=True)), assign=True)
     return network.eval().requires_grad_(False)
 
 
