@@ -6,7 +6,7 @@ A file whose tensors differ from the network that its notes describe is refused.
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -16,6 +16,7 @@ from torch.nn.modules.module import (
     register_module_buffer_registration_hook,
     register_module_parameter_registration_hook,
 )
+from torch.overrides import TorchFunctionMode
 
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
@@ -134,12 +135,21 @@ def build_no_larger_than(path: Path, build: Callable[[], T]) -> T:
 
     hooks = [register_module_parameter_registration_hook(count), register_module_buffer_registration_hook(count)]
     try:
-        with torch.device("meta"):
+        with torch.device("meta"), _NoDraws():
             build()
     finally:
         for hook in hooks:
             hook.remove()
     return build()
+
+
+class _NoDraws(TorchFunctionMode):
+    """Leaves out the draws of initial weights: without memory they do nothing, but the first one imports torch's compiler for seconds."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        if func is nn.init.normal_:
+            return kwargs["tensor"]
+        return func(*args, **(kwargs or {}))
 
 
 def _mismatches(found: Mapping[str, tuple[int, ...]], required: Mapping[str, tuple[int, ...]]) -> list[str]:
