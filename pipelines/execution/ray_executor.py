@@ -34,6 +34,8 @@ _ISOLATE_FROM = 2  # worker deaths from which a shard runs isolated: the first d
 _MAX_DEATHS = 4  # worker deaths after which a shard is given up; a later run retries it
 _MAX_NODES = 8  # node losses after which a shard is given up: it is rarely the cause, but retries must be bounded
 _LOOK_SECONDS = 10.0  # between checks of the cluster while no shard ends
+# How long Ray's head may be silent; after 60 s Ray ends this process, with the status of a job that is done.
+_HEAD_SECONDS = 20.0
 _PATIENCE_SECONDS = 1800.0  # how long a cluster may have no core, for example while spot machines are replaced
 _START_SECONDS = 600.0  # time limit for the start of a separate process
 _CHECKOUT = Path(__file__).resolve().parents[2]
@@ -114,7 +116,9 @@ class _RayRun(Generic[T, R]):
     def __init__(self, workers: WorkerPool, work: Work[T, R], shards: Sequence[T]) -> None:
         self._workers, self._shards = workers, shards
         self._empty_since: float | None = None
-        self._started_ray = connect(workers)
+        self._silent_since: float | None = None
+        self._connected = connect(workers)
+        self._head = _head_of(workers)
         self._work = ray.put(work)
         self._task = ray.remote(num_cpus=1, max_retries=0)(_call)  # a lost worker is counted here
 
@@ -129,6 +133,7 @@ class _RayRun(Generic[T, R]):
                     attempt = waiting.popleft()
                     in_flight[self._task.remote(self._work, attempt.shard, attempt.deaths >= _ISOLATE_FROM)] = attempt
                 ended, _ = ray.wait(list(in_flight), timeout=_LOOK_SECONDS)
+                self._look_for_head()
                 if not ended:
                     self._look_for_nodes()
                     continue
@@ -149,7 +154,7 @@ class _RayRun(Generic[T, R]):
                 f"Ray stopped ({type(error).__name__}: {_first_line(error)}); run again: finished shards are kept", "ray_failed"
             ) from error
         finally:
-            if self._started_ray:
+            if self._connected:
                 ray.shutdown()
         if lost:
             raise ConfigError(
@@ -158,6 +163,25 @@ class _RayRun(Generic[T, R]):
                 "memory or use fewer workers and run again: finished shards are kept",
                 "worker_lost",
             )
+
+    def _look_for_head(self) -> None:
+        """Checks that Ray's head answers.
+
+        Raises:
+            ConfigError: It has not answered for too long.
+        """
+        try:
+            if self._head is not None:
+                _test_connection(self._head)
+        except OSError as error:
+            self._silent_since = self._silent_since or time.monotonic()
+            if time.monotonic() - self._silent_since > _HEAD_SECONDS:
+                raise ConfigError(
+                    f"Ray's head at {self._head} is lost ({error}); start the cluster again and run again: finished shards are kept",
+                    "head_lost",
+                ) from error
+        else:
+            self._silent_since = None
 
     def _look_for_nodes(self) -> None:
         """Waits for new nodes if the cluster has no core, and prints one line about it.
@@ -187,7 +211,9 @@ class _RayRun(Generic[T, R]):
 
 
 def connect(workers: WorkerPool) -> bool:
-    """Starts a local Ray or connects to the cluster, unless this process is connected; returns whether it started one.
+    """Starts a local Ray or connects to the cluster; returns False if this process is connected already.
+
+    Whoever connects ends the connection as soon as no shard is left: while a process is connected, the loss of the head ends it.
 
     Raises:
         ConfigError: Ray cannot be reached.
@@ -200,10 +226,10 @@ def connect(workers: WorkerPool) -> bool:
             _test_connection(address)  # Ray itself would wait for minutes before it fails
         if address is not None:
             ray.init(address=address, runtime_env=_runtime(), log_to_driver=False, logging_level=logging.ERROR)
-            return False
+            return True
         own = {"address": "local", "num_cpus": workers.count}  # without "local", Ray joins any cluster of this machine
         ray.init(**own, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
-    except (OSError, ValueError, RuntimeError) as error:
+    except Exception as error:  # Ray raises Exception itself if it does not start in time
         hint = "start it, or leave out --address"
         if "AuthToken" in str(error.__cause__):
             hint = "it requires a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN unless ~/.ray/auth_token holds the token"
@@ -220,11 +246,11 @@ def connection(workers: WorkerPool) -> Iterator[None]:
     Raises:
         ConfigError: Ray cannot be reached.
     """
-    started = not workers.are_this_process and connect(workers)
+    connected = not workers.are_this_process and connect(workers)
     try:
         yield
     finally:
-        if started:
+        if connected:
             ray.shutdown()
 
 
@@ -233,6 +259,15 @@ def _runtime() -> dict[str, Any] | None:
     if "RAY_JOB_CONFIG_JSON_ENV_VAR" in os.environ:
         return None
     return {"working_dir": str(_CHECKOUT), "excludes": _NOT_SHIPPED, "env_vars": dict(worker_environment())}
+
+
+def _head_of(workers: WorkerPool) -> str | None:
+    """Where Ray's head answers, ``host:port`` or ``ray://host:port``."""
+    address = workers.address
+    if address is not None and address.startswith("ray://"):
+        return address
+    head: str | None = ray.get_runtime_context().gcs_address
+    return head
 
 
 def _test_connection(address: str) -> None:

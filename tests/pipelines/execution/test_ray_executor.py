@@ -81,6 +81,15 @@ class Slow:
         return f"{shard} {'alone' if isolated else 'together'}"
 
 
+class Long:
+    """Takes long over all shards but one."""
+
+    def __call__(self, shard: int, *, isolated: bool = False) -> int:
+        if shard:
+            time.sleep(600)
+        return shard
+
+
 class Odd:
     def __call__(self, shard: int, *, isolated: bool = False) -> int:
         raise KeyError(shard)
@@ -167,7 +176,8 @@ def test_ray_that_stops_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     run.__dict__ |= {
         "_workers": WorkerPool(1),
         "_shards": [1],
-        "_started_ray": False,
+        "_connected": False,
+        "_head": None,
         "_empty_since": None,
         "_work": None,
         "_task": _Remote(),
@@ -176,6 +186,31 @@ def test_ray_that_stops_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match=r"Ray stopped \(RaySystemError: .*run again") as caught:
         list(run.results())
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.ray
+@pytest.mark.slow
+def test_a_head_that_is_lost_is_one_line_before_ray_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray_executor, "_HEAD_SECONDS", 1.0)
+    monkeypatch.setattr(ray_executor, "_LOOK_SECONDS", 1.0)
+    results = WorkerPool(1).run(Long(), [0, 1])
+    assert next(results) == 0
+    ray._private.worker._global_node.kill_gcs_server()
+    with pytest.raises(ConfigError, match=r"Ray's head at \S+ is lost .*; start the cluster again and run again") as caught:
+        list(results)
+    assert caught.value.code == "head_lost"
+    assert "\n" not in str(caught.value)
+    assert not ray.is_initialized()
+
+
+@pytest.mark.ray
+def test_ray_that_does_not_start_in_time_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(**_: Any) -> Any:
+        raise Exception("The current node timed out during startup.")
+
+    monkeypatch.setattr(ray, "init", late)
+    with pytest.raises(ConfigError, match=r"Ray at this machine cannot be reached \(The current node timed out"):
+        ray_executor.connect(WorkerPool(1))
 
 
 def test_a_cluster_gets_as_many_shards_as_it_has_cores(monkeypatch: pytest.MonkeyPatch) -> None:
