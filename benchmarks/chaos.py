@@ -1,359 +1,388 @@
-"""Whether a run loses rows while its driver, its workers and whole nodes are killed at random.
+"""Whether a job loses rows while processes, nodes, the object store, the disk and the clock fail at random moments.
 
-``python -m benchmarks.chaos [--scenes 64] [--kills 6] [--seed 0] [--engine embedded] [--per-shard 8] [--json FILE]``: the
-generate job on a Ray cluster of a head and three nodes of one core each, all on this machine, first undisturbed, then with
-kills. The tables of the two runs are compared row by row. A long run is ``--scenes 1000 --kills 20 --per-shard 16``.
+``python -m benchmarks.chaos DATA --out WORK [--job generate] [--scenes 64] [--kills 8] [--faults kill_driver,clock] [--faulty-store]
+[--minutes M] [--json FILE] [-- more options of the job]``. First the job runs undisturbed. Then it runs again on a Ray cluster of a head
+and some nodes of one core each, all on this machine, while faults happen to it (``benchmarks.faults.plan``). All rows of the two runs
+are compared, and ``stable-data verify`` checks the disturbed one.
 
-- A killed driver is started again at once with the same command, as a batch system does with a requeued job.
-- A killed worker is one that is busy with a shard.
-- A killed node loses all its processes at the same moment; another node starts up to 20 s later.
+DATA is a dataset in the MesaTask-10K format. ``preprocess`` and ``correct`` read its first scenes; ``generate`` makes the scenes of
+their tasks from its assets. WORK has everything that is made: the same command continues there after ``--minutes``, or after the
+benchmark was killed, and the figures are sums over all sessions. Status 0: complete, and the rows are equal. 1: they are not, or a fault
+did not end as it must. 3: not complete yet.
 """
 
 import argparse
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections import Counter, deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from enum import StrEnum
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
-from ray.cluster_utils import Cluster
 
-from models.semantic_reasoner.staged_layout import task_of_scene
-from pipelines.generate.shard import GenerateWork
+from benchmarks.faults.comparison import compared
+from benchmarks.faults.disturbed_job import ROOT, Course, DisturbedJob
+from benchmarks.faults.nodes import Nodes
+from benchmarks.faults.plan import FaultKind, planned
+from benchmarks.faults.s3_server import CREDENTIALS
+from benchmarks.faults.shifted_clock import ShiftedClock
+from benchmarks.faults.small_disk import SmallDisk
+from stable_data.atomic_files import write_file_atomically
 from stable_data.commands.command_line import DONE, SOME_FAILED
-from stable_data.embedded_world import EmbeddedWorld, write_world
+from stable_data.config_diff import refuse_changed
+from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
 
-ROOT = Path(__file__).resolve().parents[1]
+Job = Literal["preprocess", "correct", "generate"]
 
-_LAST = 0.9  # share of written shards after which no kill is planned: the run could end before it
-_ABSENT_SECONDS = 20.0  # longest time until another node replaces a killed one
-_LOOK_SECONDS = 0.2
+NOT_COMPLETE = 3
+"""Exit status of a session that ended before the runs were complete."""
 
-
-class Victim(StrEnum):
-    """The kinds of victims."""
-
-    DRIVER = "driver"
-    WORKER = "worker"
-    NODE = "node"
+_STATE = "chaos.json"
+_SAVE_SECONDS = 600.0  # between two times that the objects of a store are stored, which takes seconds
+_SAME = ("lost", "different", "doubled", "added", "files_that_differ", "columns_that_differ")
 
 
 @dataclass(frozen=True, slots=True)
-class Kill:
-    """One kill.
+class ChaosSettings:
+    """What is run and disturbed.
 
     Attributes:
-        at: Share of shards written before it.
-        victim: The kind of the victim.
+        job: The job.
+        scenes: Number of scenes.
+        kills: Number of kills.
+        seed: Chooses faults, moments and victims.
+        faults: Kinds of faults.
+        store: URI of a folder on an object store for the disturbed run; None for a local folder.
+        faulty_store: Whether the disturbed run is in a store on this machine whose requests fail.
+        nodes: Nodes of the cluster, and workers of the undisturbed run.
+        per_shard: Scenes of a shard: the most that a killed worker loses.
+        more: Further options of the job.
     """
 
-    at: float
-    victim: Victim
+    job: Job
+    scenes: int
+    kills: int
+    seed: int
+    faults: tuple[FaultKind, ...]
+    store: str | None
+    faulty_store: bool
+    nodes: int
+    per_shard: int
+    more: tuple[str, ...]
 
 
-@dataclass(slots=True)
-class ChaosRun:
-    """The course of a run.
-
-    Attributes:
-        seconds: Wall time from its first start to its end.
-        kills: Number of kills of each kind.
-        stops: Number of times that the job ended by itself with an error and was started again; 0 is expected.
-        last_words: The last error line of each stop.
-    """
-
-    seconds: float = 0.0
-    kills: Counter[str] = field(default_factory=Counter)
-    stops: int = 0
-    last_words: list[str] = field(default_factory=list)
-
-
-def planned(count: int, rng: np.random.Generator) -> list[Kill]:
-    """Plans kills at random moments of a run; the numbers of the kinds differ by at most one."""
-    victims = list(Victim)
-    moments = sorted(rng.uniform(0, _LAST, count))
-    return [Kill(float(at), victims[k % len(victims)]) for at, k in zip(moments, rng.permutation(count), strict=True)]
-
-
-class Nodes:
-    """A Ray cluster on this machine: a head that runs no shard, and nodes of one core each.
+class ChaosWork:
+    """The folder of a benchmark, which is continued from session to session.
 
     Args:
-        count: Number of nodes besides the head.
+        data: The dataset.
+        folder: The folder.
+        settings: What is run.
+        until: Moment of ``time.monotonic`` at which the session ends.
+
+    Raises:
+        ConfigError: The folder is of other settings, or the dataset has fewer scenes.
     """
 
-    def __init__(self, count: int = 3) -> None:
-        self._cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
-        self._absent: list[float] = []
-        self._added = 0
-        for _ in range(count):
-            self._add()
+    def __init__(self, data: Path, folder: Path, settings: ChaosSettings, until: float = float("inf")) -> None:
+        self.folder, self.settings, self.until = folder, settings, until
+        self.course, self.clean_seconds, self.is_clean_complete = Course(), 0.0, False
+        self.requests: Counter[str] = Counter()
+        state = folder / _STATE
+        if state.exists():
+            found = json.loads(state.read_text("utf-8"))
+            refuse_changed(str(folder), found["settings"], asdict(settings))
+            self.course = Course(**found["course"] | {"hits": Counter(found["course"]["hits"])})
+            self.clean_seconds, self.is_clean_complete = found["clean_seconds"], found["is_clean_complete"]
+            self.requests = Counter(found["requests"])
+        folder.mkdir(parents=True, exist_ok=True)
+        self._data = folder / "data"
+        _take_scenes(data, self._data, settings.scenes)
+
+    def save(self) -> None:
+        """Stores what has happened so far."""
+        found = {
+            "settings": asdict(self.settings),
+            "course": asdict(self.course),
+            "clean_seconds": self.clean_seconds,
+            "is_clean_complete": self.is_clean_complete,
+            "requests": self.requests,
+        }
+        write_file_atomically(self.folder / _STATE, (json.dumps(found, indent=2) + "\n").encode())
+
+    def command(self, out: str, *where: str) -> list[str]:
+        """Arguments of ``python -m pipelines``."""
+        data, settings = str(self._data), self.settings
+        inputs = {
+            "preprocess": ["--data", data],
+            "correct": ["--scenes", data],
+            "generate": ["--scenes", data, "--assets", data],
+        }[settings.job]
+        aside = ["--set", "num_pictures=0", "--set", f"scenes_per_shard={settings.per_shard}"]
+        return [settings.job, *inputs, "--out", out, *where, *aside, *settings.more]
 
     @property
-    def address(self) -> str:
-        """The address of the cluster for a driver."""
-        return str(self._cluster.address)
+    def clean(self) -> RunFolder:
+        """The undisturbed run."""
+        return RunFolder(str(self.folder / "clean"))
 
-    def busy(self) -> list[int]:
-        """Returns the processes that work on a shard."""
-        return busy_workers(_raylet(node) for node in self._cluster.worker_nodes)
-
-    def lose(self, rng: np.random.Generator) -> bool:
-        """Kills all processes of a node at once; returns whether there was a node."""
-        nodes = sorted(self._cluster.worker_nodes, key=_raylet)
-        if not nodes:
-            return False
-        node = nodes[int(rng.integers(len(nodes)))]
-        for process in below([_raylet(node)]):
-            _kill(process)
-        self._cluster.remove_node(node, allow_graceful=False)
-        self._absent.append(time.monotonic() + float(rng.uniform(0, _ABSENT_SECONDS)))
-        return True
-
-    def restore(self) -> None:
-        """Adds the nodes that are due to replace killed ones."""
-        due = [moment for moment in self._absent if moment <= time.monotonic()]
-        self._absent = [moment for moment in self._absent if moment not in due]
-        for _ in due:
-            self._add()
-
-    def _add(self) -> None:
-        self._added += 1
-        own = (
-            f"resources_of_node_{self._added}"  # a node deletes what it has unpacked, so nodes on one machine must not share it
-        )
-        self._cluster.add_node(num_cpus=1, runtime_env_dir_name=own)
-
-    def close(self) -> None:
-        """Shuts the cluster down."""
-        self._cluster.shutdown()
-
-
-def below(roots: Iterable[int]) -> dict[int, str]:
-    """Returns processes and all that they have started, with their command lines."""
-    listing = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True, check=True).stdout
-    processes = [(int(pid), int(ppid), args) for pid, ppid, args in (x.split(maxsplit=2) for x in listing.splitlines()[1:])]
-    found, size = set(roots), 0
-    while len(found) > size:
-        size = len(found)
-        found |= {pid for pid, parent, _ in processes if parent in found}
-    return {pid: args for pid, _, args in processes if pid in found}
-
-
-def busy_workers(roots: Iterable[int]) -> list[int]:
-    """Returns Ray's workers below some processes that work on a shard."""
-    return sorted(pid for pid, args in below(roots).items() if args.startswith("ray::_call"))
-
-
-def _raylet(node: Any) -> int:
-    return int(node.all_processes["raylet"][0].process.pid)
-
-
-def _kill(process: int) -> None:
-    try:
-        os.kill(process, signal.SIGKILL)
-    except ProcessLookupError:
-        return  # it had ended already
-
-
-@dataclass(slots=True)
-class DisturbedCommand:
-    """A command that runs on a cluster, and is disturbed while it runs.
-
-    Attributes:
-        command: The command; it ends with DONE or SOME_FAILED, and resumes after a kill.
-        out: The run folder that it writes.
-        table: The table whose shards are written last.
-        num_shards: Number of shards at the end.
-        nodes: The cluster.
-        rng: Chooses moments and victims.
-        delay_seconds: Longest time between the shard that a kill waits for and the kill.
-    """
-
-    command: Sequence[str]
-    out: str
-    table: str
-    num_shards: int
-    nodes: Nodes
-    rng: np.random.Generator
-    delay_seconds: float = 3.0
-
-    def run(self, kills: Sequence[Kill]) -> ChaosRun:
-        """Runs the command to its end.
+    def run_undisturbed(self) -> bool:
+        """Runs the job without faults; returns whether it is complete.
 
         Raises:
-            RuntimeError: It ended with an error more than three times.
+            RuntimeError: It ended with an error.
         """
-        course, waiting, began = ChaosRun(), deque(kills), time.monotonic()
-        with tempfile.TemporaryFile("w+") as log:
-            driver = self._start(log)
-            while (status := driver.poll()) not in (DONE, SOME_FAILED):
-                self.nodes.restore()
-                if status is not None:
-                    self._note(course, log)
-                    driver = self._start(log)
-                elif waiting and self._share_done() >= waiting[0].at:
-                    time.sleep(float(self.rng.uniform(0, self.delay_seconds)))
-                    if self._kill_victim(waiting[0].victim, driver):
-                        course.kills[waiting.popleft().victim] += 1
-                        driver = driver if driver.poll() is None else self._start(log)
-                else:
-                    time.sleep(_LOOK_SECONDS)
-        course.seconds = time.monotonic() - began
-        return course
-
-    def _start(self, log: Any) -> subprocess.Popen[str]:
-        return subprocess.Popen(self.command, cwd=ROOT, stdout=log, stderr=log, start_new_session=True, text=True)
-
-    def _share_done(self) -> float:
-        return len(RunFolder(self.out).shard_ids(self.table)) / self.num_shards
-
-    def _kill_victim(self, victim: Victim, driver: subprocess.Popen[str]) -> bool:
-        """Kills a victim of a kind; returns whether there was one."""
-        if driver.poll() is not None:
-            return False
-        if victim is Victim.NODE:
-            return self.nodes.lose(self.rng)
-        if victim is Victim.WORKER:
-            return self._kill_busy_worker(driver)
-        os.killpg(driver.pid, signal.SIGKILL)
-        driver.wait()
-        return True
-
-    def _kill_busy_worker(self, driver: subprocess.Popen[str]) -> bool:
-        """Kills a worker as soon as one is busy; returns False if the driver ends first."""
-        while driver.poll() is None:
-            self.nodes.restore()
-            if busy := self.nodes.busy():
-                _kill(busy[int(self.rng.integers(len(busy)))])
-                return True
-            time.sleep(_LOOK_SECONDS)
-        return False
-
-    def _note(self, course: ChaosRun, log: Any) -> None:
-        """Notes the error with which the job ended; raises RuntimeError after too many."""
-        log.seek(0)
-        lines = [line for line in log.read().splitlines() if line.startswith("error: ")] or ["no error line"]
-        course.stops += 1
-        course.last_words.append(lines[-1])
-        if course.stops > 3:
-            raise RuntimeError(
-                f"{' '.join(self.command)}: ended {course.stops} times with an error, expected none: {lines[-1]}"
-            )
-
-
-def compared(clean: RunFolder, other: RunFolder) -> dict[str, Any]:
-    """Compares all tables of a disturbed run with those of an undisturbed one.
-
-    Returns:
-        ``rows``: rows of the undisturbed run; ``lost``: those missing in the other run; ``added``: rows of the other run alone;
-        ``duplicates``: additional rows of the same scene in its scenes and failures; ``columns_that_differ``, in a value or in
-        the order of values, as ``table.column``.
-    """
-    figures, differ = Counter(rows=0, lost=0, added=0), []
-    for table in (table for table in SCHEMAS if clean.files(table)):
-        first, second = clean.table(table), other.table(table)
-        expected, found = (Counter(map(repr, x.to_pylist())) for x in (first, second))
-        figures.update(rows=expected.total(), lost=(expected - found).total(), added=(found - expected).total())
-        differ += [f"{table}.{name}" for name in first.column_names if first[name] != second[name]]
-    ends = [*other.table("scenes", ["scene_id"])["scene_id"].to_pylist(), *other.table("failures", ["id"])["id"].to_pylist()]
-    return dict(figures) | {"duplicates": len(ends) - len(set(ends)), "columns_that_differ": differ}
-
-
-def tasks_of_world(path: Path, count: int) -> None:
-    """Writes a file of tasks: those of some embedded scenes, repeated under new names and so with new seeds."""
-    root = path.parent / "world"
-    write_world(root, min(count, 24), EmbeddedWorld(pictures=False))
-    dataset = MesaTaskDataset(root)
-    known = [task_of_scene(dataset.read(scene_id)[0]) for scene_id in dataset.scene_ids]
-    with path.open("w", encoding="utf-8") as stream:
-        for number in range(count):
-            task = known[number % len(known)]
-            row = {
-                "scene_id": f"scene_{number:05d}",
-                "instruction": task.instruction,
-                "table_type": task.table.table_type,
-                "table_size_cm": [100 * side for side in task.table.size_xy],
-            }
-            stream.write(json.dumps(row) + "\n")
-
-
-def measure(num_scenes: int, kills: int, seed: int, engine: str, per_shard: int) -> dict[str, Any]:
-    """Measures all figures."""
-    courses: dict[str, ChaosRun] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        tasks_of_world(Path(folder) / "tasks.jsonl", num_scenes)
-        for name, planned_kills in (("clean", 0), ("disturbed", kills)):
-            nodes, out, rng = Nodes(), f"{folder}/{name}", np.random.default_rng(seed)
-            command = [sys.executable, "-m", "pipelines", "generate", "--tasks", f"{folder}/tasks.jsonl", "--out", out]
-            command += ["--engine", engine, "--address", nodes.address]
-            command += ["--set", f"scenes_per_shard={per_shard}", "--set", "num_pictures=0"]
+        if self.is_clean_complete:
+            return True
+        command = [sys.executable, "-m", "pipelines", *self.command(self.clean.uri, "--workers", str(self.settings.nodes))]
+        began, before = time.monotonic(), self.clean_seconds
+        with (self.folder / "clean.log").open("ab") as log:
+            job = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log, start_new_session=True)
             try:
-                run = DisturbedCommand(command, out, GenerateWork.TABLES[-1], -(-num_scenes // per_shard), nodes, rng)
-                courses[name] = run.run(planned(planned_kills, rng))
+                job.wait(None if self.until == float("inf") else max(1.0, self.until - began))
+            except subprocess.TimeoutExpired:
+                pass
             finally:
-                nodes.close()
-        figures = compared(RunFolder(f"{folder}/clean"), RunFolder(f"{folder}/disturbed"))
-    clean, disturbed = courses["clean"], courses["disturbed"]
-    return {
-        "scenes": num_scenes,
-        "seconds_undisturbed": clean.seconds,
-        "seconds_disturbed": disturbed.seconds,
-        "kills": {str(kind): disturbed.kills[kind] for kind in Victim},
-        "stops": disturbed.stops,
-        "last_words": disturbed.last_words,
-        **figures,
-    }
+                if job.poll() is None:
+                    os.killpg(job.pid, signal.SIGKILL)
+                    job.wait()
+        self.clean_seconds = before + time.monotonic() - began
+        self.is_clean_complete = job.returncode in (DONE, SOME_FAILED)
+        self.save()
+        if not self.is_clean_complete and job.returncode != -signal.SIGKILL:
+            raise RuntimeError(f"the undisturbed job ended with status {job.returncode}, see {self.folder / 'clean.log'}")
+        return self.is_clean_complete
+
+    def disturb(self) -> dict[str, Any] | None:
+        """Runs the job with faults and compares it; returns the figures, or None if the session ended before."""
+        settings = self.settings
+        with ExitStack() as stack:
+            disk = clock = store = None
+            out = look = str(self.folder / "disturbed")
+            if settings.faulty_store:
+                from benchmarks.faults.faulty_store import FaultyStore
+
+                os.environ |= CREDENTIALS
+                store = FaultyStore(self.folder / "store", settings.seed)
+                stack.callback(store.close)
+                out, look = store.uri("disturbed"), store.calm_uri("disturbed")
+            elif settings.store is not None:
+                out = look = settings.store
+            elif FaultKind.FULL_DISK in settings.faults:
+                disk = SmallDisk(self.folder, 1.0 + 3e-9 * _size_of(Path(self.clean.root)))
+                stack.callback(disk.close)
+                out = look = str(disk.root / "disturbed")
+            if FaultKind.CLOCK in settings.faults:
+                clock = ShiftedClock(self.folder / "clock")
+                os.environ |= clock.environment  # the nodes and their workers too
+            saved = time.monotonic()
+
+            def save(at_once: bool = False) -> None:
+                """Stores the course; that of a store only together with its objects."""
+                nonlocal saved
+                if store is not None:
+                    if not at_once and time.monotonic() - saved < _SAVE_SECONDS:
+                        return
+                    store.save()
+                    saved = time.monotonic()
+                self.save()
+
+            before = Counter(self.requests)
+            if not self.course.is_complete:
+                nodes = Nodes(settings.nodes)
+                stack.callback(nodes.close)
+                tables = [table for table in SCHEMAS if self.clean.files(table)]
+                job = DisturbedJob(
+                    lambda address: self.command(out, "--address", address),
+                    RunFolder(look),
+                    tables,
+                    sum(len(self.clean.files(table)) for table in tables),
+                    nodes,
+                    self.folder / "disturbed.log",
+                    self.course,
+                    settings.seed,
+                    clock,
+                    disk,
+                    until=self.until,
+                    save=save,
+                )
+                try:
+                    job.go(planned(settings.faults, settings.kills, np.random.default_rng(settings.seed)))
+                finally:
+                    if store is not None:
+                        self.requests = before + Counter(store.counts())
+                    save(at_once=True)
+            if not self.course.is_complete:
+                return None
+            figures = compared(self.clean, RunFolder(look)) | verified(look)
+        return self._course_figures(None if clock is None else clock.reach) | figures
+
+    def _course_figures(self, clock_reach: str | None) -> dict[str, Any]:
+        settings, course = self.settings, self.course
+        hits = {str(kind): course.hits[kind] for kind in settings.faults}
+        return {
+            "job": settings.job,
+            "scenes": settings.scenes,
+            "seconds_undisturbed": self.clean_seconds,
+            "seconds_disturbed": course.seconds,
+            "hits": hits,
+            "planned": len(planned(settings.faults, settings.kills, np.random.default_rng(settings.seed))),
+            "clock": clock_reach,
+            "requests": dict(self.requests),
+            "starts": course.starts,
+            "stops": course.stops,
+            "last_words": course.last_words,
+            "unclear": course.unclear,
+        }
 
 
-def show(figures: dict[str, Any]) -> None:
+def verified(uri: str) -> dict[str, Any]:
+    """Verifies a run: ``is_whole``, and the last lines of ``stable-data verify``."""
+    command = [sys.executable, "-m", "stable_data", "verify", uri, "--quiet"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    return {"is_whole": done.returncode == DONE, "verify": (done.stdout + done.stderr).strip().splitlines()[-3:]}
+
+
+def _take_scenes(data: Path, target: Path, count: int) -> None:
+    """Makes a dataset of the first scenes of another one, whose assets it uses, unless it is there.
+
+    Raises:
+        ConfigError: There are fewer scenes.
+    """
+    if target.is_dir():
+        return
+    dataset = MesaTaskDataset(data.resolve())
+    if len(dataset.scene_ids) < count:
+        raise ConfigError(
+            f"{data}: has {len(dataset.scene_ids)} scenes, expected at least {count}; choose fewer --scenes", "usage"
+        )
+    aside = target.with_name(f".{target.name}.tmp")
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir()
+    wanted = set(dataset.scene_ids[:count])
+    for layout in sorted((dataset.root / "Layout_info").glob("*/*/layout.json")):
+        if layout.parent.name in wanted:
+            place = layout.parent.relative_to(dataset.root)
+            shutil.copytree(layout.parent, aside / place)
+    for entry in dataset.root.iterdir():
+        if entry.name != "Layout_info":
+            (aside / entry.name).symlink_to(entry, target_is_directory=entry.is_dir())
+    aside.replace(target)
+
+
+def _size_of(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def is_same(figures: Mapping[str, Any]) -> bool:
+    """Whether no row is lost, doubled or different, the run is whole, and every fault ended as it must."""
+    return not any(figures[key] for key in _SAME) and bool(figures["is_whole"]) and not figures["unclear"]
+
+
+def show(figures: Mapping[str, Any]) -> None:
     """Prints the table."""
-    by_kind = ", ".join(f"{kind} {count}" for kind, count in figures["kills"].items())
+    requests = figures["requests"]
+    hits = ", ".join(f"{kind} {count}" for kind, count in figures["hits"].items())
     wall = f"{figures['seconds_disturbed']:.0f} s against {figures['seconds_undisturbed']:.0f} s undisturbed"
     rows = {
-        "scenes": figures["scenes"],
-        "kills": by_kind,
+        "job, scenes": f"{figures['job']}, {figures['scenes']}",
+        "faults that hit": f"{sum(figures['hits'].values())} of {figures['planned']}: {hits or 'none'}",
+        "what sees the clock jump": figures["clock"],
+        "requests to the store": ", ".join(f"{name} {count}" for name, count in requests.items()),
+        "starts of the job": figures["starts"],
         "ended by itself and was started again": figures["stops"],
+        "ends that were not clear": len(figures["unclear"]),
         "wall time": f"{wall}, {figures['seconds_disturbed'] / figures['seconds_undisturbed']:.2f} times",
         "rows compared": figures["rows"],
-        "rows lost, rows added": f"{figures['lost']}, {figures['added']}",
-        "duplicates": figures["duplicates"],
+        "rows lost, different, doubled, added": ", ".join(
+            str(figures[key]) for key in ("lost", "different", "doubled", "added")
+        ),
         "columns that differ": ", ".join(figures["columns_that_differ"]) or "none",
+        "files of the dataset that differ": figures["files_that_differ"],
+        "stable-data verify": f"{'whole' if figures['is_whole'] else 'NOT WHOLE'}: {figures['verify'][-1]}",
     }
     for name, value in rows.items():
-        print(f"{name:40} {value}")
-    for words in figures["last_words"]:
+        if value not in (None, ""):
+            print(f"{name:40} {value}")
+    for words in [*figures["unclear"], *figures["last_words"]]:
         print(f"  {words}")
 
 
-def main() -> None:
-    """Prints the figures; the status is 1 if the runs differ."""
+def faults_of(text: str | None, *, in_store: bool) -> tuple[FaultKind, ...]:
+    """Reads a list of faults; by default all that can happen. A store is never full.
+
+    Raises:
+        ConfigError: A fault is unknown, or cannot happen in a store (``usage``).
+    """
+    impossible: Collection[FaultKind] = {FaultKind.FULL_DISK} if in_store else ()
+    if text is None:
+        return tuple(kind for kind in FaultKind if kind not in impossible)
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if unknown := [name for name in names if name not in set(FaultKind)]:
+        raise ConfigError(f"--faults has {unknown[0]!r}, expected some of {', '.join(FaultKind)}", "usage")
+    kinds = tuple(kind for kind in FaultKind if kind in names)
+    if set(kinds) & set(impossible):
+        raise ConfigError("--faults has full_disk, but the run is in a store; leave it out, or the store", "usage")
+    return kinds
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints the figures; see the status in the text of the module."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--out", type=Path, required=True, metavar="WORK")
+    parser.add_argument("--job", choices=get_args(Job), default="generate")
     parser.add_argument("--scenes", type=int, default=64)
-    parser.add_argument("--kills", type=int, default=6)
+    parser.add_argument("--kills", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--engine", default="embedded", help="engine of the generate job")
+    parser.add_argument("--faults", help=f"some of {', '.join(FaultKind)}, joined by commas; all by default")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--store", metavar="URI", help="the disturbed run is there, in a folder that is not there yet")
+    where.add_argument("--faulty-store", action="store_true", help="it is in a store on this machine whose requests fail")
+    parser.add_argument("--nodes", type=int, default=2, help="nodes of one core each; workers of the undisturbed run")
     parser.add_argument("--per-shard", type=int, default=8, help="scenes of a shard: the most that a killed worker loses")
+    parser.add_argument("--minutes", type=float, help="the session ends then; the same command continues")
     parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+    parser.add_argument("more", nargs="*", metavar="OPTION", help="after --: further options of the job")
+    found = parser.parse_args(arguments)
     os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}  # the nodes' workers have one core each
-    figures = measure(arguments.scenes, arguments.kills, arguments.seed, arguments.engine, arguments.per_shard)
+    until = float("inf") if found.minutes is None else time.monotonic() + 60 * found.minutes
+    try:
+        settings = ChaosSettings(
+            found.job,
+            found.scenes,
+            found.kills,
+            found.seed,
+            faults_of(found.faults, in_store=found.store is not None or found.faulty_store),
+            found.store,
+            found.faulty_store,
+            found.nodes,
+            found.per_shard,
+            tuple(found.more),
+        )
+        work = ChaosWork(found.data, found.out.absolute(), settings, until)
+        figures = work.disturb() if work.run_undisturbed() else None
+    except ConfigError as error:
+        raise SystemExit(f"error: {error}") from error
+    if figures is None:
+        done = f"{work.course.passed} faults have happened" if work.is_clean_complete else "the undisturbed run is not complete"
+        print(f"not complete: {done}; run the same command again to continue")
+        raise SystemExit(NOT_COMPLETE)
     show(figures)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
-    if any(figures[key] for key in ("lost", "added", "duplicates", "columns_that_differ")):
+    if found.json:
+        found.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+    if not is_same(figures):
         raise SystemExit(1)
 
 

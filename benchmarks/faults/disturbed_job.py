@@ -1,0 +1,280 @@
+"""A job that is run to its end while faults happen to it."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.faults.nodes import Nodes
+from benchmarks.faults.plan import Fault, FaultKind
+from benchmarks.faults.processes import kill
+from benchmarks.faults.shifted_clock import ShiftedClock
+from benchmarks.faults.small_disk import SmallDisk
+from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED
+from stable_data.storage.run_folder import RunFolder
+
+ROOT = Path(__file__).resolve().parents[2]
+
+_LOOK_SECONDS = 0.5
+_END_SECONDS = 600.0  # for a driver to end by itself when it cannot go on
+_RIVAL_SECONDS = 180.0  # longest life of a second driver
+_MAX_STOPS = 10  # times in a row that the job may end by itself while nothing is written
+
+
+@dataclass(slots=True)
+class Course:
+    """The course of a run, summed over the sessions in which it was made.
+
+    Attributes:
+        seconds: Wall time of the sessions.
+        passed: Number of planned faults that have happened.
+        hits: Number of them by kind.
+        starts: Number of times that the job was started.
+        stops: Number of times that it ended by itself with an error although no fault asked for it.
+        last_words: The error line of each stop.
+        unclear: What was expected to end with one line and did not: the fault, and what was found.
+        is_complete: Whether the job has ended as a job that is done.
+    """
+
+    seconds: float = 0.0
+    passed: int = 0
+    hits: Counter[str] = field(default_factory=Counter)
+    starts: int = 0
+    stops: int = 0
+    last_words: list[str] = field(default_factory=list)
+    unclear: list[str] = field(default_factory=list)
+    is_complete: bool = False
+
+
+@dataclass(slots=True)
+class _Driver:
+    """A started command, and where its output begins in the log."""
+
+    process: subprocess.Popen[bytes]
+    log: Path
+    begins: int
+
+    def last_words(self) -> str:
+        """The last line that begins with ``error:``, or what the log ends with."""
+        with self.log.open("rb") as stream:
+            stream.seek(self.begins)
+            lines = re.split(r"[\r\n]+", stream.read().decode("utf-8", "replace").strip())
+        return next((line for line in reversed(lines) if line.startswith("error: ")), f"no error line, but: {lines[-1][-200:]}")
+
+    def kill(self) -> None:
+        """Kills it with all that it has started in its session."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+
+@dataclass(slots=True)
+class DisturbedJob:
+    """A job on a cluster, and what disturbs it.
+
+    Attributes:
+        command: Arguments of ``python -m pipelines`` for a cluster's address; the job resumes if it is started again.
+        run: The run folder that it writes, as it is seen without faults.
+        tables: Tables whose files are counted to know how far the run is.
+        num_files: Number of these files at the end.
+        nodes: The cluster.
+        log: File that gets the output of all drivers.
+        course: What has happened so far.
+        seed: Chooses moments and victims.
+        clock: The clock of all processes, or None if it never jumps.
+        disk: The disk of the run, or None if it is never full.
+        delay_seconds: Longest time between the file that a fault waits for and the fault.
+        until: Moment of ``time.monotonic`` at which the session ends.
+        save: Called when the course has changed.
+    """
+
+    command: Callable[[str], Sequence[str]]
+    run: RunFolder
+    tables: Collection[str]
+    num_files: int
+    nodes: Nodes
+    log: Path
+    course: Course = field(default_factory=Course)
+    seed: int = 0
+    clock: ShiftedClock | None = None
+    disk: SmallDisk | None = None
+    delay_seconds: float = 3.0
+    until: float = float("inf")
+    save: Callable[[], None] = lambda: None
+    _driver: _Driver = field(init=False)
+    _rivals: list[tuple[_Driver, float]] = field(default_factory=list)
+
+    def go(self, faults: Sequence[Fault]) -> bool:
+        """Runs the job until it is complete, or the session ends; returns whether it is complete.
+
+        Args:
+            faults: The planned faults, those that have happened included.
+
+        Raises:
+            RuntimeError: It ended with an error again and again.
+        """
+        began, waiting = time.monotonic(), deque(faults[self.course.passed :])
+        before, idle_stops, there = self.course.seconds, 0, self._num_there()
+        self._driver = self._start()
+        try:
+            while (status := self._driver.process.poll()) not in (DONE, SOME_FAILED):
+                self.course.seconds = before + time.monotonic() - began
+                if time.monotonic() > self.until:
+                    return False
+                self.nodes.restore()
+                self._end_rivals()
+                if status is not None:
+                    self._note_stop(status)
+                    idle_stops, there = (0 if self._num_there() > there else idle_stops + 1), self._num_there()
+                    if idle_stops > _MAX_STOPS:
+                        raise RuntimeError(f"the job ended {idle_stops} times by itself: {self.course.last_words[-1]}")
+                    self._driver = self._start()
+                elif waiting and self._num_there() >= waiting[0].at * self.num_files:
+                    rng = np.random.default_rng([self.seed, self.course.passed])
+                    time.sleep(float(rng.uniform(0, self.delay_seconds)))
+                    if self._hit(waiting[0].kind, rng):
+                        self.course.hits[waiting.popleft().kind] += 1
+                        self.course.passed += 1
+                        self.save()
+                else:
+                    time.sleep(_LOOK_SECONDS)
+            self.course.is_complete = self._rivals_are_done()
+            return self.course.is_complete
+        finally:
+            for driver in (self._driver, *(rival for rival, _ in self._rivals)):
+                driver.kill()
+            self.course.seconds = before + time.monotonic() - began
+            self.save()
+
+    def _start(self) -> _Driver:
+        command = [sys.executable, "-m", "pipelines", *self.command(self.nodes.address)]
+        environment = os.environ | (dict(self.clock.environment) if self.clock is not None else {})
+        with self.log.open("ab") as stream:
+            stream.write(f"\n--- {' '.join(command)}\n".encode())
+            stream.flush()
+            begins = stream.tell()
+            process = subprocess.Popen(command, cwd=ROOT, stdout=stream, stderr=stream, env=environment, start_new_session=True)
+        self.course.starts += 1
+        return _Driver(process, self.log, begins)
+
+    def _num_there(self) -> int:
+        return sum(len(self.run.files(table)) for table in self.tables)
+
+    def _hit(self, kind: FaultKind, rng: np.random.Generator) -> bool:
+        """Lets a fault happen, and starts the job again if it has ended; returns whether it hit the job."""
+        if self._driver.process.poll() is not None:
+            return False
+        if kind is FaultKind.KILL_DRIVER:
+            self._driver.kill()
+        elif kind is FaultKind.KILL_HEAD:
+            if not self._lose_head():
+                return False
+        elif kind is FaultKind.FULL_DISK:
+            if not self._fill_disk():
+                return False
+        else:
+            return bool(self.nodes.busy()) and self._hit_while_busy(kind, rng)
+        self._driver = self._start()
+        return True
+
+    def _hit_while_busy(self, kind: FaultKind, rng: np.random.Generator) -> bool:
+        """As :meth:`_hit`, for faults that must be borne by a job that goes on."""
+        if kind is FaultKind.KILL_NODE:
+            return self.nodes.lose(rng)
+        if kind is FaultKind.TWO_DRIVERS:
+            return self._start_rival(rng)
+        if kind is FaultKind.CLOCK:
+            assert self.clock is not None
+            self.clock.jump(rng)
+            return True
+        busy = self.nodes.busy()
+        kill(busy[int(rng.integers(len(busy)))] for _ in busy[:1])
+        return bool(busy)
+
+    def _lose_head(self) -> bool:
+        """Kills the head, waits for the job to end by itself, and starts a new cluster; returns False if it was complete without it."""
+        self.nodes.lose_head()
+        is_hit = self._expect_end(self._driver, FaultKind.KILL_HEAD, r"error: .*(head|Ray)")
+        for rival, _ in self._rivals:
+            rival.kill()
+        self._rivals.clear()
+        self.nodes.start_again()
+        return is_hit
+
+    def _fill_disk(self) -> bool:
+        """Fills the disk until the job has ended by itself; returns False if it was complete without it."""
+        assert self.disk is not None
+        self.disk.fill()
+        try:
+            return self._expect_end(self._driver, FaultKind.FULL_DISK, r"error: .*No space left on device")
+        finally:
+            self.disk.free()
+
+    def _start_rival(self, rng: np.random.Generator) -> bool:
+        """Starts a second driver. Where there is a lock, one of the two must refuse to run; in a store it lives on for a while."""
+        rival = self._start()
+        if not self.run.is_local:
+            self._rivals.append((rival, time.monotonic() + float(rng.uniform(0.2, 1)) * _RIVAL_SECONDS))
+            return True
+        while rival.process.poll() is None and self._driver.process.poll() is None:
+            time.sleep(_LOOK_SECONDS)
+        refused, self._driver = (rival, self._driver) if rival.process.poll() is not None else (self._driver, rival)
+        return self._expect_end(refused, FaultKind.TWO_DRIVERS, r"error: .*another run is writing to this folder")
+
+    def _end_rivals(self) -> None:
+        """Kills the second drivers whose time is over; those that have ended must have ended as a job that is done."""
+        for rival, ends in list(self._rivals):
+            status = rival.process.poll()
+            if status is None and time.monotonic() < ends:
+                continue
+            if status not in (None, DONE, SOME_FAILED):
+                self.course.unclear.append(f"{FaultKind.TWO_DRIVERS}: status {status}, {rival.last_words()}")
+            rival.kill()
+            self._rivals.remove((rival, ends))
+
+    def _rivals_are_done(self) -> bool:
+        """Waits until the second drivers that are left have ended by themselves; returns False if the session ends first."""
+        while self._rivals:
+            if time.monotonic() > self.until:
+                return False
+            self.nodes.restore()
+            self._rivals = [(rival, float("inf")) for rival, _ in self._rivals]
+            self._end_rivals()
+            time.sleep(_LOOK_SECONDS)
+        return True
+
+    def _expect_end(self, driver: _Driver, kind: FaultKind, words: str) -> bool:
+        """Waits for a driver to end by itself, and notes it if that is not with the right status and one clear line.
+
+        Returns:
+            Whether it ended before its job was done.
+        """
+        try:
+            status = driver.process.wait(_END_SECONDS)
+        except subprocess.TimeoutExpired:
+            status = None
+        driver.kill()
+        if status in (DONE, SOME_FAILED):
+            return False
+        found = driver.last_words()
+        if status != NOT_STARTED or not re.match(words, found):
+            ended = f"status {status}" if status is not None else f"did not end within {_END_SECONDS:g} s"
+            self.course.unclear.append(f"{kind}: {ended}, {found}")
+        return True
+
+    def _note_stop(self, status: int) -> None:
+        """Notes that the job ended by itself."""
+        words = self._driver.last_words()
+        self.course.stops += 1
+        self.course.last_words.append(words)
+        if status != NOT_STARTED or not words.startswith("error: "):
+            self.course.unclear.append(f"ended by itself: status {status}, {words}")
