@@ -27,7 +27,7 @@ from pipelines.sources.generation_tasks import SampledTask, Task, TaskSource, fi
 from pipelines.sources.layout_files import LayoutFiles
 from pipelines.sources.scene_variants import SceneVariant
 from pipelines.sources.scenes import TableSource
-from stable_data.content_id import content_id
+from stable_data.content_id import content_id, content_id_of_items
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.storage.run_folder import RunFolder, absolute_uri
@@ -156,7 +156,7 @@ class GenerateJob(ShardJob):
         return grown
 
     def _hash_of_tasks(self, tasks: Sequence[Task]) -> str:
-        return content_id(fingerprints_of_tasks(tasks), [asdict(notice) for notice in self.tasks.lost])
+        return content_id_of_items(fingerprints_of_tasks(tasks), [asdict(notice) for notice in self.tasks.lost])
 
     def plan(self) -> Sequence[StepShards[Any]]:
         """One step over the tasks. The id of a shard is a hash of its own tasks and of the settings, not of other tasks."""
@@ -164,7 +164,7 @@ class GenerateJob(ShardJob):
         ends = [*accumulate(self.growth or [len(self.tasks.tasks)])]
         parts = [self.tasks.tasks[start:end] for start, end in pairwise([0, *ends])]
         shards = [
-            Shard(content_id("generate", *shaping, fingerprints_of_tasks(part)), tuple(part))
+            Shard(content_id("generate", *shaping, [*fingerprints_of_tasks(part)]), tuple(part))
             for grown in parts
             for part in split_groups(grown, self.settings.scenes_per_shard)
         ]

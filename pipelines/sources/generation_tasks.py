@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -105,8 +105,11 @@ def _missing(task: LayoutTask, serves: Callable[[str], bool]) -> list[str]:
 Task: TypeAlias = LayoutTask | SampledTask | SceneVariant
 
 
-def fingerprints_of_tasks(tasks: Iterable[Task]) -> list[dict[str, Any]]:
-    """Returns what the scenes of tasks depend on; surroundings, which many tasks share, are named by a hash."""
+_SAMPLED = tuple(one.name for one in fields(SampledTask))
+
+
+def fingerprints_of_tasks(tasks: Iterable[Task]) -> Iterator[dict[str, Any]]:
+    """Yields what the scenes of tasks depend on; surroundings, which many tasks share, are named by a hash."""
     hashes: dict[int, str] = {}
 
     def named(surroundings: tuple[SceneObject, ...]) -> dict[str, str]:
@@ -114,16 +117,17 @@ def fingerprints_of_tasks(tasks: Iterable[Task]) -> list[dict[str, Any]]:
             hashes[id(surroundings)] = content_id([asdict(o) for o in surroundings])
         return {"surroundings_id": hashes[id(surroundings)]}
 
-    found = []
     for task in tasks:
-        if isinstance(task, SampledTask) and task.place is not None:
+        if isinstance(task, SampledTask) and task.place is None:
+            yield {name: getattr(task, name) for name in _SAMPLED}  # as asdict, which takes five times as long
+        elif isinstance(task, SampledTask):
+            assert task.place is not None
             bare = replace(task, place=replace(task.place, surroundings=()))
-            found.append(asdict(bare) | named(task.place.surroundings))
+            yield asdict(bare) | named(task.place.surroundings)
         elif isinstance(task, LayoutTask) and task.surroundings:
-            found.append(asdict(replace(task, surroundings=())) | named(task.surroundings))
+            yield asdict(replace(task, surroundings=())) | named(task.surroundings)
         else:
-            found.append(asdict(task))
-    return found
+            yield asdict(task)
 
 
 @dataclass(frozen=True, slots=True)

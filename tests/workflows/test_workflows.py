@@ -18,7 +18,8 @@ import typer
 import yaml
 from ray.autoscaler._private.util import prepare_config, validate_config
 
-from benchmarks.chaos import below, compared
+from benchmarks.faults.comparison import compared
+from benchmarks.faults.processes import below
 from pipelines.__main__ import app
 from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.storage.run_folder import RunFolder

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.chaos import busy_workers
+from benchmarks.faults.processes import busy_workers
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.preprocess import job
 from pipelines.preprocess.job import preprocess

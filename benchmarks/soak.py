@@ -1,0 +1,337 @@
+"""Whether a long run of ``generate`` stays as it is: memory, open files, processes, and the time of a scene.
+
+``python -m benchmarks.soak [LIBRARY ...] --out WORK [--scenes 20000] [--minutes M] [--json FILE]``. The scenes are those of ``make demo``:
+sampled tasks, the embedded reasoner, the real and the embedded assets unless libraries are named; two workers on a local Ray. All
+processes of the job are looked at every ten seconds. The same command continues after ``--minutes``; figures are of all sessions.
+
+The criterion: a quantity is the mean over blocks of 100 scenes (500 for times), without the first scenes of each session, in which
+processes are still growing. A line with one slope and an own height for each session is fitted. The quantity
+
+- is *flat* if the slope predicts a change of less than 5 % of its mean over all scenes of the run, or if the 95 % interval of the slope
+  contains 0 and says at least that the change is less than 20 %;
+- *grows* or *falls* if the interval does not contain 0;
+- is *unknown* otherwise, and with fewer than eight blocks.
+
+Status 0: complete and nothing grows. 1: something grows, or the run is not whole. 3: not complete yet.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from benchmarks.chaos import NOT_COMPLETE, verified
+from benchmarks.faults.disturbed_job import ROOT
+from benchmarks.faults.processes import Usage, below, usage_of
+from stable_data.atomic_files import write_file_atomically
+from stable_data.cli import DONE, SOME_FAILED
+from stable_data.config_diff import refuse_changed
+from stable_data.errors import ConfigError
+from stable_data.storage.run_folder import RunFolder
+
+LIBRARIES = ("real", "embedded")
+_WORKERS = 2
+_LOOK_SECONDS = 10.0
+_END_SECONDS = 60.0  # for the job to end after it is interrupted
+_BLOCK, _TIME_BLOCK = 100, 500
+_FEWEST_BLOCKS = 8
+_FLAT, _KNOWN = 0.05, 0.20
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One look at the job.
+
+    Attributes:
+        session: Number of the session, from 0.
+        seconds: Time since the session began.
+        scenes: Scenes that are written.
+        driver: The process of the command.
+        workers: The processes that work on shards, or wait for one.
+        ray: Ray's own processes.
+    """
+
+    session: int
+    seconds: float
+    scenes: int
+    driver: Usage
+    workers: Usage
+    ray: Usage
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> "Sample":
+        """Reads a line of the file of samples."""
+        parts = {name: Usage(**row[name]) for name in ("driver", "workers", "ray")}
+        return cls(row["session"], row["seconds"], row["scenes"], **parts)
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Time of the processor of all processes."""
+        return (self.driver + self.workers + self.ray).cpu_seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """How a quantity changes while scenes are made.
+
+    Attributes:
+        name: The quantity.
+        mean: Its mean.
+        slope: Its change per 1,000 scenes.
+        low: Lower end of the 95 % interval of the slope; None if it is unknown.
+        high: Upper end.
+        change: Change that the slope predicts over all scenes, as a share of the mean.
+        blocks: Number of blocks.
+        verdict: ``flat``, ``grows``, ``falls`` or ``unknown``.
+    """
+
+    name: str
+    mean: float
+    slope: float | None
+    low: float | None
+    high: float | None
+    change: float | None
+    blocks: int
+    verdict: str
+
+
+QUANTITIES: Mapping[str, Callable[[Sample], float]] = {
+    "driver memory, MB": lambda s: s.driver.memory_mb,
+    "workers' memory, MB": lambda s: s.workers.memory_mb,
+    "Ray's memory, MB": lambda s: s.ray.memory_mb,
+    "driver open files": lambda s: s.driver.handles,
+    "workers' open files": lambda s: s.workers.handles,
+    "Ray's open files": lambda s: s.ray.handles,
+    "processes": lambda s: (s.driver + s.workers + s.ray).processes,
+    "threads": lambda s: (s.driver + s.workers + s.ray).threads,
+}
+
+
+def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int) -> Trend:
+    """Fits a line with one slope and an own height for each session.
+
+    Args:
+        name: The quantity.
+        blocks: Session, number of scenes and value of each block.
+        num_scenes: Scenes of the whole run.
+    """
+    values = np.array([value for _, _, value in blocks], dtype=np.float64)
+    scenes = np.array([where for _, where, _ in blocks], dtype=np.float64)
+    sessions = np.array([session for session, _, _ in blocks], dtype=np.int64)
+    mean = float(values.mean()) if len(values) else float("nan")
+    freedom = len(values) - len(set(sessions.tolist())) - 1
+    for session in set(sessions.tolist()):  # its own height
+        mine = sessions == session
+        values[mine] -= values[mine].mean()
+        scenes[mine] -= scenes[mine].mean()
+    spread = float(scenes @ scenes)
+    if len(blocks) < _FEWEST_BLOCKS or freedom < 1 or spread == 0 or mean == 0:
+        return Trend(name, mean, None, None, None, None, len(blocks), "unknown")
+    slope = float(scenes @ values) / spread
+    rest = values - slope * scenes
+    half = float(student.ppf(0.975, freedom)) * float(np.sqrt(rest @ rest / freedom / spread))
+    change, low, high = slope * num_scenes / mean, slope - half, slope + half
+    if abs(change) < _FLAT or (low <= 0 <= high and max(-low, high) * num_scenes / mean < _KNOWN):
+        verdict = "flat"
+    elif low <= 0 <= high:
+        verdict = "unknown"
+    else:
+        verdict = "grows" if slope > 0 else "falls"
+    return Trend(name, mean, 1000 * slope, 1000 * low, 1000 * high, change, len(blocks), verdict)
+
+
+def trends(samples: Sequence[Sample], num_scenes: int, warm_up: int) -> list[Trend]:
+    """The trends of all quantities.
+
+    Args:
+        samples: All samples, in order.
+        num_scenes: Scenes of the whole run.
+        warm_up: First scenes of each session that are left out.
+    """
+    kept = list(_warm(samples, num_scenes, warm_up))
+    found = []
+    for name, value in QUANTITIES.items():
+        blocks: dict[tuple[int, int], list[float]] = {}
+        for sample in kept:
+            blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(value(sample))
+        means = [(session, (block + 0.5) * _BLOCK, float(np.mean(own))) for (session, block), own in blocks.items()]
+        found.append(trend(name, means, num_scenes))
+    for name, clock in (("processor seconds a scene", _cpu), ("seconds a scene", _seconds)):
+        found.append(trend(name, list(_times(kept, clock)), num_scenes))
+    return found
+
+
+def _warm(samples: Sequence[Sample], num_scenes: int, warm_up: int) -> Iterator[Sample]:
+    """The samples of the running job, without those in which its processes still grow."""
+    first: dict[int, int] = {}
+    for sample in samples:
+        begin = first.setdefault(sample.session, sample.scenes)
+        if begin + warm_up <= sample.scenes < num_scenes:
+            yield sample
+
+
+def _times(kept: Sequence[Sample], clock: Callable[[Sample], float]) -> Iterator[tuple[int, float, float]]:
+    """The time of a scene in each block of a session: session, number of scenes, seconds."""
+    for session in sorted({sample.session for sample in kept}):
+        mine = [sample for sample in kept if sample.session == session]
+        start = mine[0]
+        for sample in mine:
+            if (made := sample.scenes - start.scenes) >= _TIME_BLOCK:
+                yield session, (start.scenes + sample.scenes) / 2, (clock(sample) - clock(start)) / made
+                start = sample
+
+
+def _cpu(sample: Sample) -> float:
+    return sample.cpu_seconds
+
+
+def _seconds(sample: Sample) -> float:
+    return sample.seconds
+
+
+class Soak:
+    """The folder of a soak, which is continued from session to session.
+
+    Args:
+        folder: The folder.
+        num_scenes: Number of scenes.
+        per_shard: Scenes of a shard.
+        libraries: The asset libraries.
+        more: Further options of the job.
+
+    Raises:
+        ConfigError: The folder is of other settings.
+    """
+
+    def __init__(
+        self, folder: Path, num_scenes: int, per_shard: int, libraries: Sequence[str] = LIBRARIES, more: Sequence[str] = ()
+    ) -> None:
+        self.run, self._samples, self._folder = RunFolder(str(folder / "run")), folder / "samples.jsonl", folder
+        self.num_scenes, self._per_shard = num_scenes, per_shard
+        command = ["generate", "--count", str(num_scenes), *(word for place in libraries for word in ("--assets", place))]
+        command += ["--out", self.run.uri, "--workers", str(_WORKERS)]
+        self._command = [*command, "--set", "num_pictures=0", "--set", f"scenes_per_shard={per_shard}", *more]
+        folder.mkdir(parents=True, exist_ok=True)
+        state = folder / "soak.json"
+        if state.exists():
+            refuse_changed(str(folder), json.loads(state.read_text("utf-8")), {"command": self._command})
+        write_file_atomically(state, json.dumps({"command": self._command}).encode())
+
+    @property
+    def samples(self) -> list[Sample]:
+        """All samples so far."""
+        if not self._samples.exists():
+            return []
+        return [Sample.of(json.loads(line)) for line in self._samples.read_text("utf-8").splitlines()]
+
+    def go(self, until: float) -> bool:
+        """Runs the job until it is complete or the session ends; returns whether it is complete.
+
+        Args:
+            until: Moment of ``time.monotonic`` at which the session ends.
+
+        Raises:
+            RuntimeError: The job ended with an error.
+        """
+        session = 1 + max((sample.session for sample in self.samples), default=-1)
+        command = [sys.executable, "-m", "pipelines", *self._command]
+        began = time.monotonic()
+        with (self._folder / "log").open("ab") as log, self._samples.open("a", encoding="utf-8") as stream:
+            job = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log, start_new_session=True)
+            try:
+                while job.poll() is None and time.monotonic() < until:
+                    sample = self._look(job.pid, session, time.monotonic() - began)
+                    stream.write(json.dumps(asdict(sample)) + "\n")
+                    stream.flush()
+                    try:
+                        job.wait(_LOOK_SECONDS)
+                    except subprocess.TimeoutExpired:
+                        continue
+            finally:
+                _end(job)
+        if job.returncode in (DONE, SOME_FAILED):
+            return True
+        if time.monotonic() < until:
+            raise RuntimeError(f"the job ended with status {job.returncode}, see {self._folder / 'log'}")
+        return False
+
+    def _look(self, driver: int, session: int, seconds: float) -> Sample:
+        processes = below([driver])
+        workers = [pid for pid, words in processes.items() if words.startswith("ray::") and not words.startswith("ray::Dash")]
+        workers = [pid for pid in workers if not processes[pid].startswith("ray::RuntimeEnv")]
+        rest = processes.keys() - {driver, *workers}
+        scenes = min(self.num_scenes, self._per_shard * len(self.run.files("scenes")))
+        return Sample(session, round(seconds, 1), scenes, usage_of([driver]), usage_of(workers), usage_of(rest))
+
+
+def _end(job: subprocess.Popen[bytes]) -> None:
+    """Ends a job that still runs, with all that it has started."""
+    if job.poll() is None:
+        job.send_signal(signal.SIGINT)
+        with suppress(subprocess.TimeoutExpired):
+            job.wait(_END_SECONDS)
+    if job.poll() is None:
+        os.killpg(job.pid, signal.SIGKILL)
+        job.wait()
+
+
+def show(found: Sequence[Trend], samples: Sequence[Sample]) -> None:
+    """Prints the table."""
+    sessions = len({sample.session for sample in samples})
+    print(f"{samples[-1].scenes if samples else 0:,} scenes in {sessions} sessions, {len(samples)} samples")
+    print(f"{'':28} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
+    for one in found:
+        if one.slope is None:
+            print(f"{one.name:28} {one.mean:10.3f} {'':34} {'':11} {one.blocks:7d}  {one.verdict}")
+            continue
+        interval = f"{one.slope:+.4f} ({one.low:+.4f} … {one.high:+.4f})"
+        print(f"{one.name:28} {one.mean:10.3f} {interval:>34} {one.change:+11.1%} {one.blocks:7d}  {one.verdict}")
+
+
+def main() -> None:
+    """Prints the figures; see the status in the text of the module."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("libraries", nargs="*", default=LIBRARIES, metavar="LIBRARY", help="as --assets of generate")
+    parser.add_argument("--out", type=Path, required=True, metavar="WORK")
+    parser.add_argument("--scenes", type=int, default=20000)
+    parser.add_argument("--per-shard", type=int, default=32)
+    parser.add_argument("--warm-up", type=int, default=400, help="first scenes of each session that are left out")
+    parser.add_argument("--minutes", type=float, help="the session ends then; the same command continues")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}
+    until = float("inf") if arguments.minutes is None else time.monotonic() + 60 * arguments.minutes
+    try:
+        soak = Soak(arguments.out.absolute(), arguments.scenes, arguments.per_shard, arguments.libraries)
+    except ConfigError as error:
+        raise SystemExit(f"error: {error}") from error
+    is_complete = soak.go(until)
+    samples = soak.samples
+    found = trends(samples, arguments.scenes, arguments.warm_up)
+    show(found, samples)
+    figures: dict[str, Any] = {"is_complete": is_complete, "trends": [asdict(one) for one in found]}
+    if is_complete:
+        figures |= verified(soak.run.uri)
+        print(*figures["verify"], sep="\n")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
+    if not is_complete:
+        print("not complete: run the same command again to continue")
+        raise SystemExit(NOT_COMPLETE)
+    if any(one.verdict == "grows" for one in found) or not figures["is_whole"]:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
