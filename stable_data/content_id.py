@@ -19,5 +19,5 @@ def content_id_of_items(items: Iterable[Any], *parts: Any) -> str:
     digest = hashlib.sha256(b"[[")
     for number, item in enumerate(items):
         digest.update(f"{',' if number else ''}{_ENCODER.encode(item)}".encode())
-    digest.update("".join(["]", *(f",{_ENCODER.encode(part)}" for part in parts), "]").encode())
+    digest.update("".join(["]", *(f",{_ENCODER.encode(part)}" for part in parts), "]"]).encode())
     return digest.hexdigest()[:16]

@@ -58,7 +58,7 @@ def test_faults_are_read() -> None:
     assert chaos.faults_of(None, in_store=False) == tuple(FaultKind)
     assert FaultKind.FULL_DISK not in chaos.faults_of(None, in_store=True)
     assert chaos.faults_of("clock, kill_driver", in_store=True) == (FaultKind.KILL_DRIVER, FaultKind.CLOCK)
-    with pytest.raises(ConfigError, match="--faults has 'meteor', expected some of kill_driver, .*"):
+    with pytest.raises(ConfigError, match=r"--faults has 'meteor', expected some of kill_driver, .*"):
         chaos.faults_of("meteor", in_store=False)
     with pytest.raises(ConfigError, match="full_disk, but the run is in a store"):
         chaos.faults_of("full_disk", in_store=True)
