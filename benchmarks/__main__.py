@@ -70,7 +70,13 @@ def main() -> None:
             "taste": ([run, run, "--generated-split", "train"], []),
             "set_distance": ([data], ["--scenes", "6", "--samples", "300", "--width", "128"]),
             "rating": ([run], ["--scenes", "3", "--bad", "1"]),
-            "chaos": ([], ["--scenes", "16", "--kills", "3", "--per-shard", "2"]),
+            # Without a full disk, which needs the rights of root.
+            "chaos": (
+                [data, "--out", f"{run}/chaos", "--faults", "kill_driver,kill_worker,kill_node,kill_head,clock,two_drivers"],
+                ["--scenes", "6", "--kills", "4", "--per-shard", "1"],
+            ),
+            "soak": (["--out", f"{run}/soak", "--scenes", "2000"], ["--scenes", "16", "--per-shard", "4"]),
+            "plan_scale": (["--scenes", "1000000"], ["--scenes", "10000"]),
             "asset_import": ([data], ["--limit", "6"]),
             "supports": ([], ["--faces", "2000"]),
             "import_scale": ([data], ["--assets", "32", "--subset", "8"]),

@@ -49,6 +49,7 @@ NOT_COMPLETE = 3
 """Exit status of a session that ended before the runs were complete."""
 
 _STATE = "chaos.json"
+_SCENES = 64
 _SAVE_SECONDS = 600.0  # between two times that the objects of a store are stored, which takes seconds
 _SAME = ("lost", "different", "doubled", "added", "files_that_differ", "columns_that_differ")
 
@@ -343,7 +344,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path, required=True, metavar="WORK")
     parser.add_argument("--job", choices=get_args(Job), default="generate")
-    parser.add_argument("--scenes", type=int, default=64)
+    parser.add_argument("--scenes", type=int, help="the first 64 by default, or all if there are fewer")
     parser.add_argument("--kills", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--faults", help=f"some of {', '.join(FaultKind)}, joined by commas; all by default")
@@ -361,7 +362,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         settings = ChaosSettings(
             found.job,
-            found.scenes,
+            found.scenes or min(_SCENES, len(MesaTaskDataset(found.data.resolve()).scene_ids)),
             found.kills,
             found.seed,
             faults_of(found.faults, in_store=found.store is not None or found.faulty_store),

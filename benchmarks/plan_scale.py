@@ -82,12 +82,13 @@ class SimulatedStore(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec
         names = self.names.get(parts[0], {})
         for _page in range(0, max(1, len(names)), _PAGE):
             self._ask()
-        return {(p := f"{_ROOT}/{parts[0]}/{name}"): _entry(p, 1000) for name in names}
+        paths = [f"{_ROOT}/{parts[0]}/{name}" for name in names]
+        return {found: _entry(found, 1000) for found in paths}
 
     def info(self, path: str, **_: Any) -> dict[str, Any]:
         """Returns what is at a path; not counted, because what follows is."""
-        path = self._strip_protocol(path)
-        table, _, name = path.removeprefix(f"{_ROOT}/").partition("/")
+        path = str(self._strip_protocol(path))
+        table, _slash, name = path.removeprefix(f"{_ROOT}/").partition("/")
         if path in self.files:
             return _entry(path, len(self.files[path]))
         if name and name in self.names.get(table, {}):
@@ -149,8 +150,8 @@ def _scene_file(ids: Sequence[str]) -> bytes:
         words = [f"{number}".rjust(length, "~") for number, length in enumerate(lengths)]
         schema = SCHEMAS["scenes"]
         blank = [pa.array(words) if f.name == "scene_id" else pa.nulls(len(ids), f.type) for f in schema]
-        content = _file_of(pa.Table.from_arrays(blank, schema=schema))
-        _templates[lengths] = bytearray(content), [content.index(word.encode()) for word in words]
+        template = _file_of(pa.Table.from_arrays(blank, schema=schema))
+        _templates[lengths] = bytearray(template), [template.index(word.encode()) for word in words]
     content, places = _templates[lengths]
     for place, scene_id in zip(places, ids, strict=True):
         content[place : place + len(scene_id)] = scene_id.encode()

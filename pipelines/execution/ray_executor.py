@@ -170,11 +170,12 @@ class _RayRun(Generic[T, R]):
         Raises:
             ConfigError: It has not answered for too long.
         """
+        asked = time.monotonic()
         try:
             if self._head is not None:
                 _test_connection(self._head)
         except OSError as error:
-            self._silent_since = self._silent_since or time.monotonic()
+            self._silent_since = self._silent_since or asked
             if time.monotonic() - self._silent_since > _HEAD_SECONDS:
                 raise ConfigError(
                     f"Ray's head at {self._head} is lost ({error}); start the cluster again and run again: finished shards are kept",
