@@ -231,14 +231,14 @@ class DisturbedJob:
         return self._expect_end(refused, FaultKind.TWO_DRIVERS, r"error: .*another run is writing to this folder")
 
     def _end_rivals(self) -> None:
-        """Kills the second drivers whose time is over; those that have ended must have ended as a job that is done."""
+        """Kills the second drivers whose time is over; one that has ended by itself must be done, or say why not."""
         for rival, ends in list(self._rivals):
             status = rival.process.poll()
             if status is None and time.monotonic() < ends:
                 continue
-            if status not in (None, DONE, SOME_FAILED):
-                self.course.unclear.append(f"{FaultKind.TWO_DRIVERS}: status {status}, {rival.last_words()}")
             rival.kill()
+            if status not in (None, DONE, SOME_FAILED):
+                self._note_end(FaultKind.TWO_DRIVERS, rival, status)
             self._rivals.remove((rival, ends))
 
     def _rivals_are_done(self) -> bool:
@@ -265,16 +265,18 @@ class DisturbedJob:
         driver.kill()
         if status in (DONE, SOME_FAILED):
             return False
-        found = driver.last_words()
-        if status != NOT_STARTED or not re.match(words, found):
-            ended = f"status {status}" if status is not None else f"did not end within {_END_SECONDS:g} s"
-            self.course.unclear.append(f"{kind}: {ended}, {found}")
+        self._note_end(kind, driver, status, words)
         return True
 
     def _note_stop(self, status: int) -> None:
         """Notes that the job ended by itself."""
-        words = self._driver.last_words()
         self.course.stops += 1
-        self.course.last_words.append(words)
-        if status != NOT_STARTED or not words.startswith("error: "):
-            self.course.unclear.append(f"ended by itself: status {status}, {words}")
+        self.course.last_words.append(self._driver.last_words())
+        self._note_end("ended by itself", self._driver, status)
+
+    def _note_end(self, what: str, driver: _Driver, status: int | None, words: str = "error: ") -> None:
+        """Notes the end of a driver before its job was done, unless it has the right status and one line with some words."""
+        found = driver.last_words()
+        if status != NOT_STARTED or not re.match(words, found):
+            ended = f"status {status}" if status is not None else f"did not end within {_END_SECONDS:g} s"
+            self.course.unclear.append(f"{what}: {ended}, {found}")

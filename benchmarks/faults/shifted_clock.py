@@ -13,11 +13,7 @@ import numpy as np
 from stable_data.atomic_files import write_file_atomically
 
 _FARTHEST_HOURS = 12.0
-_LIBRARIES = (
-    "/usr/lib/*/faketime/libfaketime.so.1",
-    "/usr/lib*/faketime/libfaketime.so.1",
-    "/usr/local/lib/faketime/libfaketime.so.1",
-)
+_LIBRARIES = ("/usr/lib/*/faketime/libfaketimeMT.so.1", "/usr/lib*/faketime/libfaketimeMT.so.1")
 _PATCH = Path(__file__).parent / "shifted"  # its sitecustomize.py is run by each Python that starts
 
 
