@@ -307,7 +307,7 @@ def figures_of(num_scenes: int, latency: float) -> list[ScaleFigure]:
     """Measures all parts at a number of scenes, each in a process of its own."""
     found: list[ScaleFigure] = []
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["benchmarks.plan_scale"])  # the libraries are imported once
+    context.set_forkserver_preload(["pipelines.generate.job"])  # the libraries are imported once
     steps = [(_measure_plan, 0.0), (_fill, _THERE), (_measure_run, 0.0), (_fill, 1.0), (_measure_list, 0.0)]
     with tempfile.TemporaryDirectory() as folder:
         for step, share in steps:

@@ -128,14 +128,17 @@ class _RayRun(Generic[T, R]):
         lost: list[str] = []
         try:
             while waiting or in_flight:
+                if not self._head_answers():  # whatever asks it would wait until Ray ends this process
+                    time.sleep(_LOOK_SECONDS / 4)
+                    continue
                 width = self._width()
                 while waiting and len(in_flight) < width:
                     attempt = waiting.popleft()
                     in_flight[self._task.remote(self._work, attempt.shard, attempt.deaths >= _ISOLATE_FROM)] = attempt
                 ended, _ = ray.wait(list(in_flight), timeout=_LOOK_SECONDS)
-                self._look_for_head()
                 if not ended:
-                    self._look_for_nodes()
+                    if self._head_answers():
+                        self._look_for_nodes()
                     continue
                 self._empty_since, attempt = None, in_flight.pop(ended[0])
                 try:
@@ -164,8 +167,8 @@ class _RayRun(Generic[T, R]):
                 "worker_lost",
             )
 
-    def _look_for_head(self) -> None:
-        """Checks that Ray's head answers.
+    def _head_answers(self) -> bool:
+        """Whether Ray's head answers.
 
         Raises:
             ConfigError: It has not answered for too long.
@@ -181,8 +184,9 @@ class _RayRun(Generic[T, R]):
                     f"Ray's head at {self._head} is lost ({error}); start the cluster again and run again: finished shards are kept",
                     "head_lost",
                 ) from error
-        else:
-            self._silent_since = None
+            return False
+        self._silent_since = None
+        return True
 
     def _look_for_nodes(self) -> None:
         """Waits for new nodes if the cluster has no core, and prints one line about it.
