@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from multiprocessing import get_context
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any, Generic, Protocol, TypeVar
 
 import ray
@@ -34,8 +35,9 @@ _ISOLATE_FROM = 2  # worker deaths from which a shard runs isolated: the first d
 _MAX_DEATHS = 4  # worker deaths after which a shard is given up; a later run retries it
 _MAX_NODES = 8  # node losses after which a shard is given up: it is rarely the cause, but retries must be bounded
 _LOOK_SECONDS = 10.0  # between checks of the cluster while no shard ends
-# How long Ray's head may be silent; after 60 s Ray ends this process, with the status of a job that is done.
-_HEAD_SECONDS = 20.0
+_HEAD_SECONDS = 30.0  # how long Ray's head may be silent; after 60 s Ray itself ends the process
+_HEAD_LOOK_SECONDS = 5.0
+_STOPPED = 2  # exit status of a job that stopped, stable_data.cli.NOT_STARTED
 _PATIENCE_SECONDS = 1800.0  # how long a cluster may have no core, for example while spot machines are replaced
 _START_SECONDS = 600.0  # time limit for the start of a separate process
 _CHECKOUT = Path(__file__).resolve().parents[2]
@@ -116,9 +118,7 @@ class _RayRun(Generic[T, R]):
     def __init__(self, workers: WorkerPool, work: Work[T, R], shards: Sequence[T]) -> None:
         self._workers, self._shards = workers, shards
         self._empty_since: float | None = None
-        self._silent_since: float | None = None
         self._connected = connect(workers)
-        self._head = _head_of(workers)
         self._work = ray.put(work)
         self._task = ray.remote(num_cpus=1, max_retries=0)(_call)  # a lost worker is counted here
 
@@ -128,17 +128,13 @@ class _RayRun(Generic[T, R]):
         lost: list[str] = []
         try:
             while waiting or in_flight:
-                if not self._head_answers():  # whatever asks it would wait until Ray ends this process
-                    time.sleep(_LOOK_SECONDS / 4)
-                    continue
                 width = self._width()
                 while waiting and len(in_flight) < width:
                     attempt = waiting.popleft()
                     in_flight[self._task.remote(self._work, attempt.shard, attempt.deaths >= _ISOLATE_FROM)] = attempt
                 ended, _ = ray.wait(list(in_flight), timeout=_LOOK_SECONDS)
                 if not ended:
-                    if self._head_answers():
-                        self._look_for_nodes()
+                    self._look_for_nodes()
                     continue
                 self._empty_since, attempt = None, in_flight.pop(ended[0])
                 try:
@@ -158,7 +154,7 @@ class _RayRun(Generic[T, R]):
             ) from error
         finally:
             if self._connected:
-                ray.shutdown()
+                disconnect()
         if lost:
             raise ConfigError(
                 f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers (in the last tries every "
@@ -166,27 +162,6 @@ class _RayRun(Generic[T, R]):
                 "memory or use fewer workers and run again: finished shards are kept",
                 "worker_lost",
             )
-
-    def _head_answers(self) -> bool:
-        """Whether Ray's head answers.
-
-        Raises:
-            ConfigError: It has not answered for too long.
-        """
-        asked = time.monotonic()
-        try:
-            if self._head is not None:
-                _test_connection(self._head)
-        except OSError as error:
-            self._silent_since = self._silent_since or asked
-            if time.monotonic() - self._silent_since > _HEAD_SECONDS:
-                raise ConfigError(
-                    f"Ray's head at {self._head} is lost ({error}); start the cluster again and run again: finished shards are kept",
-                    "head_lost",
-                ) from error
-            return False
-        self._silent_since = None
-        return True
 
     def _look_for_nodes(self) -> None:
         """Waits for new nodes if the cluster has no core, and prints one line about it.
@@ -218,7 +193,7 @@ class _RayRun(Generic[T, R]):
 def connect(workers: WorkerPool) -> bool:
     """Starts a local Ray or connects to the cluster; returns False if this process is connected already.
 
-    Whoever connects ends the connection as soon as no shard is left: while a process is connected, the loss of the head ends it.
+    Whoever connects ends the connection as soon as no shard is left, because while it lasts the loss of the head ends this process.
 
     Raises:
         ConfigError: Ray cannot be reached.
@@ -229,12 +204,16 @@ def connect(workers: WorkerPool) -> bool:
     try:
         if address not in (None, "auto", "local"):
             _test_connection(address)  # Ray itself would wait for minutes before it fails
+            _head.watch(address)
         if address is not None:
             ray.init(address=address, runtime_env=_runtime(), log_to_driver=False, logging_level=logging.ERROR)
-            return True
-        own = {"address": "local", "num_cpus": workers.count}  # without "local", Ray joins any cluster of this machine
-        ray.init(**own, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+        else:
+            own = {"address": "local", "num_cpus": workers.count}  # without "local", Ray joins any cluster of this machine
+            ray.init(**own, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+        if address in (None, "auto", "local"):
+            _head.watch(ray.get_runtime_context().gcs_address)
     except Exception as error:  # Ray raises Exception itself if it does not start in time
+        _head.leave()
         hint = "start it, or leave out --address"
         if "AuthToken" in str(error.__cause__):
             hint = "it requires a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN unless ~/.ray/auth_token holds the token"
@@ -242,6 +221,51 @@ def connect(workers: WorkerPool) -> bool:
             f"Ray at {address or 'this machine'} cannot be reached ({error}); {hint}", "ray_unreachable"
         ) from error
     return True
+
+
+def disconnect() -> None:
+    """Ends the connection to Ray, and the local Ray."""
+    _head.leave()
+    ray.shutdown()
+
+
+class _HeadWatch:
+    """Ends this process with one line and the status of a job that stopped if Ray's head is lost.
+
+    Ray itself would end it half a minute later, in whatever call it is, with status 1: that of a job that is done.
+    """
+
+    def __init__(self) -> None:
+        self._left = Event()
+
+    def watch(self, head: str) -> None:
+        """Watches a head at ``host:port`` or ``ray://host:port``, from now on until :meth:`leave`."""
+        self.leave()
+        self._left = Event()
+        Thread(target=self._look, args=(head, self._left), name="head watch", daemon=True).start()
+
+    def leave(self) -> None:
+        """Ends the watch."""
+        self._left.set()
+
+    @staticmethod
+    def _look(head: str, left: Event) -> None:
+        silent_since: float | None = None
+        while not left.wait(_HEAD_LOOK_SECONDS):
+            asked = time.monotonic()
+            try:
+                _test_connection(head)
+                silent_since = None
+            except OSError as error:
+                silent_since = silent_since or asked
+                if time.monotonic() - silent_since > _HEAD_SECONDS and not left.is_set():
+                    advice = "start the cluster again and run again: finished shards are kept"
+                    sys.stderr.write(f"\nerror: Ray's head at {head} is lost ({error}); {advice}\n")
+                    sys.stderr.flush()
+                    os._exit(_STOPPED)
+
+
+_head = _HeadWatch()
 
 
 @contextmanager
@@ -256,7 +280,7 @@ def connection(workers: WorkerPool) -> Iterator[None]:
         yield
     finally:
         if connected:
-            ray.shutdown()
+            disconnect()
 
 
 def _runtime() -> dict[str, Any] | None:
@@ -264,15 +288,6 @@ def _runtime() -> dict[str, Any] | None:
     if "RAY_JOB_CONFIG_JSON_ENV_VAR" in os.environ:
         return None
     return {"working_dir": str(_CHECKOUT), "excludes": _NOT_SHIPPED, "env_vars": dict(worker_environment())}
-
-
-def _head_of(workers: WorkerPool) -> str | None:
-    """Where Ray's head answers, ``host:port`` or ``ray://host:port``."""
-    address = workers.address
-    if address is not None and address.startswith("ray://"):
-        return address
-    head: str | None = ray.get_runtime_context().gcs_address
-    return head
 
 
 def _test_connection(address: str) -> None:

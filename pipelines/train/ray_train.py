@@ -16,7 +16,7 @@ from ray.train import RunConfig, ScalingConfig, TrainingFailedError, WorkerGroup
 from ray.train.torch import TorchTrainer, get_device
 
 from models.training.distributed import ProcessContext
-from pipelines.execution.ray_executor import WorkerPool, connect
+from pipelines.execution.ray_executor import WorkerPool, connect, disconnect
 from stable_data.errors import ConfigError, StableDataError
 
 Work: TypeAlias = Callable[[ProcessContext], None]
@@ -40,7 +40,7 @@ def run_on_ray(work: Work, out: Path, workers: int, address: str | None) -> None
     Raises:
         ConfigError: Ray cannot be reached, a process ended with an error, or processes died too often; the checkpoint stays.
     """
-    started = connect(WorkerPool(workers, address))
+    connected = connect(WorkerPool(workers, address))
     try:
         for restarts in range(_MAX_RESTARTS + 1):
             error = _attempt(work, out, workers)
@@ -51,8 +51,8 @@ def run_on_ray(work: Work, out: Path, workers: int, address: str | None) -> None
             line = f"a process of the training was lost ({_line(error)}); restart {restarts + 1} of {_MAX_RESTARTS}"
             sys.stderr.write(f"{line} from the last checkpoint in {out}\n")
     finally:
-        if started:
-            ray.shutdown()
+        if connected:
+            disconnect()
 
 
 def _attempt(work: Work, out: Path, workers: int) -> Exception | None:
