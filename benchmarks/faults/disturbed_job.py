@@ -6,11 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,22 +37,28 @@ class Course:
 
     Attributes:
         seconds: Wall time of the sessions.
+        rounds: Number of times that the job was completed.
         passed: Number of planned faults that have happened.
+        begins: Number of them when the present round began.
         hits: Number of them by kind.
         starts: Number of times that the job was started.
         stops: Number of times that it ended by itself with an error although no fault asked for it.
         last_words: The error line of each stop.
         unclear: What was expected to end with one line and did not: the fault, and what was found.
-        is_complete: Whether the job has ended as a job that is done.
+        rows: What was compared in all rounds so far, see :func:`benchmarks.faults.comparison.compared`.
+        is_complete: Whether all rounds are done.
     """
 
     seconds: float = 0.0
+    rounds: int = 0
     passed: int = 0
-    hits: Counter[str] = field(default_factory=Counter)
+    begins: int = 0
+    hits: dict[str, int] = field(default_factory=dict)
     starts: int = 0
     stops: int = 0
     last_words: list[str] = field(default_factory=list)
     unclear: list[str] = field(default_factory=list)
+    rows: dict[str, Any] = field(default_factory=dict)
     is_complete: bool = False
 
 
@@ -117,12 +124,12 @@ class DisturbedJob:
         """Runs the job until it is complete, or the session ends; returns whether it is complete.
 
         Args:
-            faults: The planned faults, those that have happened included.
+            faults: The faults of this round, those that have happened included.
 
         Raises:
             RuntimeError: It ended with an error again and again.
         """
-        began, waiting = time.monotonic(), deque(faults[self.course.passed :])
+        began, waiting = time.monotonic(), deque(faults[self.course.passed - self.course.begins :])
         before, idle_stops, there = self.course.seconds, 0, self._num_there()
         self._driver = self._start()
         try:
@@ -142,13 +149,13 @@ class DisturbedJob:
                     rng = np.random.default_rng([self.seed, self.course.passed])
                     time.sleep(float(rng.uniform(0, self.delay_seconds)))
                     if self._hit(waiting[0].kind, rng):
-                        self.course.hits[waiting.popleft().kind] += 1
+                        kind = str(waiting.popleft().kind)
+                        self.course.hits[kind] = self.course.hits.get(kind, 0) + 1
                         self.course.passed += 1
                         self.save()
                 else:
                     time.sleep(_LOOK_SECONDS)
-            self.course.is_complete = self._rivals_are_done()
-            return self.course.is_complete
+            return self._rivals_are_done()
         finally:
             for driver in (self._driver, *(rival for rival, _ in self._rivals)):
                 driver.kill()

@@ -1,6 +1,6 @@
 """Which faults happen to a run, and when."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -47,21 +47,26 @@ class Fault:
     kind: FaultKind
 
 
-def planned(kinds: Collection[FaultKind], kills: int, rng: np.random.Generator) -> list[Fault]:
-    """Plans faults at random moments of a run.
+def planned(kinds: Collection[FaultKind], kills: int, rng: np.random.Generator) -> list[FaultKind]:
+    """Plans faults in random order.
 
     Args:
         kinds: The kinds.
         kills: Number of kills; the numbers of the kinds of kills differ by at most one.
-        rng: Chooses the moments.
+        rng: Chooses the order.
 
     Returns:
-        The faults in order. Each other kind comes once for every ten kills, but at least once.
+        The faults. Each other kind comes once for every ten kills, but at least once.
     """
     deadly = [kind for kind in FaultKind if kind in kinds and kind.is_kill]
     found = [deadly[k % len(deadly)] for k in range(kills if deadly else 0)]
     for kind in FaultKind:
         if kind in kinds and not kind.is_kill:
             found += [kind] * max(1, kills // _KILLS_PER_OTHER)
-    moments = sorted(rng.uniform(0, _LAST, len(found)))
-    return [Fault(float(at), found[k]) for at, k in zip(moments, rng.permutation(len(found)), strict=True)]
+    return [found[k] for k in rng.permutation(len(found))]
+
+
+def spread(kinds: Sequence[FaultKind], rng: np.random.Generator) -> list[Fault]:
+    """Spreads faults over a run: each comes at a random moment, in their order."""
+    moments = sorted(rng.uniform(0, _LAST, len(kinds)))
+    return [Fault(float(at), kind) for at, kind in zip(moments, kinds, strict=True)]

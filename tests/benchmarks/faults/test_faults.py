@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.faults.plan import FaultKind, planned
+from benchmarks.faults.plan import FaultKind, planned, spread
 from benchmarks.faults.processes import below, usage_of
 from benchmarks.faults.shifted_clock import ShiftedClock
 from benchmarks.faults.small_disk import SmallDisk
@@ -19,18 +19,15 @@ CLOCKS = "import time; print(time.time(), time.time_ns() / 1e9, time.monotonic()
 
 
 def test_faults_are_of_all_kinds_and_spread_over_the_run() -> None:
-    faults = planned(list(FaultKind), 20, np.random.default_rng(0))
-    assert (
-        faults
-        == planned(list(FaultKind), 20, np.random.default_rng(0))
-        != planned(list(FaultKind), 20, np.random.default_rng(1))
-    )
+    every = list(FaultKind)
+    kinds = planned(every, 20, np.random.default_rng(0))
+    assert kinds == planned(every, 20, np.random.default_rng(0)) != planned(every, 20, np.random.default_rng(1))
+    assert {kind: kinds.count(kind) for kind in every} == {kind: 5 if kind.is_kill else 2 for kind in every}
+    assert planned([FaultKind.CLOCK], 3, np.random.default_rng(0)) == [FaultKind.CLOCK]
+    faults = spread(kinds, np.random.default_rng(0))
+    assert [fault.kind for fault in faults] == kinds
     assert [fault.at for fault in faults] == sorted(fault.at for fault in faults)
-    assert 0 <= faults[0].at < faults[-1].at < 1
-    counts = {kind: sum(fault.kind is kind for fault in faults) for kind in FaultKind}
-    assert counts == {kind: 5 if kind.is_kill else 2 for kind in FaultKind}
-    alone = planned([FaultKind.CLOCK], 3, np.random.default_rng(0))
-    assert [fault.kind for fault in alone] == [FaultKind.CLOCK]
+    assert 0 <= faults[0].at < 0.2 < 0.7 < faults[-1].at < 1
 
 
 def test_processes_below_one_are_found() -> None:
