@@ -35,7 +35,7 @@ from benchmarks.chaos import NOT_COMPLETE, verified
 from benchmarks.faults.disturbed_job import ROOT
 from benchmarks.faults.processes import Usage, below, usage_of
 from stable_data.atomic_files import write_file_atomically
-from stable_data.cli import DONE, SOME_FAILED
+from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.config_diff import refuse_changed
 from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder

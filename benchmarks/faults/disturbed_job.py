@@ -20,7 +20,7 @@ from benchmarks.faults.plan import Fault, FaultKind
 from benchmarks.faults.processes import kill
 from benchmarks.faults.shifted_clock import ShiftedClock
 from benchmarks.faults.small_disk import SmallDisk
-from stable_data.cli import DONE, NOT_STARTED, SOME_FAILED
+from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
 from stable_data.storage.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[2]

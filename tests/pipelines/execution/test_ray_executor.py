@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from pipelines.execution import ray_executor
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, item_limited, run_isolated
-from stable_data.cli import NOT_STARTED
+from stable_data.commands.command_line import NOT_STARTED
 from stable_data.errors import ConfigError
 from stable_data.limits import worker_environment
 from tests.pipelines.runs import ROOT
