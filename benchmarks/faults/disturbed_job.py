@@ -27,7 +27,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 _LOOK_SECONDS = 0.5
 _END_SECONDS = 600.0  # for a driver to end by itself when it cannot go on
-_RIVAL_SECONDS = 180.0  # longest life of a second driver
+_RIVAL_SECONDS = 180.0  # longest life of a second driver after its work has begun
+_AT_WORK = re.compile(r"\d+/\d+ \w+s \[")  # the progress bar of a job whose shards are planned
+_CLOSING_LINE = "; report/index.html"  # a process that crashes may end with the status of a job that is done
 _MAX_STOPS = 10  # times in a row that the job may end by itself while nothing is written
 
 
@@ -40,7 +42,8 @@ class Course:
         rounds: Number of times that the job was completed.
         passed: Number of planned faults that have happened.
         begins: Number of them when the present round began.
-        hits: Number of them by kind.
+        idle_rounds: Number of last rounds in a row in which none happened.
+        hits: Number of them by kind; only those that really hit the job.
         starts: Number of times that the job was started.
         stops: Number of times that it ended by itself with an error although no fault asked for it.
         last_words: The error line of each stop.
@@ -53,6 +56,7 @@ class Course:
     rounds: int = 0
     passed: int = 0
     begins: int = 0
+    idle_rounds: int = 0
     hits: dict[str, int] = field(default_factory=dict)
     starts: int = 0
     stops: int = 0
@@ -64,24 +68,30 @@ class Course:
 
 @dataclass(slots=True)
 class _Driver:
-    """A started command, and where its output begins in the log."""
+    """A started command, and the file of its output."""
 
     process: subprocess.Popen[bytes]
     log: Path
-    begins: int
+
+    def text(self) -> str:
+        """What it has written so far."""
+        return self.log.read_text("utf-8", "replace")
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it has ended since its job is done."""
+        return self.process.poll() in (DONE, SOME_FAILED) and _CLOSING_LINE in self.text()
 
     def last_words(self) -> str:
-        """The last line that begins with ``error:``, or what the log ends with."""
-        with self.log.open("rb") as stream:
-            stream.seek(self.begins)
-            lines = re.split(r"[\r\n]+", stream.read().decode("utf-8", "replace").strip())
+        """The last line that begins with ``error:``, or what the output ends with."""
+        lines = re.split(r"[\r\n]+", self.text().strip())
         return next((line for line in reversed(lines) if line.startswith("error: ")), f"no error line, but: {lines[-1][-200:]}")
 
-    def kill(self) -> None:
-        """Kills it with all that it has started in its session."""
+    def kill(self) -> bool:
+        """Kills it with all that it has started in its session; returns False if it had ended before."""
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
+        return self.process.wait() == -signal.SIGKILL
 
 
 @dataclass(slots=True)
@@ -94,7 +104,7 @@ class DisturbedJob:
         tables: Tables whose files are counted to know how far the run is.
         num_files: Number of these files at the end.
         nodes: The cluster.
-        log: File that gets the output of all drivers.
+        logs: Folder that gets the output of each driver, in a file of its own.
         course: What has happened so far.
         seed: Chooses moments and victims.
         clock: The clock of all processes, or None if it never jumps.
@@ -109,7 +119,7 @@ class DisturbedJob:
     tables: Collection[str]
     num_files: int
     nodes: Nodes
-    log: Path
+    logs: Path
     course: Course = field(default_factory=Course)
     seed: int = 0
     clock: ShiftedClock | None = None
@@ -118,6 +128,7 @@ class DisturbedJob:
     until: float = float("inf")
     save: Callable[[], None] = lambda: None
     _driver: _Driver = field(init=False)
+    _former: frozenset[int] = frozenset()  # workers that were busy when the driver was started: those of one that was killed
     _rivals: list[tuple[_Driver, float]] = field(default_factory=list)
 
     def go(self, faults: Sequence[Fault]) -> bool:
@@ -131,20 +142,20 @@ class DisturbedJob:
         """
         began, waiting = time.monotonic(), deque(faults[self.course.passed - self.course.begins :])
         before, idle_stops, there = self.course.seconds, 0, self._num_there()
-        self._driver = self._start()
+        self._start()
         try:
-            while (status := self._driver.process.poll()) not in (DONE, SOME_FAILED):
+            while not self._driver.is_done:
                 self.course.seconds = before + time.monotonic() - began
                 if time.monotonic() > self.until:
                     return False
                 self.nodes.restore()
                 self._end_rivals()
-                if status is not None:
+                if (status := self._driver.process.poll()) is not None and not self._driver.is_done:
                     self._note_stop(status)
                     idle_stops, there = (0 if self._num_there() > there else idle_stops + 1), self._num_there()
                     if idle_stops > _MAX_STOPS:
                         raise RuntimeError(f"the job ended {idle_stops} times by itself: {self.course.last_words[-1]}")
-                    self._driver = self._start()
+                    self._start()
                 elif waiting and self._num_there() >= waiting[0].at * self.num_files:
                     rng = np.random.default_rng([self.seed, self.course.passed])
                     time.sleep(float(rng.uniform(0, self.delay_seconds)))
@@ -162,50 +173,52 @@ class DisturbedJob:
             self.course.seconds = before + time.monotonic() - began
             self.save()
 
-    def _start(self) -> _Driver:
+    def _start(self) -> None:
+        """Starts the job."""
+        self._former = frozenset(self.nodes.busy())
+        self._driver = self._started()
+
+    def _started(self) -> _Driver:
         command = [sys.executable, "-m", "pipelines", *self.command(self.nodes.address)]
         environment = os.environ | (dict(self.clock.environment) if self.clock is not None else {})
-        with self.log.open("ab") as stream:
-            stream.write(f"\n--- {' '.join(command)}\n".encode())
-            stream.flush()
-            begins = stream.tell()
-            process = subprocess.Popen(command, cwd=ROOT, stdout=stream, stderr=stream, env=environment, start_new_session=True)
+        self.logs.mkdir(exist_ok=True)
         self.course.starts += 1
-        return _Driver(process, self.log, begins)
+        log = self.logs / f"{self.course.starts:04d}.log"
+        with log.open("wb") as stream:
+            process = subprocess.Popen(command, cwd=ROOT, stdout=stream, stderr=stream, env=environment, start_new_session=True)
+        return _Driver(process, log)
 
     def _num_there(self) -> int:
         return sum(len(self.run.files(table)) for table in self.tables)
 
-    def _hit(self, kind: FaultKind, rng: np.random.Generator) -> bool:
-        """Lets a fault happen, and starts the job again if it has ended; returns whether it hit the job."""
-        if self._driver.process.poll() is not None:
-            return False
-        if kind is FaultKind.KILL_DRIVER:
-            self._driver.kill()
-        elif kind is FaultKind.KILL_HEAD:
-            if not self._lose_head():
-                return False
-        elif kind is FaultKind.FULL_DISK:
-            if not self._fill_disk():
-                return False
-        else:
-            return bool(self.nodes.busy()) and self._hit_while_busy(kind, rng)
-        self._driver = self._start()
-        return True
+    def _busy(self) -> list[int]:
+        """The workers that work on a shard for the present driver."""
+        return [process for process in self.nodes.busy() if process not in self._former]
 
-    def _hit_while_busy(self, kind: FaultKind, rng: np.random.Generator) -> bool:
-        """As :meth:`_hit`, for faults that must be borne by a job that goes on."""
-        if kind is FaultKind.KILL_NODE:
-            return self.nodes.lose(rng)
-        if kind is FaultKind.TWO_DRIVERS:
-            return self._start_rival(rng)
-        if kind is FaultKind.CLOCK:
-            assert self.clock is not None
-            self.clock.jump(rng)
-            return True
-        busy = self.nodes.busy()
-        kill(busy[int(rng.integers(len(busy)))] for _ in busy[:1])
-        return bool(busy)
+    def _hit(self, kind: FaultKind, rng: np.random.Generator) -> bool:
+        """Lets a fault happen, and starts the job again if it has ended; returns whether the fault hit the job."""
+        busy = self._busy()
+        match kind:
+            case FaultKind.KILL_WORKER:
+                return bool(busy) and kill([busy[int(rng.integers(len(busy)))]]) == 1
+            case FaultKind.KILL_NODE:
+                return self.nodes.lose(busy, rng)
+            case FaultKind.CLOCK:
+                assert self.clock is not None
+                if busy:
+                    self.clock.jump(rng)
+                return bool(busy) and all(map(self.clock.is_seen_by, [self._driver.process.pid, *busy]))
+            case FaultKind.TWO_DRIVERS:
+                return bool(busy) and self._start_rival(rng)
+            case FaultKind.KILL_DRIVER:
+                is_hit = self._driver.kill()
+            case FaultKind.KILL_HEAD:
+                is_hit = bool(busy) and self._lose_head()
+            case FaultKind.FULL_DISK:
+                is_hit = bool(busy) and self._fill_disk()
+        if is_hit:
+            self._start()
+        return is_hit
 
     def _lose_head(self) -> bool:
         """Kills the head, waits for the job to end by itself, and starts a new cluster; returns False if it was complete without it."""
@@ -227,25 +240,27 @@ class DisturbedJob:
             self.disk.free()
 
     def _start_rival(self, rng: np.random.Generator) -> bool:
-        """Starts a second driver. Where there is a lock, one of the two must refuse to run; in a store it lives on for a while."""
-        rival = self._start()
-        if not self.run.is_local:
-            self._rivals.append((rival, time.monotonic() + float(rng.uniform(0.2, 1)) * _RIVAL_SECONDS))
-            return True
+        """Starts a second driver. Where there is a lock, one of the two must refuse to run; in a store it works for a while."""
+        rival = self._started()
         while rival.process.poll() is None and self._driver.process.poll() is None:
+            if not self.run.is_local and _AT_WORK.search(rival.text()):
+                self._rivals.append((rival, time.monotonic() + float(rng.uniform(0.2, 1)) * _RIVAL_SECONDS))
+                return True
+            self.nodes.restore()
             time.sleep(_LOOK_SECONDS)
+        if not self.run.is_local:  # one of the two ended before both were at work
+            self._rivals.append((rival, float("inf")))
+            return False
         refused, self._driver = (rival, self._driver) if rival.process.poll() is not None else (self._driver, rival)
         return self._expect_end(refused, FaultKind.TWO_DRIVERS, r"error: .*another run is writing to this folder")
 
     def _end_rivals(self) -> None:
         """Kills the second drivers whose time is over; one that has ended by itself must be done, or say why not."""
         for rival, ends in list(self._rivals):
-            status = rival.process.poll()
-            if status is None and time.monotonic() < ends:
+            if rival.process.poll() is None and time.monotonic() < ends:
                 continue
-            rival.kill()
-            if status not in (None, DONE, SOME_FAILED):
-                self._note_end(FaultKind.TWO_DRIVERS, rival, status)
+            if not rival.kill() and not rival.is_done:
+                self._note_end(FaultKind.TWO_DRIVERS, rival, rival.process.returncode)
             self._rivals.remove((rival, ends))
 
     def _rivals_are_done(self) -> bool:
@@ -270,7 +285,7 @@ class DisturbedJob:
         except subprocess.TimeoutExpired:
             status = None
         driver.kill()
-        if status in (DONE, SOME_FAILED):
+        if driver.is_done:
             return False
         self._note_end(kind, driver, status, words)
         return True

@@ -1,7 +1,7 @@
 """A Ray cluster on this machine whose nodes and whose head can be lost."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -22,6 +22,7 @@ class Nodes:
 
     def __init__(self, count: int = 3) -> None:
         self._count, self._added = count, 0
+        self._absent: list[float] = []
         self._start()
 
     @property
@@ -33,9 +34,9 @@ class Nodes:
         """Returns the processes that work on a shard."""
         return busy_workers(_raylet(node) for node in self._cluster.worker_nodes)
 
-    def lose(self, rng: np.random.Generator) -> bool:
-        """Kills all processes of a node that works on a shard at once; returns whether there was one."""
-        nodes = sorted((node for node in self._cluster.worker_nodes if busy_workers([_raylet(node)])), key=_raylet)
+    def lose(self, busy: Collection[int], rng: np.random.Generator) -> bool:
+        """Kills all processes of a node that has one of some busy workers at once; returns whether there was one."""
+        nodes = sorted((node for node in self._cluster.worker_nodes if below([_raylet(node)]).keys() & set(busy)), key=_raylet)
         if not nodes:
             return False
         node = nodes[int(rng.integers(len(nodes)))]
@@ -69,7 +70,7 @@ class Nodes:
 
     def _start(self) -> None:
         self._cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
-        self._absent: list[float] = []
+        self._absent.clear()
         for _ in range(self._count):
             self._add()
 

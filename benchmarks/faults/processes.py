@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,13 +25,14 @@ def busy_workers(roots: Iterable[int]) -> list[int]:
     return sorted(pid for pid, args in below(roots).items() if args.startswith("ray::_call"))
 
 
-def kill(processes: Iterable[int]) -> None:
-    """Kills processes at once; some may have ended already."""
+def kill(processes: Iterable[int]) -> int:
+    """Kills processes at once, of which some may have ended already; returns how many had not."""
+    killed = 0
     for process in processes:
-        try:
+        with suppress(ProcessLookupError):
             os.kill(process, signal.SIGKILL)
-        except ProcessLookupError:
-            continue
+            killed += 1
+    return killed
 
 
 @dataclass(frozen=True, slots=True)

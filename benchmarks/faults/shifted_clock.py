@@ -1,20 +1,25 @@
 """A clock that jumps, for processes that are started with its environment.
 
-With libfaketime (https://github.com/wolfcw/libfaketime) all of a process sees the shifted clock, C++ too. Without it only
-Python's ``time.time`` is shifted. Clocks that cannot be set, such as ``time.monotonic``, stay as they are, as on a machine.
+libfaketime (https://github.com/wolfcw/libfaketime) shifts it for all of a process, C++ too. Clocks that cannot be set, such as
+``time.monotonic``, stay as they are, as on a machine.
 """
 
 import os
+import subprocess
+import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from stable_data.atomic_files import write_file_atomically
+from stable_data.errors import ConfigError
 
 _FARTHEST_HOURS = 12.0
-_LIBRARIES = ("/usr/lib/*/faketime/libfaketimeMT.so.1", "/usr/lib*/faketime/libfaketimeMT.so.1")
-_PATCH = Path(__file__).parent / "shifted"  # its sitecustomize.py is run by each Python that starts
+_SURE_SECONDS = 1000.0  # a shift that no delay of a process explains
+_LIBRARY_VARIABLE = "FAKETIME_LIBRARY"
+_LIBRARIES = ("usr/lib/*/faketime/libfaketimeMT.so.1", "usr/lib*/faketime/libfaketimeMT.so.1")
 
 
 class ShiftedClock:
@@ -23,24 +28,26 @@ class ShiftedClock:
     Args:
         path: File with the shift, which the processes read.
 
-    Attributes:
-        reach: What sees the shift: ``libfaketime`` or ``time.time``.
+    Raises:
+        ConfigError: libfaketime is not there, or does not shift the clock of a process (``clock_not_shifted``).
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        found = os.environ.get("FAKETIME_LIBRARY") or next(
-            (str(library) for pattern in _LIBRARIES for library in sorted(Path("/").glob(pattern.lstrip("/")))), None
-        )
-        self._library, self.reach = found, "libfaketime" if found else "time.time"
+        found = (str(library) for pattern in _LIBRARIES for library in sorted(Path("/").glob(pattern)))
+        self._library = os.environ.get(_LIBRARY_VARIABLE) or next(found, "")
+        self.set(_SURE_SECONDS)
+        if not (self._library and self._is_shifted()):
+            raise ConfigError(
+                f"the clock cannot be shifted with libfaketime ({self._library or 'not found'}); install it (apt install faketime) or "
+                f"name libfaketimeMT.so.1 in {_LIBRARY_VARIABLE}, or leave the fault clock out",
+                "clock_not_shifted",
+            )
         self.set(0.0)
 
     @property
     def environment(self) -> Mapping[str, str]:
         """Environment variables of processes that see the clock."""
-        if self._library is None:
-            paths = [str(_PATCH), *filter(None, [os.environ.get("PYTHONPATH")])]
-            return {"PYTHONPATH": os.pathsep.join(paths), "SHIFTED_CLOCK": str(self._path)}
         return {
             "LD_PRELOAD": self._library,
             "FAKETIME_TIMESTAMP_FILE": str(self._path),
@@ -56,3 +63,15 @@ class ShiftedClock:
     def jump(self, rng: np.random.Generator) -> None:
         """Lets the clock jump by up to twelve hours, back or forth."""
         self.set(float(rng.uniform(-3600, 3600) * _FARTHEST_HOURS))
+
+    def is_seen_by(self, process: int) -> bool:
+        """Whether a process sees the clock: it has loaded the library, which reads the file once a second."""
+        try:
+            return Path(self._library).name in Path(f"/proc/{process}/maps").read_text("utf-8")
+        except OSError:
+            return False
+
+    def _is_shifted(self) -> bool:
+        command = [sys.executable, "-S", "-c", "import time; print(time.time())"]
+        done = subprocess.run(command, capture_output=True, text=True, env=os.environ | dict(self.environment))
+        return done.returncode == 0 and abs(float(done.stdout) - time.time() - _SURE_SECONDS) < _SURE_SECONDS / 2
