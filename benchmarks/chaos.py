@@ -31,9 +31,10 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks.faults.comparison import compared
-from benchmarks.faults.disturbed_job import ROOT, Course, DisturbedJob
+from benchmarks.faults.disturbed_job import Course, DisturbedJob
 from benchmarks.faults.nodes import Nodes
-from benchmarks.faults.plan import FaultKind, planned, spread
+from benchmarks.faults.plan import LAST, FaultKind, planned, spread
+from benchmarks.faults.processes import ROOT, started
 from benchmarks.faults.s3_server import CREDENTIALS
 from benchmarks.faults.shifted_clock import ShiftedClock
 from benchmarks.faults.small_disk import SmallDisk
@@ -154,7 +155,7 @@ class ChaosWork:
         command = [sys.executable, "-m", "pipelines", *self.command(self.clean.uri, "--workers", str(self.settings.nodes))]
         began, before = time.monotonic(), self.clean_seconds
         with (self.folder / "clean.log").open("ab") as log:
-            job = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log, start_new_session=True)
+            job = started(command, log)
             try:
                 job.wait(None if self.until == float("inf") else max(1.0, self.until - began))
             except subprocess.TimeoutExpired:
@@ -230,13 +231,14 @@ class ChaosWork:
                         save()
                 finally:
                     save(at_once=True)
-        return self._figures() if self.course.is_complete else None
+        return self.figures() if self.course.is_complete else None
 
     def _round(self, job: DisturbedJob) -> bool:
         """Runs the job to its end with the faults that are left, and compares it; returns False if the session ended before."""
         course, settings = self.course, self.settings
-        kinds = self._planned[course.begins :]
-        if not job.go(spread(kinds, np.random.default_rng([settings.seed, course.rounds]))):
+        kinds, rng = self._planned[course.begins :], np.random.default_rng([settings.seed, course.rounds])
+        last = 0.0 if course.idle_rounds else LAST  # what did not come in time, comes at the start
+        if not job.go(spread(kinds, rng, last)):
             return False
         found = compared(self.clean, job.run) | verified(job.run.uri)
         for key, value in found.items():
@@ -252,7 +254,8 @@ class ChaosWork:
     def _planned(self) -> list[FaultKind]:
         return planned(self.settings.faults, self.settings.kills, np.random.default_rng(self.settings.seed))
 
-    def _figures(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, Any]:
+        """What has happened so far."""
         settings, course = self.settings, self.course
         wanted = Counter(map(str, self._planned))
         hits = {kind: course.hits.get(kind, 0) for kind in wanted}

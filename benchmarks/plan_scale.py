@@ -34,7 +34,7 @@ from pipelines.execution.shard_step import WrittenShard
 from pipelines.generate.job import GenerateJob
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.generation_tasks import sample_tasks
-from stable_data import cli
+from stable_data.commands.runs import inspect
 from stable_data.storage.run_folder import PART
 from stable_data.storage.schemas import SCHEMAS
 
@@ -288,18 +288,18 @@ def _measure_run(num_scenes: int, share: float, state: Path, latency: float, pip
     meters = [_Meter(store)]
 
     def told() -> None:
-        marks.append(meters[-1].figure("resume" if not marks else "made", num_scenes))
-        meters.append(_Meter(store))
+        if len(marks) < 2:  # before the first shard and after the last one; the copies of assets follow
+            marks.append(meters[-1].figure("resume" if not marks else "made", num_scenes))
+            meters.append(_Meter(store))
 
     _run(num_scenes, SimulatedWorkers(store=store, told=told))
-    # The first mark is before the first shard, the second after the last one; then come two of the copies of assets.
-    pipe.send([marks[0], meters[2].figure("end", num_scenes)])
+    pipe.send([marks[0], meters[-1].figure("end", num_scenes)])
 
 
 def _measure_list(num_scenes: int, share: float, state: Path, latency: float, pipe: Connection) -> None:
     meter = _Meter(_opened_store(latency, state))
     with redirect_stdout(io.StringIO()):
-        cli.inspect(URI)
+        inspect(URI)
     pipe.send([meter.figure("list", num_scenes)])
 
 

@@ -7,12 +7,15 @@ processes of the job are looked at every ten seconds. The same command continues
 The criterion: a quantity is the mean over blocks of 100 scenes (500 for times), without the first scenes of each session, in which
 processes are still growing. A line with one slope and an own height for each session is fitted. The quantity
 
-- is *flat* if the slope predicts a change of less than 5 % of its mean over all scenes of the run, or if the 95 % interval of the slope
-  contains 0 and says at least that the change is less than 20 %;
-- *grows* or *falls* if the interval does not contain 0;
+- is *flat* if the 95 % interval of the slope predicts a change of less than 20 % of its mean over all scenes of the run, and contains 0
+  or the slope itself predicts a change of less than 5 %;
+- *grows* or *falls* if it is not flat and the interval does not contain 0;
 - is *unknown* otherwise, and with fewer than eight blocks.
 
-Status 0: complete and nothing grows. 1: something grows, or the run is not whole. 3: not complete yet.
+The wall time of a scene is shown too, but not judged: it depends on what else the machine does.
+
+Status 0: complete, whole, and every quantity is flat or falls. 1: something grows or is unknown, or the run is not whole. 3: not complete
+yet.
 """
 
 import argparse
@@ -31,9 +34,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from benchmarks.chaos import NOT_COMPLETE, verified
-from benchmarks.faults.disturbed_job import ROOT
-from benchmarks.faults.processes import Usage, below, usage_of
+from benchmarks.chaos import NOT_COMPLETE, is_complete, verified
+from benchmarks.faults.processes import Usage, below, started, usage_of
 from stable_data.atomic_files import write_file_atomically
 from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.config_diff import refuse_changed
@@ -41,6 +43,7 @@ from stable_data.errors import ConfigError
 from stable_data.storage.run_folder import RunFolder
 
 LIBRARIES = ("real", "embedded")
+WALL_TIME = "seconds a scene"
 _WORKERS = 2
 _LOOK_SECONDS = 10.0
 _END_SECONDS = 60.0  # for the job to end after it is interrupted
@@ -142,7 +145,8 @@ def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int
     rest = values - slope * scenes
     half = float(student.ppf(0.975, freedom)) * float(np.sqrt(rest @ rest / freedom / spread))
     change, low, high = slope * num_scenes / mean, slope - half, slope + half
-    if abs(change) < _FLAT or (low <= 0 <= high and max(-low, high) * num_scenes / mean < _KNOWN):
+    is_known = max(abs(low), abs(high)) * num_scenes / mean < _KNOWN
+    if is_known and (low <= 0 <= high or abs(change) < _FLAT):
         verdict = "flat"
     elif low <= 0 <= high:
         verdict = "unknown"
@@ -167,7 +171,7 @@ def trends(samples: Sequence[Sample], num_scenes: int, warm_up: int) -> list[Tre
             blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(value(sample))
         means = [(session, (block + 0.5) * _BLOCK, float(np.mean(own))) for (session, block), own in blocks.items()]
         found.append(trend(name, means, num_scenes))
-    for name, clock in (("processor seconds a scene", _cpu), ("seconds a scene", _seconds)):
+    for name, clock in (("processor seconds a scene", _cpu), (WALL_TIME, _seconds)):
         found.append(trend(name, list(_times(kept, clock)), num_scenes))
     return found
 
@@ -244,11 +248,14 @@ class Soak:
         Raises:
             RuntimeError: The job ended with an error.
         """
+        if self._samples.exists():  # a session that was killed may have written a part of a line
+            content = self._samples.read_bytes()
+            write_file_atomically(self._samples, content[: content.rfind(b"\n") + 1])
         session = 1 + max((sample.session for sample in self.samples), default=-1)
         command = [sys.executable, "-m", "pipelines", *self._command]
         began = time.monotonic()
         with (self._folder / "log").open("ab") as log, self._samples.open("a", encoding="utf-8") as stream:
-            job = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log, start_new_session=True)
+            job = started(command, log)
             try:
                 while job.poll() is None and time.monotonic() < until:
                     sample = self._look(job.pid, session, time.monotonic() - began)
@@ -260,7 +267,7 @@ class Soak:
                         continue
             finally:
                 _end(job)
-        if job.returncode in (DONE, SOME_FAILED):
+        if job.returncode in (DONE, SOME_FAILED) and is_complete(self.run):
             return True
         if time.monotonic() < until:
             raise RuntimeError(f"the job ended with status {job.returncode}, see {self._folder / 'log'}")
@@ -329,7 +336,7 @@ def main() -> None:
     if not is_complete:
         print("not complete: run the same command again to continue")
         raise SystemExit(NOT_COMPLETE)
-    if any(one.verdict == "grows" for one in found) or not figures["is_whole"]:
+    if not figures["is_whole"] or any(one.verdict in ("grows", "unknown") for one in found if one.name != WALL_TIME):
         raise SystemExit(1)
 
 

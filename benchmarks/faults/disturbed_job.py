@@ -17,13 +17,11 @@ import numpy as np
 
 from benchmarks.faults.nodes import Nodes
 from benchmarks.faults.plan import Fault, FaultKind
-from benchmarks.faults.processes import kill
+from benchmarks.faults.processes import kill, started
 from benchmarks.faults.shifted_clock import ShiftedClock
 from benchmarks.faults.small_disk import SmallDisk
 from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
 from stable_data.storage.run_folder import RunFolder
-
-ROOT = Path(__file__).resolve().parents[2]
 
 _LOOK_SECONDS = 0.5
 _END_SECONDS = 600.0  # for a driver to end by itself when it cannot go on
@@ -185,8 +183,7 @@ class DisturbedJob:
         self.course.starts += 1
         log = self.logs / f"{self.course.starts:04d}.log"
         with log.open("wb") as stream:
-            process = subprocess.Popen(command, cwd=ROOT, stdout=stream, stderr=stream, env=environment, start_new_session=True)
-        return _Driver(process, log)
+            return _Driver(started(command, stream, environment), log)
 
     def _num_there(self) -> int:
         return sum(len(self.run.files(table)) for table in self.tables)

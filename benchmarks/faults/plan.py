@@ -6,7 +6,9 @@ from enum import StrEnum
 
 import numpy as np
 
-_LAST = 0.9  # share of written shards after which no fault is planned: the run could end before it
+LAST = 0.9
+"""Share of written files after which no fault is planned: the run could end before it."""
+
 _KILLS_PER_OTHER = 10
 
 
@@ -66,7 +68,7 @@ def planned(kinds: Collection[FaultKind], kills: int, rng: np.random.Generator) 
     return [found[k] for k in rng.permutation(len(found))]
 
 
-def spread(kinds: Sequence[FaultKind], rng: np.random.Generator) -> list[Fault]:
-    """Spreads faults over a run: each comes at a random moment, in their order."""
-    moments = sorted(rng.uniform(0, _LAST, len(kinds)))
+def spread(kinds: Sequence[FaultKind], rng: np.random.Generator, last: float = LAST) -> list[Fault]:
+    """Spreads faults over a run: each comes at a random moment up to a last one, in their order."""
+    moments = sorted(rng.uniform(0, last, len(kinds)))
     return [Fault(float(at), kind) for at, kind in zip(moments, kinds, strict=True)]

@@ -1,12 +1,34 @@
 """Processes of this machine: who has started whom, which ones work on a shard, and what they use."""
 
+import ctypes
 import os
 import signal
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
+
+ROOT = Path(__file__).resolve().parents[2]
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
+
+
+def started(command: Sequence[str], log: IO[bytes], environment: Mapping[str, str] | None = None) -> subprocess.Popen[bytes]:
+    """Starts a command in a session of its own, which ends with this process even if that is killed.
+
+    Args:
+        command: The command, run in the checkout.
+        log: File of its output.
+        environment: Its environment; None for that of this process.
+    """
+    return subprocess.Popen(
+        command, cwd=ROOT, stdout=log, stderr=log, env=environment, start_new_session=True, preexec_fn=_die_with_parent
+    )
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
 def below(roots: Iterable[int]) -> dict[int, str]:

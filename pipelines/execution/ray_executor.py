@@ -22,6 +22,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import ray
 from tqdm import tqdm
 
+from stable_data.commands.command_line import NOT_STARTED
 from stable_data.errors import ConfigError, StableDataError
 from stable_data.limits import LIMITS, at_most, memory_limited, worker_environment
 
@@ -35,9 +36,9 @@ _ISOLATE_FROM = 2  # worker deaths from which a shard runs isolated: the first d
 _MAX_DEATHS = 4  # worker deaths after which a shard is given up; a later run retries it
 _MAX_NODES = 8  # node losses after which a shard is given up: it is rarely the cause, but retries must be bounded
 _LOOK_SECONDS = 10.0  # between checks of the cluster while no shard ends
-_HEAD_SECONDS = 30.0  # how long Ray's head may be silent; after 60 s Ray itself ends the process
+_RAY_HEAD_SECONDS = float(os.environ.get("RAY_gcs_rpc_server_reconnect_timeout_s", "60"))  # then Ray itself ends the process
+_HEAD_SECONDS = _RAY_HEAD_SECONDS / 2  # how long Ray's head may be silent
 _HEAD_LOOK_SECONDS = 5.0
-_STOPPED = 2  # exit status of a job that stopped, stable_data.cli.NOT_STARTED
 _PATIENCE_SECONDS = 1800.0  # how long a cluster may have no core, for example while spot machines are replaced
 _START_SECONDS = 600.0  # time limit for the start of a separate process
 _CHECKOUT = Path(__file__).resolve().parents[2]
@@ -232,7 +233,7 @@ def disconnect() -> None:
 class _HeadWatch:
     """Ends this process with one line and the status of a job that stopped if Ray's head is lost.
 
-    Ray itself would end it half a minute later, in whatever call it is, with status 1: that of a job that is done.
+    Ray itself would end it later, in whatever call it is, with status 1: that of a job that is done.
     """
 
     def __init__(self) -> None:
@@ -262,7 +263,7 @@ class _HeadWatch:
                     advice = "start the cluster again and run again: finished shards are kept"
                     sys.stderr.write(f"\nerror: Ray's head at {head} is lost ({error}); {advice}\n")
                     sys.stderr.flush()
-                    os._exit(_STOPPED)
+                    os._exit(NOT_STARTED)
 
 
 _head = _HeadWatch()

@@ -118,12 +118,11 @@ def fingerprints_of_tasks(tasks: Iterable[Task]) -> Iterator[dict[str, Any]]:
         return {"surroundings_id": hashes[id(surroundings)]}
 
     for task in tasks:
-        if isinstance(task, SampledTask) and task.place is None:
-            yield {name: getattr(task, name) for name in _SAMPLED}  # as asdict, which takes five times as long
-        elif isinstance(task, SampledTask):
-            assert task.place is not None
+        if isinstance(task, SampledTask) and task.place is not None:
             bare = replace(task, place=replace(task.place, surroundings=()))
             yield asdict(bare) | named(task.place.surroundings)
+        elif isinstance(task, SampledTask):
+            yield {name: getattr(task, name) for name in _SAMPLED}  # as asdict, which takes five times as long
         elif isinstance(task, LayoutTask) and task.surroundings:
             yield asdict(replace(task, surroundings=())) | named(task.surroundings)
         else:

@@ -55,13 +55,42 @@ def test_what_is_lost_different_doubled_or_added_is_counted(tmp_path: Path) -> N
 
 
 def test_faults_are_read() -> None:
-    assert chaos.faults_of(None, in_store=False) == tuple(FaultKind)
-    assert FaultKind.FULL_DISK not in chaos.faults_of(None, in_store=True)
-    assert chaos.faults_of("clock, kill_driver", in_store=True) == (FaultKind.KILL_DRIVER, FaultKind.CLOCK)
+    assert chaos.faults_of(None, 4, in_store=False) == tuple(FaultKind)
+    assert FaultKind.FULL_DISK not in chaos.faults_of(None, 4, in_store=True)
+    assert chaos.faults_of("clock, kill_driver", 1, in_store=True) == (FaultKind.KILL_DRIVER, FaultKind.CLOCK)
     with pytest.raises(ConfigError, match=r"--faults has 'meteor', expected some of kill_driver, .*"):
-        chaos.faults_of("meteor", in_store=False)
+        chaos.faults_of("meteor", 4, in_store=False)
     with pytest.raises(ConfigError, match="full_disk, but the run is in a store"):
-        chaos.faults_of("full_disk", in_store=True)
+        chaos.faults_of("full_disk", 4, in_store=True)
+    with pytest.raises(ConfigError, match="--kills is 3, expected at least one for each of the 4 kinds"):
+        chaos.faults_of(None, 3, in_store=False)
+
+
+def test_a_fault_that_did_not_hit_is_missed(dataset: Path, tmp_path: Path) -> None:
+    settings = chaos.ChaosSettings("correct", 3, 20, 0, (FaultKind.KILL_HEAD, FaultKind.CLOCK), None, True, 2, 8, ())
+    work = chaos.ChaosWork(dataset, tmp_path / "work", settings)
+    work.course.hits = {"kill_head": 20, "clock": 1}
+    work.requests.update(requests=900, failed=40, slow=20)
+    found = work.figures()
+    assert found["hits"] == {"kill_head": 20, "clock": 1}
+    assert found["missed"] == ["clock: 1 of 2", "store: no request was torn"]
+    work.course.hits["clock"] = 2
+    work.requests.update(torn=9)
+    assert work.figures()["missed"] == []
+
+
+def test_options_after_two_dashes_are_those_of_the_job(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chaos.ChaosWork, "run_undisturbed", lambda self: False)
+    words = [str(dataset), "--out", str(tmp_path / "work"), "--faults", "clock", "--", "--set", "weights=none"]
+    with pytest.raises(SystemExit) as caught:
+        chaos.main(words)
+    assert caught.value.code == chaos.NOT_COMPLETE
+    work = chaos.ChaosWork(
+        dataset,
+        tmp_path / "work",
+        chaos.ChaosSettings("generate", 4, 8, 0, (FaultKind.CLOCK,), None, False, 2, 8, ("--set", "weights=none")),
+    )
+    assert work.command("out")[-2:] == ["--set", "weights=none"]
 
 
 def test_a_folder_of_other_settings_or_too_few_scenes_are_refused(dataset: Path, tmp_path: Path) -> None:

@@ -20,7 +20,14 @@ def blocks(slope: float, noise: float, count: int = 150, sessions: int = 3) -> l
 
 @pytest.mark.parametrize(
     ("slope", "noise", "verdict"),
-    [(0.0, 5.0, "flat"), (1.0, 0.1, "flat"), (20.0, 5.0, "grows"), (-20.0, 5.0, "falls"), (0.0, 2000.0, "unknown")],
+    [
+        (0.0, 5.0, "flat"),
+        (1.0, 0.1, "flat"),
+        (20.0, 5.0, "grows"),
+        (-20.0, 5.0, "falls"),
+        (0.0, 2000.0, "unknown"),
+        (1.0, 800.0, "unknown"),
+    ],
 )
 def test_a_slope_is_found_beneath_the_heights_of_sessions(slope: float, noise: float, verdict: str) -> None:
     found = trend("memory", blocks(slope, noise), SCENES)

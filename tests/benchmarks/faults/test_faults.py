@@ -4,13 +4,16 @@ import errno
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.faults import shifted_clock
+from benchmarks.faults.disturbed_job import _Driver
 from benchmarks.faults.plan import FaultKind, planned, spread
-from benchmarks.faults.processes import below, usage_of
+from benchmarks.faults.processes import below, kill, started, usage_of
 from benchmarks.faults.shifted_clock import ShiftedClock
 from benchmarks.faults.small_disk import SmallDisk
 from stable_data.errors import ConfigError
@@ -33,6 +36,44 @@ def test_faults_are_of_all_kinds_and_spread_over_the_run() -> None:
 def test_processes_below_one_are_found() -> None:
     assert set(below([1])) >= {1}
     assert below([0x7FFFFFF]) == {}
+
+
+@pytest.mark.parametrize(
+    ("code", "is_done", "words"),
+    [
+        ("print('3 scenes; report/index.html')", True, "no error line, but: 3 scenes; report/index.html"),
+        ("raise SystemExit(1)", False, "no error line, but: "),  # as a crash, whose status is that of failed items
+        ("import sys; print('error: full'); print('bye'); sys.exit(2)", False, "error: full"),
+    ],
+)
+def test_a_driver_is_done_if_it_says_so(code: str, is_done: bool, words: str, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    with log.open("wb") as stream:
+        driver = _Driver(started([sys.executable, "-c", code], stream), log)
+    driver.process.wait()
+    assert driver.is_done is is_done
+    assert driver.last_words() == words
+    assert not driver.kill()  # it had ended by itself: nothing was hit
+
+
+def test_a_killed_driver_is_hit_and_a_started_command_ends_with_its_parent(tmp_path: Path) -> None:
+    log, sleep = tmp_path / "log", "import time; time.sleep(60)"
+    with log.open("wb") as stream:
+        driver = _Driver(started([sys.executable, "-c", sleep], stream), log)
+        assert driver.kill()
+        child = f"started([sys.executable, '-c', {sleep!r}], sys.stdout.buffer)"
+        code = (
+            f"import sys, time; from benchmarks.faults.processes import started; print({child}.pid, flush=True); time.sleep(60)"
+        )
+        parent = started([sys.executable, "-c", code], stream)
+    while not (words := log.read_text("utf-8").split()):
+        time.sleep(0.05)
+    assert kill([parent.pid]) == 1
+    parent.wait()
+    end = time.monotonic() + 20
+    while usage_of([int(words[0])]).processes and time.monotonic() < end:
+        time.sleep(0.05)
+    assert usage_of([int(words[0])]).processes == 0
 
 
 def test_what_processes_use_is_summed() -> None:
@@ -70,8 +111,20 @@ def test_a_full_disk_takes_nothing_until_it_is_freed_and_keeps_what_it_has(tmp_p
         disk.close()
 
 
+def test_a_clock_that_cannot_be_shifted_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for library in (tmp_path / "libfaketimeMT.so.1", ""):  # one that is not there, and none
+        monkeypatch.setenv("FAKETIME_LIBRARY", str(library))
+        monkeypatch.setattr(shifted_clock, "_LIBRARIES", ())
+        with pytest.raises(ConfigError, match=r"the clock cannot be shifted with libfaketime \(.*\); install it"):
+            ShiftedClock(tmp_path / "clock")
+
+
 def test_a_clock_that_jumps_is_seen_by_new_processes_and_their_monotonic_clock_is_not(tmp_path: Path) -> None:
-    clock = ShiftedClock(tmp_path / "clock")
+    try:
+        clock = ShiftedClock(tmp_path / "clock")
+    except ConfigError as error:
+        pytest.skip(str(error))
+    assert not clock.is_seen_by(os.getpid())
 
     def seen() -> list[float]:
         environment = os.environ | dict(clock.environment)
