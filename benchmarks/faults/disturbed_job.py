@@ -44,7 +44,7 @@ class Course:
         hits: Number of them by kind; only those that really hit the job.
         starts: Number of times that the job was started.
         stops: Number of times that it ended by itself with an error although no fault asked for it.
-        last_words: The error line of each stop.
+        last_words: The error line of each stop, and of each second driver in a store that ended with one.
         unclear: What was expected to end with one line and did not: the fault, and what was found.
         rows: What was compared in all rounds so far, see :func:`benchmarks.faults.comparison.compared`.
         is_complete: Whether all rounds are done.
@@ -206,7 +206,7 @@ class DisturbedJob:
                     self.clock.jump(rng)
                 return bool(busy) and all(map(self.clock.is_seen_by, [self._driver.process.pid, *busy]))
             case FaultKind.TWO_DRIVERS:
-                return bool(busy) and self._start_rival(rng)
+                return self._start_rival(rng)
             case FaultKind.KILL_DRIVER:
                 is_hit = self._driver.kill()
             case FaultKind.KILL_HEAD:
@@ -240,7 +240,7 @@ class DisturbedJob:
         """Starts a second driver. Where there is a lock, one of the two must refuse to run; in a store it works for a while."""
         rival = self._started()
         while rival.process.poll() is None and self._driver.process.poll() is None:
-            if not self.run.is_local and _AT_WORK.search(rival.text()):
+            if not self.run.is_local and all(_AT_WORK.search(driver.text()) for driver in (self._driver, rival)):
                 self._rivals.append((rival, time.monotonic() + float(rng.uniform(0.2, 1)) * _RIVAL_SECONDS))
                 return True
             self.nodes.restore()
@@ -257,6 +257,7 @@ class DisturbedJob:
             if rival.process.poll() is None and time.monotonic() < ends:
                 continue
             if not rival.kill() and not rival.is_done:
+                self.course.last_words.append(f"second driver: {rival.last_words()}")
                 self._note_end(FaultKind.TWO_DRIVERS, rival, rival.process.returncode)
             self._rivals.remove((rival, ends))
 

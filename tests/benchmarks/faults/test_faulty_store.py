@@ -9,7 +9,7 @@ from benchmarks.faults.faulty_store import FaultyStore, Rates, _Faults
 from benchmarks.faults.s3_server import CREDENTIALS
 from stable_data.storage.run_folder import RunFolder
 
-FILES = {f"report/{number}.bin": bytes([number]) * 1000 * number for number in range(24)}
+FILES = {f"report/{number}.bin": bytes([number]) * 1000 * number for number in range(8)}
 
 
 def hits(seed: int, count: int = 4000) -> list[str]:
@@ -23,10 +23,11 @@ def test_the_shares_are_those_asked_for_and_the_same_requests_are_hit() -> None:
     assert share == pytest.approx({"failed": 0.05, "slow": 0.02, "torn": 0.01}, abs=0.01)
 
 
+@pytest.mark.slow  # two servers
 def test_what_was_written_is_read_again_and_kept_for_the_next_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in CREDENTIALS.items():
         monkeypatch.setenv(name, value)
-    store = FaultyStore(tmp_path, 3, Rates(failed=0.1, slow=0.0, torn=0.1))
+    store = FaultyStore(tmp_path, 3, Rates(failed=0.2, slow=0.0, torn=0.2))
     try:
         run = RunFolder(store.uri("run"))
         for name, content in FILES.items():
