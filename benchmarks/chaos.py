@@ -331,17 +331,17 @@ def show(figures: Mapping[str, Any]) -> None:
     """Prints the table."""
     requests = figures["requests"]
     hits = ", ".join(f"{kind} {count}" for kind, count in figures["hits"].items())
-    wall = f"{figures['seconds_disturbed']:.0f} s against {figures['seconds_undisturbed']:.0f} s undisturbed"
+    disturbed, undisturbed, rounds = figures["seconds_disturbed"], figures["seconds_undisturbed"], figures["rounds"]
+    wall = f"{disturbed:.0f} s in {rounds} rounds against {undisturbed:.0f} s undisturbed, {disturbed / rounds / undisturbed:.2f} times"
     rows = {
         "job, scenes": f"{figures['job']}, {figures['scenes']}",
         "faults that hit": f"{sum(figures['hits'].values())}: {hits or 'none'}",
         "faults that never hit": "; ".join(figures["missed"]) or "none",
-        "times that the job was completed": figures["rounds"],
         "requests to the store": ", ".join(f"{name} {count}" for name, count in requests.items()),
         "starts of the job": figures["starts"],
         "ended by itself and was started again": figures["stops"],
         "ends that were not clear": len(figures["unclear"]),
-        "wall time": f"{wall}, {figures['seconds_disturbed'] / figures['seconds_undisturbed']:.2f} times",
+        "wall time": wall,
         "rows compared": figures["rows"],
         "rows lost, different, doubled, added": ", ".join(
             str(figures[key]) for key in ("lost", "different", "doubled", "added")
