@@ -25,6 +25,7 @@ from stable_data.storage.run_folder import RunFolder
 
 _LOOK_SECONDS = 0.5
 _END_SECONDS = 600.0  # for a driver to end by itself when it cannot go on
+_HANG_SECONDS = 3600.0  # longest time without another file while the job runs
 _RIVAL_SECONDS = 180.0  # longest life of a second driver after its work has begun
 _AT_WORK = re.compile(r"\d+/\d+ \w+s \[")  # the progress bar of a job whose shards are planned
 _CLOSING_LINE = "; report/index.html"  # a process that crashes may end with the status of a job that is done
@@ -136,10 +137,11 @@ class DisturbedJob:
             faults: The faults of this round, those that have happened included.
 
         Raises:
-            RuntimeError: It ended with an error again and again.
+            RuntimeError: It ended with an error again and again, or hangs.
         """
-        began, waiting = time.monotonic(), deque(faults[self.course.passed - self.course.begins :])
-        before, idle_stops, there = self.course.seconds, 0, self._num_there()
+        began = since = time.monotonic()
+        waiting = deque(faults[self.course.passed - self.course.begins :])
+        before, idle_stops, there = self.course.seconds, 0, -1
         self._start()
         try:
             while not self._driver.is_done:
@@ -148,13 +150,17 @@ class DisturbedJob:
                     return False
                 self.nodes.restore()
                 self._end_rivals()
+                if (now_there := self._num_there()) != there:
+                    idle_stops, there, since = 0, now_there, time.monotonic()
+                elif time.monotonic() - since > _HANG_SECONDS:
+                    raise RuntimeError(f"the job has written nothing for {_HANG_SECONDS:g} s, see {self._driver.log}")
                 if (status := self._driver.process.poll()) is not None and not self._driver.is_done:
                     self._note_stop(status)
-                    idle_stops, there = (0 if self._num_there() > there else idle_stops + 1), self._num_there()
+                    idle_stops += 1
                     if idle_stops > _MAX_STOPS:
                         raise RuntimeError(f"the job ended {idle_stops} times by itself: {self.course.last_words[-1]}")
                     self._start()
-                elif waiting and self._num_there() >= waiting[0].at * self.num_files:
+                elif waiting and there >= waiting[0].at * self.num_files:
                     rng = np.random.default_rng([self.seed, self.course.passed])
                     time.sleep(float(rng.uniform(0, self.delay_seconds)))
                     if self._hit(waiting[0].kind, rng):
