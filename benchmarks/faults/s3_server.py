@@ -1,5 +1,6 @@
 """An S3 server on this machine (moto), whose objects are in its memory."""
 
+import logging
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ def s3_server(around: Callable[[Application], Application] = lambda application:
     Yields:
         ``host:port``.
     """
+    logging.getLogger("werkzeug").setLevel(logging.WARNING)  # else a line for each request
     server = make_server(
         "127.0.0.1",
         0,
