@@ -251,8 +251,8 @@ class DisturbedJob:
                 return True
             self.nodes.restore()
             time.sleep(_LOOK_SECONDS)
-        if not self.run.is_local:  # one of the two ended before both were at work
-            self._rivals.append((rival, float("inf")))
+        if not self.run.is_local:  # one of the two ended before both were at work; a second one that is late must end by itself
+            self._rivals.append((rival, float("inf") if self._driver.is_done else 0.0))
             return False
         refused, self._driver = (rival, self._driver) if rival.process.poll() is not None else (self._driver, rival)
         return self._expect_end(refused, FaultKind.TWO_DRIVERS, r"error: .*another run is writing to this folder")
