@@ -66,6 +66,7 @@ class _Place:
         physics: Mass and friction of an asset; None if they are not known.
         look: The stored surfaces that are seen of an asset; empty if it stores none.
         textures: Their rows of the table ``textures``.
+        is_run: Whether the library is a run: its meshes were repaired before they were stored.
     """
 
     library: AssetLibrary | None
@@ -78,6 +79,7 @@ class _Place:
     physics: Callable[[str], AssetPhysics | None] = lambda _: None
     look: Callable[[str], Sequence[Surface]] = lambda _: ()
     textures: Callable[[str], Sequence[Row]] = lambda _: ()
+    is_run: bool = False
 
 
 class AssetLibraries:
@@ -199,6 +201,10 @@ class AssetLibraries:
         """The asset's GLB, or None if it has none."""
         return self._place_of(asset_id).meshes(asset_id)
 
+    def is_stored(self, asset_id: str) -> bool:
+        """Whether the asset's mesh is that of a run."""
+        return self._place_of(asset_id).is_run
+
     def parts(self, asset_id: str) -> tuple[Mesh, ...]:
         """The convex parts of an asset that a run or the embedded world stores; empty for other libraries."""
         return self._place_of(asset_id).parts(asset_id)
@@ -271,7 +277,7 @@ def _opened(place: str, name: str, *, may_be_empty: bool) -> _Place:
         contents = partial(_contents_of_run, run)
         rows = partial(_rows_of_run, kept, cache(partial(RowsOfAssets, run, "assets")))
         own = _Place(listed, annotations.keys(), kept.asset_path, annotations.__getitem__, contents, kept.parts, rows)
-        return replace(own, physics=kept.physics, look=kept.look, textures=kept.textures)
+        return replace(own, physics=kept.physics, look=kept.look, textures=kept.textures, is_run=True)
     root = Path(place).expanduser().resolve()
     shown = FolderSource(root).first_scenes() if (root / LAYOUT_FOLDER).is_dir() else ()
     return _of_folder(root, partial(library_of_folder, root, name, scenes=shown, keeps_sizes=True), may_be_empty=may_be_empty)

@@ -62,7 +62,7 @@ def file_columns(asset_id: str, mesh: Mesh, paint: Paint) -> Row:
         mesh: Repaired, mesh units.
         paint: Display colours and the faces that have them.
     """
-    glb = write_glb(mesh, paint=paint)
+    glb = write_glb(mesh, paint=paint, keeps_order=True)
     return {"asset_id": asset_id, "glb": glb, "sha256": hashlib.sha256(glb).hexdigest()}
 
 

@@ -110,7 +110,7 @@ class RunAssets:
     :class:`~stable_data.assets.store.PartSource` with the convex parts of the table, and a
     :class:`~stable_data.assets.store.LookSource` with its looks and the images of the table ``textures``, and a
     :class:`~stable_data.assets.store.PhysicsSource` with the masses of the table ``assets``, whose small columns are read on the
-    first request.
+    first request, and a :class:`~stable_data.assets.store.StoredSource`.
 
     Args:
         run: The run folder.
@@ -146,6 +146,10 @@ class RunAssets:
     def asset_ids(self) -> Set[str]:
         """The assets that have a mesh."""
         return self._content_of.keys()
+
+    def is_stored(self, asset_id: str) -> bool:
+        """Returns whether the run has a mesh of an asset: it was repaired before it was stored."""
+        return asset_id in self._content_of
 
     def sha256(self, asset_id: str) -> str | None:
         """Returns the hash of an asset's GLB that its row states; None if the run has no mesh of it."""

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.assets.physics import AssetPhysics
 from stable_data.errors import MeshError, Notice
-from stable_data.geometry.gltf_reader import load_colliders, load_glb, load_surfaces
+from stable_data.geometry.gltf_reader import load_colliders, load_glb, load_stored_mesh, load_surfaces
 from stable_data.geometry.images import texture_pixels
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint, load_paint
-from stable_data.geometry.mesh_repair import MeshReport, repair_mesh
+from stable_data.geometry.mesh_repair import MeshReport, mesh_report, repair_mesh
 from stable_data.geometry.sdf.build import build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
@@ -91,19 +91,30 @@ class FingerprintSource(Protocol):
         ...
 
 
+@runtime_checkable
+class StoredSource(Protocol):
+    """A source whose meshes may be those of a run: they were judged as they are, and are not repaired again."""
+
+    def is_stored(self, asset_id: str) -> bool:
+        """Returns whether the mesh of an asset is stored in a run."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class AssetMesh:
-    """A mesh that was read and repaired.
+    """A mesh that was read, and repaired if it comes from no run.
 
     Attributes:
         mesh: The mesh, in mesh units, z up, centred on its box.
         report: Properties of the mesh, and the repairs.
         notices: Problems of the file.
+        is_in_order: Whether its faces have the order with which it was judged before it was stored; some older runs lost it.
     """
 
     mesh: Mesh
     report: MeshReport
     notices: tuple[Notice, ...]
+    is_in_order: bool = True
 
 
 class _Cache(Generic[K, V]):
@@ -146,7 +157,7 @@ class AssetStore:
         self._fingerprints: dict[str, str | None] = {}
 
     def asset(self, asset_id: str) -> AssetMesh:
-        """Returns the repaired mesh of an asset.
+        """Returns the repaired mesh of an asset; that of a run as it is stored there.
 
         Raises:
             MeshError: The mesh is missing or cannot be used. The error is cached, except for errors that the machine may cause:
@@ -378,7 +389,7 @@ class AssetStore:
         return build_grid(asset.mesh, aspect=aspect_of(steps), is_sheet=asset.report.is_sheet)
 
     def _load(self, asset_id: str) -> AssetMesh | MeshError:
-        """Reads and repairs a mesh. A lasting error is returned, to be cached; a transient one is raised."""
+        """Reads a mesh, and repairs it if no run stores it. A lasting error is returned, to be cached; a transient one is raised."""
         path = self._source.asset_path(asset_id)
         if path is None:
             return MeshError(
@@ -386,6 +397,9 @@ class AssetStore:
                 "glb_missing",
             )
         try:
+            if isinstance(self._source, StoredSource) and self._source.is_stored(asset_id):
+                mesh, is_in_order = load_stored_mesh(path, asset_id)
+                return AssetMesh(mesh, mesh_report(mesh), (), is_in_order)
             mesh, notices = load_glb(path, asset_id)
             mesh, report, repaired = repair_mesh(mesh, asset_id)
         except MeshError as error:

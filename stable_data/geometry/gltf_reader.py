@@ -35,6 +35,9 @@ COLLIDERS = "colliders"
 PART_FACES = "part_faces"
 """Key in the ``extras`` of that mesh: the number of faces of each part, in order."""
 
+FACE_ORDER = "face_order"
+"""Key in the ``extras`` of a painted mesh: the accessor with the number of each face before faces were grouped by colour."""
+
 TEXTURE = "texture:"
 """Start of the address of an image that is a row of the table ``textures``; its SHA-256 follows."""
 
@@ -80,6 +83,19 @@ def load_glb(data: bytes | Path, asset_id: str, *, limits: MeshLimits = LIMITS.m
             ``glb_no_faces``, ``glb_degenerate_only``, ``glb_too_large``, ``glb_unsupported``, ``glb_unreadable`` or ``glb_invalid``.
     """
     return _read(data, _GlbReader(asset_id, limits), lambda reader: (_welded(*reader.soup(), reader), tuple(reader.notices)))
+
+
+def load_stored_mesh(data: bytes | Path, asset_id: str, *, limits: MeshLimits = LIMITS.mesh) -> tuple[Mesh, bool]:
+    """Reads a mesh as :func:`stable_data.geometry.gltf_writer.write_glb` stores it in a run; the arguments are those of :func:`load_glb`.
+
+    Returns:
+        The very mesh that was written; nothing is welded, and only a box that is not centred, of a mesh from elsewhere, is moved.
+        And whether its faces are in the order that they had: older files group them by colour and do not say it.
+
+    Raises:
+        MeshError: As :func:`load_glb`.
+    """
+    return _read(data, _GlbReader(asset_id, limits), lambda reader: _stored(*reader.soup(), reader))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,14 +277,34 @@ class _GlbReader:
             raise MeshError(f"asset {self.asset_id}: {path} cannot be read: {reason}", "glb_unreadable") from error
 
     def soup(self) -> tuple[FloatArray, IntArray]:
-        """Corners (V, 3) in the file's frame, z up, and faces (F, 3), node transforms applied, not welded."""
+        """Corners (V, 3) in the file's frame, z up, and faces (F, 3), node transforms applied, not welded.
+
+        Primitives that name the same corners in the same place, such as those of the colours of a mesh, share them.
+        """
         self._refuse_unsupported()
         vertices, faces, num_vertices = [], [], 0
-        for _, corners, triangles in self._placed_primitives():
-            faces.append(triangles + num_vertices)
-            vertices.append(corners)
-            num_vertices += len(corners)
+        known: dict[object, tuple[FloatArray, int]] = {}
+        for primitive, corners, triangles in self._placed_primitives():
+            name = primitive["attributes"]["POSITION"]
+            first, start = known.get(name, (None, 0))
+            if first is None or not np.array_equal(first, corners):
+                start = num_vertices
+                known[name] = corners, start
+                vertices.append(corners)
+                num_vertices += len(corners)
+            faces.append(triangles + start)
         return np.concatenate(vertices), np.concatenate(faces)
+
+    def face_order(self, num_faces: int) -> IntArray | None:
+        """The number of each face of the scene before its faces were grouped by colour, (F,); None if the file does not say it."""
+        placed = list(self._placed_meshes())
+        mesh = self._entry("meshes", placed[0][0])
+        if len(placed) != 1 or FACE_ORDER not in mesh.get("extras", {}):
+            return None if sum(len(self._entry("meshes", k)["primitives"]) for k, _ in placed) > 1 else np.arange(num_faces)
+        order = self._accessor(mesh["extras"][FACE_ORDER], 1)[:, 0].astype(np.int64)
+        if not np.array_equal(np.sort(order), np.arange(num_faces)):
+            self.fail("glb_invalid", f"{FACE_ORDER} is not an order of its {num_faces} faces", "each number once")
+        return order
 
     def surfaces(self) -> list[Surface]:
         """The surfaces of the scene; see :func:`load_surfaces`."""
@@ -606,6 +642,23 @@ def _triangles(indices: IntArray, mode: int) -> IntArray:
 
 def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
     """Welds corners (V, 3) and faces (F, 3) to one clean mesh."""
+    soup, faces, extent = _used(soup, faces, reader)
+    return _with_area(center_vertices(*weld_vertices(soup, faces, WELD * extent)), extent, reader)
+
+
+def _stored(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> tuple[Mesh, bool]:
+    """Corners (V, 3) and faces (F, 3) as a mesh, in the middle of whose box is the origin; and whether its faces are in order."""
+    soup, faces, extent = _used(soup, faces, reader)
+    order = reader.face_order(len(faces))
+    if order is not None:
+        faces = faces[np.argsort(order)]
+    is_centred = np.abs(soup.min(axis=0) + soup.max(axis=0)).max() <= 2 * WELD * extent
+    mesh = Mesh(soup, faces) if is_centred else center_vertices(soup, faces)
+    return _with_area(mesh, extent, reader), order is not None
+
+
+def _used(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> tuple[FloatArray, IntArray, float]:
+    """The used ones of corners (V, 3), the faces (F, 3) on them, and their largest extent; refuses coordinates of no usual size."""
     soup, faces = drop_unused_vertices(soup, faces)
     if not np.isfinite(soup).all():
         bad = int((~np.isfinite(soup)).any(axis=1).sum())
@@ -613,7 +666,11 @@ def _welded(soup: FloatArray, faces: IntArray, reader: _GlbReader) -> Mesh:
     extent = float(np.ptp(soup, axis=0).max())
     if not _SMALLEST < extent < 1 / _SMALLEST:
         reader.fail("glb_degenerate_only", f"its largest extent is {extent:.3g}", "a surface of a usual size")
-    mesh = center_vertices(*weld_vertices(soup, faces, WELD * extent))
+    return soup, faces, extent
+
+
+def _with_area(mesh: Mesh, extent: float, reader: _GlbReader) -> Mesh:
+    """A mesh; one without area is refused."""
     if not (double_areas(mesh) > _FLAT * extent * extent).any():
-        reader.fail("glb_degenerate_only", f"none of {len(faces)} faces has an area", "a surface; export it again")
+        reader.fail("glb_degenerate_only", f"none of {len(mesh.faces)} faces has an area", "a surface; export it again")
     return mesh

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from stable_data.geometry.gltf_reader import COLLIDERS, PART_FACES, TEXTURE
+from stable_data.geometry.gltf_reader import COLLIDERS, FACE_ORDER, PART_FACES, TEXTURE
 from stable_data.geometry.mesh import Mesh, join_meshes
 from stable_data.geometry.mesh_colors import to_linear
 from stable_data.geometry.surface import Surface, index_surface
@@ -29,6 +29,7 @@ def write_glb(
     paint: Sequence[tuple[str, IntArray]] = (),
     parts: Sequence[Mesh] = (),
     surfaces: Sequence[Surface] = (),
+    keeps_order: bool = False,
 ) -> bytes:
     """Writes a mesh as binary glTF; the same input gives the same bytes.
 
@@ -41,6 +42,8 @@ def write_glb(
             its ``extras.part_faces`` lists the number of faces of each part.
         surfaces: The faces of the mesh with materials and textures, each once; they take the place of ``paint``. Their images, PNG
             or JPEG, are in the file.
+        keeps_order: Where ``paint`` changes the order of the faces, also write their numbers, an accessor that the mesh's
+            ``extras.face_order`` names: a sample of a surface depends on the order of its faces.
 
     Returns:
         The content of the file. The scene is y up, as glTF demands.
@@ -68,6 +71,10 @@ def write_glb(
         if paint:
             document["materials"] = [material(color) for color, _ in paint]
             meshes[0]["primitives"] = [{**primitive, "material": k} for k, primitive in enumerate(primitives)]
+            order = np.concatenate([rows for _, rows in paint])
+            if keeps_order and not np.array_equal(order, np.arange(len(order))):
+                meshes[0]["extras"] = {FACE_ORDER: len(arrays)}
+                arrays.append(order)
     if parts:
         primitive = {"attributes": {"POSITION": len(arrays)}, "indices": len(arrays) + 1}
         meshes.append({"name": COLLIDERS, "primitives": [primitive], "extras": {PART_FACES: [len(p.faces) for p in parts]}})

@@ -72,7 +72,7 @@ def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Noti
         asset_id: The asset's name in notices.
 
     Returns:
-        The repaired mesh, its report, and the notice ``glb_inside_out`` if most faces of a solid had to be reversed.
+        The repaired mesh, its coordinates rounded to float32, its report, and the notice ``glb_inside_out`` if most faces of a solid had to be reversed.
 
     Raises:
         MeshError: ``mesh_too_complex``: it has more parts or holes than the limits, or their arrangement makes repair too slow.
@@ -96,8 +96,10 @@ def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Noti
     is_filled |= _is_safe_to_fill(vertices, faces, caps, ~is_filled, asset_id)
     if is_filled.any():
         actions.append(f"closed {is_filled.sum()} of {len(is_filled)} holes")
-    repaired = center_vertices(vertices, np.concatenate([faces, caps.faces[is_filled[caps.hole]]]))
-    report = _report(repaired, before.is_watertight, num_flipped, tuple(actions))
+    centred = center_vertices(vertices, np.concatenate([faces, caps.faces[is_filled[caps.hole]]]))
+    # As a file stores it: the mesh that is judged is then the mesh that a run has.
+    repaired = Mesh(centred.vertices.astype(np.float32), centred.faces)
+    report = mesh_report(repaired, was_watertight=before.is_watertight, num_flipped=num_flipped, actions=tuple(actions))
     if report.is_solid and num_flipped > len(original) / 2:
         message = f"asset {asset_id}: {num_flipped} of {len(original)} faces pointed inwards; they were reversed"
         return repaired, report, (Notice(asset_id, "mesh", "glb_inside_out", message),)
@@ -317,7 +319,17 @@ def _is_safe_to_fill(vertices: FloatArray, faces: IntArray, caps: _Caps, is_aske
     return is_safe
 
 
-def _report(mesh: Mesh, was_watertight: bool, num_flipped: int, actions: tuple[str, ...]) -> MeshReport:
+def mesh_report(
+    mesh: Mesh, *, was_watertight: bool | None = None, num_flipped: int = 0, actions: tuple[str, ...] = ()
+) -> MeshReport:
+    """Returns the properties of a mesh that is used as it is.
+
+    Args:
+        mesh: The mesh.
+        was_watertight: Whether it was closed before it was repaired; None if it was not repaired.
+        num_flipped: Faces that the repair reversed.
+        actions: Its actions.
+    """
     edges = Edges.of(mesh.faces)
     volume = float(signed_volumes(mesh.triangles).sum())
     area = float(double_areas(mesh).sum() / 2)
@@ -326,7 +338,7 @@ def _report(mesh: Mesh, was_watertight: bool, num_flipped: int, actions: tuple[s
         num_vertices=len(mesh.vertices),
         num_faces=len(mesh.faces),
         is_watertight=edges.is_watertight,
-        was_watertight=was_watertight,
+        was_watertight=edges.is_watertight if was_watertight is None else was_watertight,
         is_solid=is_solid,
         is_sheet=not is_solid,
         num_components=int(_part_of_faces(mesh.faces).max()) + 1,

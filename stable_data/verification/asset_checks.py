@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from stable_data.errors import MeshError
-from stable_data.geometry.gltf_reader import load_glb, load_surfaces, texture_addresses
+from stable_data.geometry.gltf_reader import load_stored_mesh, load_surfaces, texture_addresses
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import FloatArray
 from stable_data.storage.checksums import checksum_of
@@ -80,7 +80,7 @@ class MeshCheck:
             yield f"glb does not have the hash {row['sha256']!r:.70} of its row"
             return
         try:
-            mesh, _ = load_glb(row["glb"], row["asset_id"])
+            mesh, _ = load_stored_mesh(row["glb"], row["asset_id"])
         except MeshError as error:
             yield str(error)
             return

@@ -37,7 +37,7 @@ from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 FeatureSource: TypeAlias = Literal["point", "box"]
 """The network's inputs of a shape: ``point``, the encoder's features and the extents; ``box``, the extents alone."""
 
-_VERSION = 3  # of the cache file; a change of its content needs a new number
+_VERSION = 4  # of the cache file; a change of its content needs a new number
 _TABLES = ("scenes", "meshes", "sdf", "assets")
 _STAGES = {stage: index for index, stage in enumerate(Stage)}
 _SPLITS = {"train": 0, "validation": 1}
@@ -282,6 +282,9 @@ class _RunsAssets:
 
     def asset_path(self, asset_id: str) -> Path | None:
         return self._of[asset_id].asset_path(asset_id) if asset_id in self._of else None
+
+    def is_stored(self, asset_id: str) -> bool:
+        return asset_id in self._of
 
 
 class _NoAssets:

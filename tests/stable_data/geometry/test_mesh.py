@@ -439,7 +439,7 @@ def test_real_meshes_have_the_annotated_size_and_nearly_all_become_solid(measure
         if set("xyz") <= set(note.get("bbox", ())):  # some annotation entries lack it
             bbox = np.array([note["bbox"][axis] for axis in "xzy"])
             assert np.allclose(mesh.extents, bbox, atol=1e-5 * bbox.max())
-        assert np.allclose(repaired.extents, mesh.extents, rtol=1e-9)
+        assert np.allclose(repaired.extents, mesh.extents, rtol=2**-23)  # rounded as a file stores them
         assert not notices + more
         assert report.is_sheet == (note["category"] in SHEETS)
 
