@@ -297,10 +297,10 @@ class _GlbReader:
 
     def face_order(self, num_faces: int) -> IntArray | None:
         """The number of each face of the scene before its faces were grouped by colour, (F,); None if the file does not say it."""
-        placed = list(self._placed_meshes())
-        mesh = self._entry("meshes", placed[0][0])
-        if len(placed) != 1 or FACE_ORDER not in mesh.get("extras", {}):
-            return None if sum(len(self._entry("meshes", k)["primitives"]) for k, _ in placed) > 1 else np.arange(num_faces)
+        meshes = [self._entry("meshes", node.mesh) for node in self.placed_nodes() if node.mesh is not None]
+        mesh = meshes[0]
+        if len(meshes) != 1 or FACE_ORDER not in mesh.get("extras", {}):
+            return None if sum(len(each["primitives"]) for each in meshes) > 1 else np.arange(num_faces)
         order = self._accessor(mesh["extras"][FACE_ORDER], 1)[:, 0].astype(np.int64)
         if not np.array_equal(np.sort(order), np.arange(num_faces)):
             self.fail("glb_invalid", f"{FACE_ORDER} is not an order of its {num_faces} faces", "each number once")

@@ -72,7 +72,8 @@ def repair_mesh(mesh: Mesh, asset_id: str) -> tuple[Mesh, MeshReport, tuple[Noti
         asset_id: The asset's name in notices.
 
     Returns:
-        The repaired mesh, its coordinates rounded to float32, its report, and the notice ``glb_inside_out`` if most faces of a solid had to be reversed.
+        The repaired mesh, its coordinates rounded to float32; its report; and the notice ``glb_inside_out`` if most faces of a solid
+        had to be reversed.
 
     Raises:
         MeshError: ``mesh_too_complex``: it has more parts or holes than the limits, or their arrangement makes repair too slow.

@@ -1,6 +1,7 @@
 """Checks the rows of assets: their meshes, looks, images and grids are what their hashes and the other columns say."""
 
 from collections.abc import Iterator, Sequence
+from sys import intern
 
 import numpy as np
 import pyarrow as pa
@@ -17,19 +18,29 @@ from stable_data.verification.known_ids import KnownIds
 from stable_data.verification.shard_files import ShardFile
 
 _ROUNDING = 1e-5  # of the largest extent: vertices of a file are float32
+_MASS_SLACK = 0.01  # of the largest extent: by how much a centre of mass may lie outside of the box
 _LOOK_SLACK = 0.02  # of the largest extent: the box of a look may leave out faces without area
 
 
 class AssetFacts:
-    """The extents and the number of triangles of every mesh of a run: 40 bytes an asset."""
+    """The extents and the number of triangles of every mesh of a run, and the category of every asset: 50 bytes an asset."""
 
     def __init__(self) -> None:
         self._facts: dict[str, tuple[float, float, float, int]] = {}
+        self._categories: dict[str, str] = {}
 
     def add(self, asset_id: str, mesh: Mesh) -> None:
         """Adds a mesh."""
         x, y, z = mesh.extents.tolist()
         self._facts[asset_id] = x, y, z, len(mesh.faces)
+
+    def name(self, asset_id: str, category: str) -> None:
+        """Adds the category of an asset."""
+        self._categories[asset_id] = intern(category)
+
+    def category(self, asset_id: str) -> str | None:
+        """The category of an asset; None if it is not known."""
+        return self._categories.get(asset_id)
 
     def extents(self, asset_id: str) -> FloatArray | None:
         """The extents of a mesh, (3,) float64, mesh units; None if it is not known."""
@@ -135,6 +146,7 @@ class AssetCheck:
     def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
         """Checks rows of a file, of which the first has a number."""
         for number, row in enumerate(rows, start):
+            self._facts.name(row["asset_id"], row["category"] or "")
             for what in self._faults(row):
                 self._findings.damage(file.name, f"asset {row['asset_id']}: {what}", number)
 
@@ -158,6 +170,21 @@ class AssetCheck:
             expected = report["volume"] * float(np.prod(scale))
             if not np.isclose(volume, expected, rtol=1e-6, atol=1e-15):
                 yield f"volume is {volume}, expected {expected} by its report and typical_scale"
+        yield from _mass_faults(row)
+
+
+def _mass_faults(row: Row) -> Iterator[str]:
+    """Faults of the mass of an asset: its centre is in its box, and each inertia is positive."""
+    scale, centre = row.get("typical_scale") or (1.0, 1.0, 1.0), row.get("center_of_mass")
+    half = np.multiply(row["extents"], scale) / 2
+    if centre is not None and (np.abs(centre) > half + _MASS_SLACK * half.max()).any():
+        yield f"center_of_mass is {centre}, expected in its box of {(2 * half).round(4).tolist()}"
+    for name in ("inertia_per_mass", "inertia"):
+        if row.get(name) is not None:
+            found = np.array(row[name]).reshape(3, 3)
+            least, _, most = np.linalg.eigvalsh(found)
+            if least <= 0 or not np.allclose(found, found.T, rtol=0, atol=1e-6 * most):
+                yield f"{name} is {row[name]}, expected a symmetric and positive matrix"
 
 
 class GridCheck:

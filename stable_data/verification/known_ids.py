@@ -3,7 +3,7 @@
 Of an id 16 bytes are kept (:class:`stable_data.storage.id_hashes.IdSet`), so that the memory hardly grows with the run.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +13,6 @@ import pyarrow.compute as pc
 
 from stable_data.scene import IntArray
 from stable_data.storage.id_hashes import Hashes, IdSet, id_hashes
-from stable_data.storage.schemas import Row
 from stable_data.verification.findings import Findings
 from stable_data.verification.shard_files import ShardFile, as_array
 
@@ -164,8 +163,3 @@ class Reference:
             named[int(numbers[place]), str(ids[place].as_py())] = None
         for row, name in named:
             findings.damage(file.name, f"{self.path} is {name!r:.80}, which is in no row of {' or '.join(self.tables)}", row)
-
-
-def instances_of(rows: Iterable[Row]) -> set[str]:
-    """Returns the instances of objects or poses."""
-    return {row["instance"] for row in rows}

@@ -27,10 +27,11 @@ from stable_data.storage.manifest import (
     manifest_digest,
 )
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schema_checks import is_older_version
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.verification.findings import Findings
 from stable_data.verification.known_ids import KEYS, leaves
-from stable_data.verification.scene_checks import SplitRule, is_close
+from stable_data.verification.scene_checks import SplitRule, is_close, is_number
 from stable_data.verification.shard_files import ShardFile
 
 OF_DATASET = content_id("dataset")
@@ -48,6 +49,9 @@ _NUMBERS: Mapping[str, tuple[tuple[str, str, str, bool], ...]] = {
 }
 """Job -> table, column, key of the number of items, and whether items lost before shards are among them: for runs that are older than
 the list of planned items."""
+
+_SHARES = ("seed", "train_share", "validation_share")
+"""Settings of preprocess from which the splits follow."""
 
 _COUNTED: Mapping[str, Mapping[str, str]] = {
     "warnings": {"code": "warnings_by_code"},
@@ -91,9 +95,32 @@ def check_manifest(manifest: Mapping[str, Any], findings: Findings) -> None:
         findings.damage(
             MANIFEST, f"input_fingerprint is {manifest.get('input_fingerprint')}, expected {expected} by its inputs"
         )
-    versions = manifest.get("table_version"), manifest.get("upgraded_to")
-    if TABLE_VERSION not in versions:
-        findings.damage(MANIFEST, f"table_version is {versions[0]}, expected {TABLE_VERSION}; stable-data upgrade may help")
+    if (older := older_version(manifest)) is not None:
+        findings.cannot_know(
+            f"its tables are of the older version {older}, and nothing of them was checked: run stable-data upgrade RUN, and verify again"
+        )
+    elif TABLE_VERSION not in (manifest.get("table_version"), manifest.get("upgraded_to")):
+        findings.damage(MANIFEST, f"table_version is {manifest.get('table_version')}, expected {TABLE_VERSION}")
+    if manifest.get("job") == "preprocess" and settings_of(manifest).keys() >= {*_SHARES} and split_rule(manifest) is None:
+        findings.damage(MANIFEST, f"its settings {', '.join(_SHARES)} are no numbers")
+
+
+def older_version(manifest: Mapping[str, Any]) -> int | None:
+    """Returns the version of the tables of a run that ``stable-data upgrade`` brings up to date; None for any other run."""
+    version = manifest.get("upgraded_to", manifest.get("table_version"))
+    return version if type(version) is int and is_older_version(str(version)) else None
+
+
+def origin_of(manifest: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Returns the manifest of the run that made the rows: of a published run that of its origin."""
+    origin = manifest.get("origin")
+    return origin if manifest.get("job") == "publish" and isinstance(origin, dict) else manifest
+
+
+def settings_of(manifest: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Returns the settings in a manifest; none if they are no mapping."""
+    settings = manifest.get("settings")
+    return settings if isinstance(settings, dict) else {}
 
 
 def stated_checksums(folder: RunFolder, manifest: Mapping[str, Any] | None, findings: Findings) -> dict[str, str] | None:
@@ -126,13 +153,13 @@ def stated_checksums(folder: RunFolder, manifest: Mapping[str, Any] | None, find
 
 def split_rule(manifest: Mapping[str, Any]) -> SplitRule | None:
     """Returns how splits follow from scenes in a run; None if its job takes them from other runs, whose scenes may be changed."""
-    origin = manifest.get("origin")
-    if manifest.get("job") == "publish" and isinstance(origin, dict):
-        manifest = origin
+    manifest = origin_of(manifest)
     job, settings = manifest.get("job"), manifest.get("settings")
     if job == "preprocess" and isinstance(settings, dict):
-        shares = [settings.get(name) for name in ("seed", "train_share", "validation_share")]
-        return SplitRule(SplitShares(int(shares[0]), *map(float, shares[1:]))) if None not in shares else None  # type: ignore[arg-type]
+        seed, train, validation = (settings.get(name) for name in _SHARES)
+        if type(seed) is not int or not (is_number(train) and is_number(validation)):
+            return None
+        return SplitRule(SplitShares(seed, float(train), float(validation)))  # type: ignore[arg-type]
     return SplitRule(SplitShares(), "generated") if job == "generate" else None
 
 
@@ -174,7 +201,7 @@ class CountCheck:
         listed = self._manifest.get(PLANNED)
         if isinstance(listed, list):
             try:
-                return [PlannedItems(**entry) for entry in listed]
+                return list(map(_planned_items, listed))
             except TypeError as error:
                 self._findings.damage(MANIFEST, f"{PLANNED} has an entry of another form ({error})")
                 return []
@@ -199,7 +226,10 @@ class CountCheck:
         for items in self._items:
             plan = items.planned
             if table == plan.table and plan.column.partition(".")[0] in rows.column_names:
-                items.rows.add(leaves(rows, plan.column, 0)[0])
+                try:
+                    items.rows.add(leaves(rows, plan.column, 0)[0])
+                except (pa.ArrowException, LookupError, TypeError, ValueError) as error:
+                    self._findings.damage(MANIFEST, f"{PLANNED} names the column {plan.column}, which holds no ids ({error})")
             of_plan = self._shard_ids.get(plan.table, set()) | ({OF_DATASET} if plan.lost else set())
             if table == "failures" and file.shard_id in of_plan:
                 items.failed.add(rows["id"])
@@ -251,7 +281,7 @@ class CountCheck:
 
     def _found(self) -> dict[str, Any]:
         """Further counts by their keys in the manifest."""
-        job, found = self._manifest.get("job"), dict[str, Any](self._by_value)
+        job, found = self._manifest.get("job"), dict[str, Any]({key: dict(counts) for key, counts in self._by_value.items()})
         if job == "reach":
             found |= {name: self._numbers[name] for name in (REACHABLE, GRASPABLE)}
         elif job == "import":
@@ -259,7 +289,7 @@ class CountCheck:
         elif job in ("demonstrate", "evaluate-policy"):
             found["successes"] = sum(done for done, _ in self._by_task.values())
             if job == "demonstrate":
-                found |= {"by_task": self._by_task, "by_reason": self._reasons}
+                found |= {"by_task": self._by_task, "by_reason": dict(self._reasons)}
         elif job == "rate":
             mean = round(float(np.mean(self._averages)), 4) if self._averages else None
             found |= {"rated": len(self._averages), "average": mean} | {n: self._numbers[n] for n in ("passed", "passes_known")}
@@ -287,6 +317,19 @@ class CountCheck:
             self._findings.damage(
                 MANIFEST, f"counts.{plan.failed_key} is {stated}, expected {plan.count - len(rows)} by the rows of {plan.table}"
             )
+
+
+def _planned_items(entry: Any) -> PlannedItems:
+    """The planned items of an entry of the manifest.
+
+    Raises:
+        TypeError: It has another form.
+    """
+    items = PlannedItems(**entry)
+    texts = (items.table, items.column, items.digest, items.failed_key or "")
+    if not all(type(text) is str for text in texts) or type(items.count) is not int or type(items.lost) is not bool:
+        raise TypeError("a value has another type")
+    return items
 
 
 def _not_in(ids: IdSet, others: IdSet) -> np.ndarray[Any, np.dtype[np.bool_]]:

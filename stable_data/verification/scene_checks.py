@@ -2,20 +2,22 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from stable_data.errors import StableDataError
 from stable_data.mesatask.dataset_split import SplitShares, split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
-from stable_data.metrics.card import MetricCard, add_counts
+from stable_data.metrics.card import add_counts
 from stable_data.metrics.judge_columns import FURTHER, verdict_columns
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
 from stable_data.metrics.verdicts import audit_of_row
 from stable_data.position_convention import has_size
-from stable_data.scene import TABLE, UPRIGHT, RelationKind, Scene
+from stable_data.rotations import rotated_extents
+from stable_data.scene import TABLE, UPRIGHT, FloatArray, RelationKind, Scene, SceneObject
 from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import VARIANT_COLUMNS, scene_from_row
 from stable_data.verification.asset_checks import AssetFacts
@@ -32,6 +34,9 @@ _DERIVED = (
     *("max_gap_mm", "out_of_bounds_rate", "clean", "distractor_rate"),
 )
 """Columns that follow from the verdicts on objects and pairs, the relations and the stages."""
+
+_OF_POSES = tuple(name for name in _DERIVED if name not in ("num_stacked", "num_contained", "distractor_rate"))
+"""Those of them that follow from the poses of the objects alone."""
 
 _LATER = frozenset({"float_gap", "distractor_rate"})
 """Those of them that are younger than the oldest runs: null, unknown, where the rows come from such a run."""
@@ -64,7 +69,9 @@ class SceneCheck:
         facts: What the run says of its meshes.
         splits: How splits follow from scenes; None if the run does not say.
         findings: Where damage is noted.
-        needs_assets: Whether the run must have the assets of its scenes; a corrected folder has them beside its tables.
+        needs_assets: Whether the run must have the assets of its scenes; a corrected folder has them beside its tables, and a run
+            that is not finished may not have them yet.
+        is_finished: Whether the run is finished: then an asset of its tables is one of its own.
         may_be_older: Whether rows may come from a run that is older than some columns.
     """
 
@@ -77,10 +84,11 @@ class SceneCheck:
         *,
         needs_assets: bool,
         may_be_older: bool,
+        is_finished: bool = True,
     ) -> None:
         self._known, self._facts, self._splits, self._findings = known, facts, splits, findings
         self._split_of_group: dict[str, str] = {}
-        self._has_assets = "assets" in known.there
+        self._has_assets = is_finished and "assets" in known.there
         self._needs_assets, self._may_be_older = needs_assets, may_be_older
 
     def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
@@ -101,6 +109,9 @@ class SceneCheck:
         else:
             yield from derived_faults(row, scene, may_be_older=self._may_be_older)
         yield from rest_faults(row)
+        mean, most = row.get("move_mean_mm"), row.get("move_max_mm")
+        if (mean is None) != (most is None) or (mean is not None and most is not None and mean > most * (1 + 1e-9)):
+            yield f"move_mean_mm is {mean}, expected at most move_max_mm, which is {most}"
         yield from self._split_faults(row, scene)
         yield from self._asset_faults(row, scene)
         if len({row.get(name) is None for name in VARIANT_COLUMNS if name in row}) > 1:
@@ -135,15 +146,32 @@ class SceneCheck:
                     self._known.add(UNRESOLVED, pa.array([asset_id], pa.string()))
         for o in scene.objects:
             extents = None if o.asset_id is None else self._facts.extents(o.asset_id)
-            if (
-                extents is not None
-                and o.scale is not None
-                and o.tilt_quat_xyzw == UPRIGHT
-                and not has_size(extents * o.scale, o.size)
-            ):
-                yield f"{o.instance} has size {list(o.size)}, expected {(extents * o.scale).round(4).tolist()}: its mesh at its scale"
+            category = None if o.asset_id is None else self._facts.category(o.asset_id)
+            if category is not None and category != o.category:
+                yield f"{o.instance} is of category {o.category}, expected {category} as of its asset"
+            if extents is not None and o.scale is not None:
+                yield from _size_faults(o, extents * o.scale)
             if extents is None and self._has_assets and has_mesh.get(o.instance) and o.asset_id is None:
                 yield f"{o.instance} has a mesh by its verdict, but names no asset"
+
+
+def _size_faults(o: SceneObject, box: FloatArray) -> Iterator[str]:
+    """A size that the mesh of an object cannot have, whose box before the tilt is known, (3,), metres.
+
+    Of a tilted object only bounds follow from the box; the verdicts look at the mesh itself.
+    """
+    if o.tilt_quat_xyzw == UPRIGHT:
+        if not has_size(box, o.size):
+            yield f"{o.instance} has size {list(o.size)}, expected {box.round(4).tolist()}: its mesh at its scale"
+        return
+    x, y, z = box.tolist()
+    size, most, longest = np.array(o.size), np.array(rotated_extents((x, y, z), o.tilt_quat_xyzw)), float(box.max())
+    least = size * max(1.0, longest / max(float(np.linalg.norm(size)), 1e-9))
+    if not (has_size(np.minimum(most, size), o.size) and has_size(least, o.size)):
+        yield (
+            f"{o.instance} has size {list(o.size)}, expected at most {most.round(4).tolist()} and {longest:.4g} across: its mesh at its "
+            "scale and tilt"
+        )
 
 
 def names_faults(row: Row, scene: Scene) -> Iterator[str]:
@@ -223,11 +251,11 @@ def _reach_faults(row: Row, scene: Scene) -> Iterator[str]:
             yield f"reach names {one['instance']}, expected one of its objects"
 
 
-def card_faults(found: Mapping[str, Any], expected: Mapping[str, Any], names: Iterable[str]) -> Iterator[str]:
-    """Yields columns of a metric card that differ from those of another one."""
-    for name in names:
-        if name in found and name in expected and not is_close(found[name], expected[name]):
-            yield f"{name} is {found[name]}, expected {expected[name]}"
+def card_faults(found: Mapping[str, Any], scene_row: Mapping[str, Any]) -> Iterator[str]:
+    """Yields columns of the metric card of a correction that differ from those of its scene, which has the same poses."""
+    for name in _OF_POSES:
+        if name in found and name in scene_row and not is_close(found[name], scene_row[name]):
+            yield f"card_after.{name} is {found[name]}, expected {scene_row[name]} as of its scene"
 
 
 def is_close(found: object, expected: object) -> bool:
@@ -240,7 +268,3 @@ def is_close(found: object, expected: object) -> bool:
 def is_number(value: object) -> bool:
     """Whether a value is a number and no truth value."""
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-CARD_COLUMNS = tuple(each.name for each in fields(MetricCard))
-"""The columns of a metric card."""

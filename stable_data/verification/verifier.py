@@ -23,9 +23,19 @@ from stable_data.verification.asset_checks import AssetCheck, AssetFacts, Featur
 from stable_data.verification.column_checks import SchemaCheck, check_values
 from stable_data.verification.column_rules import RULES
 from stable_data.verification.findings import Finding, Findings
-from stable_data.verification.joined_checks import JoinedCheck, ScenesOfShards, TurnCheck
+from stable_data.verification.generated_checks import GeneratedCheck
+from stable_data.verification.joined_checks import JoinedCheck, ScenesOfShards, ShardMates, TurnCheck
 from stable_data.verification.known_ids import KEYS, KeyCheck, KnownIds, Reference
-from stable_data.verification.manifest_checks import CountCheck, check_manifest, read_raw_manifest, split_rule, stated_checksums
+from stable_data.verification.manifest_checks import (
+    CountCheck,
+    check_manifest,
+    older_version,
+    origin_of,
+    read_raw_manifest,
+    settings_of,
+    split_rule,
+    stated_checksums,
+)
 from stable_data.verification.row_checks import OwnCheck
 from stable_data.verification.scene_checks import UNRESOLVED, SceneCheck
 from stable_data.verification.shard_files import ShardFile, compare_with_checksums, list_files, open_file, row_groups
@@ -51,6 +61,18 @@ _WITHOUT_ASSETS = frozenset({"correct", "query", "publish"})
 
 _OF_OTHER_RUNS = frozenset({"query", "publish", "reach"})
 """Jobs that copy the rows of scenes."""
+
+_IN_ONE_SHARD: Mapping[str, frozenset[str]] = {
+    "generate": frozenset({"turns", "settled", "grasps"}),
+    "preprocess": frozenset({"samples"}),
+    "correct": frozenset({"corrections", "grasps"}),
+    "edit": frozenset({"corrections", "edits", "grasps"}),
+    "reach": frozenset({"grasps"}),
+}
+"""Job -> tables whose rows it writes to the shards of their scenes."""
+
+_SETTLING = frozenset({"generate", "correct", "edit"})
+"""Jobs with the setting ``judges``."""
 
 _CARRIED = frozenset({"assets", "meshes", "textures", "sdf", "features", "settled"})
 """Tables that correct, edit and reach copy from the run that they read."""
@@ -161,16 +183,20 @@ class _Verifier:
         self._manifest: dict[str, Any] = manifest or {}
         if manifest is not None:
             check_manifest(manifest, findings)
+        self._is_finished = self._manifest.get("status") == COMPLETE
         self._checksums = stated_checksums(folder, manifest, findings)
         self._files = list_files(folder, findings)
-        if self._checksums is not None and self._manifest.get("status") == COMPLETE:
+        if self._checksums is not None and self._is_finished:
             compare_with_checksums(self._files, self._checksums, findings)
         self._known = KnownIds(frozenset(file.table for file in self._files))
         self._counts = CountCheck(self._manifest, self._files, findings)
         is_selection = self._manifest.get("job") == "query"  # an older one has a texture once for each shard that it was in
         self._keys = {table: KeyCheck(table, findings) for table in KEYS if not (is_selection and table == "textures")}
-        self._references = _references(str(self._manifest.get("job")))
+        # A run that is not finished may have rows whose scenes, and scenes whose assets, are still to be made.
+        self._references = _references(str(self._manifest.get("job"))) if self._is_finished else {}
         self._checks = self._row_checks()
+        origin = origin_of(self._manifest)
+        self._generated = GeneratedCheck(origin, self._known, findings) if origin.get("job") == "generate" else None
         self._chosen = _ChosenScenes(options.sample, options.seed)
         self._num_checked = 0
 
@@ -184,6 +210,8 @@ class _Verifier:
         schemas = SchemaCheck(list(map(str, made_by)) if isinstance(made_by, list) else [], carried, self._findings)
         order = {table: number for number, table in enumerate(_FIRST)}
         files = sorted(self._files, key=lambda file: (order.get(file.table, len(order)), file.table))
+        if older_version(self._manifest) is not None:
+            return self._result({}, 0, 0, began)
         for number, file in enumerate(files):
             self._check_file(file, schemas)
             self._progress("files", number + 1, len(files))
@@ -192,18 +220,24 @@ class _Verifier:
                 check.close()
         for keys in self._keys.values():
             keys.close()
-        self._check_assets_have_meshes()
+        if self._is_finished:
+            self._check_assets_have_meshes()
+            if self._generated is not None:
+                self._generated.close()
         self._counts.close(has_checksums=self._checksums is not None)
         audited, simulated = self._check_verdicts()
+        return self._result({table: count for table, count in self._counts.rows.items() if count}, audited, simulated, began)
+
+    def _result(self, rows: Mapping[str, int], audited: int, simulated: int, began: float) -> Verification:
         return Verification(
             self._folder.uri,
             str(self._manifest.get("job", "")),
-            self._manifest.get("status") == COMPLETE,
+            self._is_finished,
             dict(self._findings.num_damaged),
             tuple(self._findings.unknown),
             len(self._files),
             self._num_checked,
-            {table: count for table, count in self._counts.rows.items() if count},
+            rows,
             self._chosen.num_scenes,
             audited,
             simulated,
@@ -214,11 +248,17 @@ class _Verifier:
         known, findings, facts = self._known, self._findings, AssetFacts()
         scenes = ScenesOfShards(self._folder, self._files)
         job = self._manifest.get("job")
-        needs_assets = job not in _WITHOUT_ASSETS
-        may_be_older = "upgraded_to" in self._manifest or job in _OF_OTHER_RUNS
         of_scene = SceneCheck(
-            known, facts, split_rule(self._manifest), findings, needs_assets=needs_assets, may_be_older=may_be_older
+            known,
+            facts,
+            split_rule(self._manifest),
+            findings,
+            needs_assets=self._is_finished and job not in _WITHOUT_ASSETS,
+            may_be_older="upgraded_to" in self._manifest or job in _OF_OTHER_RUNS,
+            is_finished=self._is_finished,
         )
+        in_one_shard = _IN_ONE_SHARD.get(str(job), frozenset()) if self._is_finished else frozenset[str]()
+        mates = {table: ShardMates(scenes, known, findings) for table in in_one_shard}
         is_edit = job == "edit"
         encoder = self._manifest.get("encoder")
         return {
@@ -228,12 +268,12 @@ class _Verifier:
             "sdf": GridCheck(findings),
             "features": FeatureCheck(encoder if isinstance(encoder, str) else None, findings),
             **dict.fromkeys(_SCENES, of_scene),
-            "turns": TurnCheck(scenes, findings),
+            "turns": TurnCheck(scenes, findings, mates.get("turns")),
             **{
-                table: JoinedCheck(table, scenes, "scene_id", findings)
+                table: JoinedCheck(table, scenes, "scene_id", findings, mates.get(table))
                 for table in ("settled", "grasps", "samples", "corrections")
             },
-            **({"edits": JoinedCheck("edits", scenes, "edit_id", findings)} if is_edit else {}),
+            **({"edits": JoinedCheck("edits", scenes, "edit_id", findings, mates.get("edits"))} if is_edit else {}),
             **{table: OwnCheck(table, findings) for table in ("episodes", "ratings", "views")},
         }
 
@@ -262,6 +302,8 @@ class _Verifier:
         elif table == "failures":
             self._known.add(table, rows["id"])
         self._counts.note(rows, file)
+        if self._generated is not None:
+            self._generated.note(rows, start, file)
         for reference in self._references.get(table, ()):
             reference.check(rows, start, file, self._known, self._findings)
         if table in _SCENES:
@@ -304,13 +346,15 @@ class _Verifier:
         except ModuleNotFoundError as error:
             findings.cannot_know(f"verdicts: the audit {install_hint(error) or error}; or leave them out with --verdicts none")
             return 0, 0
-        simulates = options.verdicts == "all"
-        if simulates and self._chosen.num_simulated and find_spec("mujoco") is None:
+        simulates, origin = options.verdicts == "all", origin_of(self._manifest)
+        judges = settings_of(origin).get("judges") if origin.get("job") in _SETTLING else None
+        is_settled = isinstance(judges, str) and "mujoco" in judges
+        if simulates and (is_settled or self._chosen.num_simulated) and find_spec("mujoco") is None:
             hint = install_hint(ModuleNotFoundError(name="mujoco"))
             findings.cannot_know(f"whether scenes are stable: MuJoCo {hint}; or leave it out with --verdicts audit")
             simulates = False
         try:
-            check: VerdictCheck = checks.VerdictCheck(self._folder, findings, simulates=simulates)
+            check: VerdictCheck = checks.VerdictCheck(self._folder, findings, simulates=simulates, is_settled=is_settled)
         except ConfigError as error:
             findings.cannot_know(f"verdicts: {error}")
             return 0, 0

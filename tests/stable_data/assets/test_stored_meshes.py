@@ -64,7 +64,9 @@ def test_the_order_of_the_faces_of_an_older_run_is_unknown(tmp_path: Path) -> No
     shape = ball(0.1)
     mesh = Mesh(shape.vertices.astype(np.float32), shape.faces)
     for keeps_order in (True, False):
-        glb = write_glb(mesh, paint=[("#112233", np.arange(9, len(mesh.faces))), ("#445566", np.arange(9))], keeps_order=keeps_order)
+        glb = write_glb(
+            mesh, paint=[("#112233", np.arange(9, len(mesh.faces))), ("#445566", np.arange(9))], keeps_order=keeps_order
+        )
         row = {"asset_id": "ball", "glb": glb, "sha256": hashlib.sha256(glb).hexdigest()}
         found = stored(tmp_path / str(keeps_order), [row]).asset("ball")
         assert found.is_in_order is keeps_order
