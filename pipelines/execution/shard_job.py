@@ -23,7 +23,7 @@ from pipelines.execution.shard_step import ShardTask, ShardWriter, StepShards, a
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, Notice
 from stable_data.storage import schemas
-from stable_data.storage.checksums import save_checksums
+from stable_data.storage.checksums import forget_shards, save_checksums
 from stable_data.storage.manifest import COMPLETE, PLANNED, PlannedItems, read_manifest, write_manifest
 from stable_data.storage.run_changes import PRUNED
 from stable_data.storage.run_folder import RunFolder
@@ -258,6 +258,11 @@ def _run_missing(
         return []
     if record_code(folder.uri, manifest):
         write_manifest(folder, manifest)
+    anew: dict[str, set[str]] = {}
+    for task in missing:
+        for table in steps[task.step].step.TABLES:
+            anew.setdefault(table, set()).add(task.shard.shard_id)
+    forget_shards(folder, anew)
     total, left = sum(len(shard) for each in steps for shard in each.shards), sum(len(task.shard) for task in missing)
     units = {each.step.UNIT for each in steps}
     unit, began = units.pop() if len(units) == 1 else "item", perf_counter()

@@ -132,5 +132,4 @@ def upgrade(run: Annotated[str, typer.Argument(metavar="RUN", help="A run of an 
     from stable_data.storage import run_changes
     from stable_data.storage.run_folder import RunFolder
 
-    count = run_changes.upgrade(RunFolder(run))
-    echo(f"{run}: {count} files were of an older version" if count else f"{run}: is up to date")
+    echo(f"{run}: {run_changes.upgrade(RunFolder(run))}")

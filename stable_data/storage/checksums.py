@@ -7,13 +7,13 @@ stored the last ones, or where a run is older than this file, are shards read on
 
 import hashlib
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Set
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import PurePosixPath
 from typing import Any
 
 from stable_data.errors import ConfigError
-from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.run_folder import PART, RunFolder
 
 CHECKSUMS = "SHA256SUMS"
 """Name of the file in the run's folder."""
@@ -69,6 +69,45 @@ def take_checksums(folder: RunFolder, tables: Collection[str]) -> dict[str, str]
     return taken
 
 
+def forget_shards(folder: RunFolder, shards: Mapping[str, Set[str]]) -> None:
+    """Removes the checksums of shards that are made anew, before they are.
+
+    A driver that is killed then leaves no checksum of a file that was replaced.
+
+    Args:
+        folder: The run.
+        shards: Table -> ids of its shards.
+
+    Raises:
+        ConfigError: As :func:`take_checksums`.
+    """
+    known = read_checksums(folder) or {}
+    kept = {name: checksum for name, checksum in known.items() if _shard_of(name) not in shards.get(name.partition("/")[0], ())}
+    if len(kept) < len(known):
+        _write(folder, kept)
+
+
+def refuse_changed_files(folder: RunFolder, tables: Collection[str]) -> None:
+    """Refuses shards that are not as they were written, before shards of these tables are replaced: that would hide it.
+
+    Raises:
+        ConfigError: A file is missing or has another checksum than the one that is stored of it (``shard_changed``), or cannot be
+            read.
+    """
+    known = {name: c for name, c in (read_checksums(folder) or {}).items() if name.partition("/")[0] in tables}
+    there = {f"{table}/{PurePosixPath(path).name}" for table in tables for path in folder.files(table)}
+    names = sorted(known.keys() & there)
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        found = pool.map(lambda name: _checksum(folder, name), names)
+        changed = [name for name, checksum in zip(names, found, strict=True) if checksum != known[name]]
+    if changed := [*changed, *sorted(known.keys() - there)]:
+        raise ConfigError(
+            f"{folder.uri}: {len(changed)} files such as {changed[0]} are not as they were written, expected those of {CHECKSUMS}; see "
+            "stable-data verify RUN, delete the changed ones, and run the job of the run again",
+            "shard_changed",
+        )
+
+
 def complete_checksums(folder: RunFolder) -> dict[str, Any]:
     """Stores the checksums of all shards that are there, and no others; those that are not known are computed from the files.
 
@@ -96,6 +135,11 @@ def _checksum(folder: RunFolder, name: str) -> str:
     if content is None:
         raise ConfigError(f"{folder.uri}/{name}: was removed meanwhile, expected a shard; run again", "shard_missing")
     return checksum_of(content)
+
+
+def _shard_of(name: str) -> str:
+    match = PART.fullmatch(PurePosixPath(name).name)
+    return "" if match is None else match[1]
 
 
 def _write(folder: RunFolder, checksums: Mapping[str, str]) -> str:

@@ -4,6 +4,7 @@ Both replace one file after another, each at once. A change that was stopped is 
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,16 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError, cannot_read
-from stable_data.storage.checksums import take_checksums
-from stable_data.storage.manifest import read_manifest, write_manifest
+from stable_data.storage.checksums import CHECKSUMS, refuse_changed_files, take_checksums
+from stable_data.storage.manifest import (
+    COMPLETE,
+    DIGEST,
+    MANIFEST,
+    PLANNED,
+    manifest_digest,
+    read_manifest,
+    write_manifest,
+)
 from stable_data.storage.run_folder import RunFolder, read_row_groups
 from stable_data.storage.schema_checks import check_required, check_schema, conform_to_schema, is_older_version, version_of
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
@@ -25,31 +34,59 @@ PRUNED = "pruned"
 
 _OF_SCENES = ("settled", "grasps", "rejected")
 
+_WITHOUT_NUMBERS = frozenset({"query", "draft-edits", "import scenes", "supports"})
+"""Jobs whose older manifests do not state the number of their items."""
 
-def upgrade(run: RunFolder) -> int:
+
+@dataclass(frozen=True, slots=True)
+class Upgrade:
+    """What an upgrade has changed.
+
+    Attributes:
+        num_files: Files that were of an older version.
+        has_new_checksums: Whether the run had no checksums.
+        has_new_plan: Whether its manifest said nothing of planned items, so that those that are there count as all of them.
+    """
+
+    num_files: int
+    has_new_checksums: bool
+    has_new_plan: bool
+
+    def __str__(self) -> str:
+        """Returns in one line what was changed."""
+        found = [f"{self.num_files} files were of an older version"] * bool(self.num_files)
+        found += ["its files had no checksums, and have those of today"] * self.has_new_checksums
+        found += ["its manifest did not say which items were planned: those that are there count as all"] * self.has_new_plan
+        return "; ".join(found) or "is up to date"
+
+
+def upgrade(run: RunFolder) -> Upgrade:
     """Brings the tables of a run to the present version; columns that did not exist are null, unknown.
 
-    The job that wrote the run does not continue it afterwards; its manifest keeps the version with which it was written.
+    A run without checksums gets those of its files as they are now, and one whose job states no number of items an empty plan. The
+    job that wrote a run of an older version does not continue it afterwards; its manifest keeps the version with which it was written.
 
     Args:
         run: The run.
 
-    Returns:
-        The number of files that were of an older version.
-
     Raises:
-        ConfigError: It is no run, a file cannot be read, or its version is unknown or newer (``table_version``); files that were
-            brought up to date before stay so.
+        ConfigError: It is no run, a file cannot be read or was changed since it was written (``shard_changed``), or its version is
+            unknown or newer (``table_version``); files that were brought up to date before stay so.
     """
     count = 0
     with run.locked():
         manifest = _manifest_of(run)
+        refuse_changed_files(run, SCHEMAS)
+        is_complete = manifest.get("status") == COMPLETE
+        has_checksums = run.read_bytes(CHECKSUMS) is not None
         known = take_checksums(run, SCHEMAS)
         for table in SCHEMAS:
             count += _change(run, table, partial(_to_present_version, table, f"{run.uri}/{table}"), known)
         manifest |= {"upgraded_to": TABLE_VERSION} if manifest.get("table_version") != TABLE_VERSION else {}
+        gets_plan = is_complete and PLANNED not in manifest and manifest.get("job") in _WITHOUT_NUMBERS
+        manifest |= {PLANNED: []} if gets_plan else {}
         write_manifest(run, manifest)
-    return count
+    return Upgrade(count, is_complete and not has_checksums, gets_plan)
 
 
 def prune(run: RunFolder) -> dict[str, int]:
@@ -64,7 +101,8 @@ def prune(run: RunFolder) -> dict[str, int]:
         The number of deleted rows by table.
 
     Raises:
-        ConfigError: It is no run, it is not complete (``run_incomplete``), or it has no table ``rejected`` (``table_missing``).
+        ConfigError: It is no run, it is not complete (``run_incomplete``), it has no table ``rejected`` (``table_missing``), or a
+            file was changed since it was written (``shard_changed``).
     """
     with run.locked():
         manifest = _manifest_of(run)
@@ -72,6 +110,7 @@ def prune(run: RunFolder) -> dict[str, int]:
             raise ConfigError(f"{run.uri}: is not complete, expected a complete run; run its job again first", "run_incomplete")
         run.dataset("rejected")
         tables = [table for table in (*ASSET_TABLES, "textures", *_OF_SCENES) if run.files(table)]
+        refuse_changed_files(run, tables)
         before = {table: run.num_rows(table) for table in tables}
         write_manifest(run, manifest | {PRUNED: dict(manifest.get(PRUNED, {}))})  # from now on, shards do not contain all rows
         scenes, asset_ids = _in_use(run)
@@ -95,6 +134,11 @@ def _manifest_of(run: RunFolder) -> dict[str, Any]:
     found = read_manifest(run)
     if found is None:
         raise ConfigError(f"{run.uri}: has no manifest.json, expected the folder of a run", "not_a_run")
+    if found.get(DIGEST) not in (None, manifest_digest(run.read_document(MANIFEST))):
+        raise ConfigError(
+            f"{run.uri}/{MANIFEST}: was edited after it was written, and a change of the run would hide it; undo that first",
+            "manifest_changed",
+        )
     return found
 
 

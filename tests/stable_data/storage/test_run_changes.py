@@ -2,18 +2,22 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from stable_data.errors import ConfigError
+from stable_data.storage.checksums import CHECKSUMS, forget_shards, read_checksums
 from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_changes import PRUNED, prune, upgrade
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
-from stable_data.storage.subset import used_assets
+from stable_data.storage.subset import select, used_assets
 from stable_data.storage.torch_dataset import TableStream
+from stable_data.verification.verifier import VerifyOptions, verify_run
 from tests.pipelines.runs import content
 
 STORED = Path(__file__).parents[2] / "data"
@@ -31,7 +35,7 @@ def test_a_run_of_an_older_version_is_read_after_one_call(version: int, tmp_path
         run.table("scenes")
     stored = pq.read_table(run.files("scenes")[0]).to_pylist()
     num_files = sum(len(run.files(table)) for table in SCHEMAS)
-    assert upgrade(run) == num_files > 7
+    assert upgrade(run).num_files == num_files > 7
     for table in filter(run.files, SCHEMAS):
         assert run.table(table).schema.equals(SCHEMAS[table], check_metadata=True)
     for was, row in zip(stored, run.table("scenes").to_pylist(), strict=True):
@@ -46,7 +50,7 @@ def test_a_run_of_an_older_version_is_read_after_one_call(version: int, tmp_path
     assert manifest is not None
     assert (manifest["table_version"], manifest["upgraded_to"]) == (version, TABLE_VERSION)
     before = content(Path(run.uri))
-    assert upgrade(run) == 0
+    assert str(upgrade(run)) == "is up to date"
     assert content(Path(run.uri)) == before
 
 
@@ -64,7 +68,7 @@ def test_an_upgrade_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest
         patch.setattr(RunFolder, "write_file", stopping)
         with pytest.raises(KeyboardInterrupt):
             upgrade(run)
-    assert upgrade(run) == num_files - 3
+    assert upgrade(run).num_files == num_files - 3
     assert len(list(TableStream(run.uri))) == 2
 
 
@@ -110,6 +114,55 @@ def test_what_was_rejected_is_deleted_with_what_only_it_used(tmp_path: Path) -> 
     assert list(TableStream(run.uri))
     assert set(prune(run).values()) == {0}
     assert (read_manifest(run) or {})[PRUNED] == deleted
+
+
+@pytest.mark.filterwarnings("ignore::stable_data.errors.MissingColumnsWarning")
+def test_an_upgrade_says_that_it_added_checksums_and_a_plan(tmp_path: Path) -> None:
+    run = copy_of("run_v3/generate", tmp_path)
+    assert str(upgrade(run)) == "its files had no checksums, and have those of today"
+    chosen = RunFolder(str(tmp_path / "chosen"))
+    select(run, "num_objects >= 1", chosen)
+    was = read_manifest(chosen) or {}
+    (tmp_path / "chosen" / CHECKSUMS).unlink()
+    (tmp_path / "chosen" / "manifest.json").write_text(
+        json.dumps({key: value for key, value in was.items() if key not in ("planned", "digest", "checksums")})
+    )
+    assert not verify_run(chosen, print, VerifyOptions(verdicts="none")).is_whole
+    assert "those that are there count as all" in str(upgrade(chosen))
+    assert verify_run(chosen, print, VerifyOptions(verdicts="none")).is_whole
+
+
+@pytest.mark.parametrize("change", [upgrade, prune])
+@pytest.mark.parametrize("damage", ["changed", "removed", "edited manifest"])
+def test_damage_is_not_hidden_by_a_change(damage: str, change: Callable[[RunFolder], object], tmp_path: Path) -> None:
+    run = copy_of("run_v3/generate", tmp_path)
+    upgrade(run)  # from now on it has checksums
+    path = Path(run.files("assets")[0])
+    if damage == "removed":
+        path.unlink()
+    elif damage == "changed":
+        rows = pq.read_table(path)
+        mass = rows.schema.get_field_index("mass")
+        pq.write_table(rows.set_column(mass, rows.schema.field(mass), pa.array([99.0] * len(rows))), path)
+    else:
+        manifest = tmp_path / "run" / "manifest.json"
+        manifest.write_text(manifest.read_text().replace('"seed": 0', '"seed": 1'))
+    before = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file() and file.name != ".lock"}
+    with pytest.raises(ConfigError) as caught:
+        change(run)
+    assert caught.value.code == ("manifest_changed" if damage == "edited manifest" else "shard_changed")
+    assert {file: file.read_bytes() for file in before} == before
+
+
+def test_checksums_of_shards_that_are_made_anew_are_forgotten(tmp_path: Path) -> None:
+    run = copy_of("run_v3/generate", tmp_path)
+    upgrade(run)
+    known = read_checksums(run) or {}
+    shard_id = min(run.shard_ids("scenes"))
+    forget_shards(run, {"scenes": {shard_id}, "turns": {shard_id}, "meshes": set()})
+    assert known.items() - (read_checksums(run) or {}).items() == {
+        (name, known[name]) for name in (f"{table}/part-{shard_id}.parquet" for table in ("scenes", "turns"))
+    }
 
 
 def test_runs_that_cannot_be_pruned(tmp_path: Path) -> None:

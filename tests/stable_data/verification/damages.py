@@ -123,6 +123,53 @@ def unsteady(row: Row) -> None:
     row |= {"stable": False, "settle_move_max_mm": 35.0}
 
 
+def unjudged(row: Row) -> None:
+    """Says that nobody simulated a scene."""
+    row |= dict.fromkeys(
+        ("stable", "settle_move_max_mm", "settle_turn_max_deg", "drift_mm", "jitter_mm", "engine_penetration_mm")
+    )
+
+
+def unjudged_where_all_is_accepted(run: Path) -> None:
+    scene(unjudged)(run)
+    manifest(lambda document: document["settings"].update(accept=""))(run)
+
+
+def of_turn(change: Callable[[Row], None]) -> Damage:
+    """Changes the last turn with a correction of the first scene that has one."""
+
+    def of_last(found: list[Row]) -> None:
+        name = next(row["scene_id"] for row in found if row["corrected"])
+        change(max((row for row in found if row["scene_id"] == name and row["corrected"]), key=lambda row: row["turn"]))
+
+    return rows("turns", of_last)
+
+
+def without_turns(found: list[Row]) -> list[Row]:
+    """All but the rows of an accepted scene, whose turns have corrections."""
+    name = next(row["scene_id"] for row in found if row["corrected"])
+    return [row for row in found if row["scene_id"] != name]
+
+
+def settled_pose(**values: list[float]) -> Damage:
+    return rows("settled", lambda found: found[0]["poses"][0].update(values))
+
+
+def renamed_shard(run: Path) -> None:
+    path = files_of(run, "scenes")[0]
+    path.rename(path.with_name("part-00000000000000aa.parquet"))
+    hide(run)
+
+
+def exchanged_shards(run: Path) -> None:
+    one, other = files_of(run, "scenes")[:2]
+    aside = one.with_name("aside")
+    one.rename(aside)
+    other.rename(one)
+    aside.rename(other)
+    hide(run)
+
+
 def untold(row: Row) -> None:
     """Leaves out that an object is on the table, and that it faces somewhere."""
     row["relations"] = [
@@ -375,7 +422,41 @@ BY_CONTENT: Damages = {
     ),
     "codes edited": (rows("failures", lambda found: found[0].update(code="other")), "manifest.json", "failures_by_code is"),
     "inputs edited": (manifest(lambda m: m["inputs"].update(tasks="0" * 16)), "manifest.json", "input_fingerprint is"),
-    "the version edited": (manifest(lambda m: m.update(table_version=2)), "manifest.json", "table_version is 2"),
+    "the version edited": (manifest(lambda m: m.update(table_version=4)), "manifest.json", "table_version is 4"),
+    "a scene that is not accepted": (scene(unsteady), "scenes/", "does not meet the rule 'clean and stable'"),
+    "a verdict unknown": (scene(unjudged), "scenes/", "stable is None"),
+    "the rule of acceptance edited": (
+        manifest(lambda m: m["settings"].update(accept="clean and num_objects > 3")),
+        "scenes/",
+        "num_objects is 3",
+    ),
+    "no rule of acceptance": (manifest(lambda m: m["settings"].update(accept="clean and")), "manifest.json", "settings.accept"),
+    "all turns of a scene removed": (rows("turns", without_turns, recounts=True), "turns", "1 scenes have no turn"),
+    "settled poses removed": (rows("settled", without_first, recounts=True), "settled", "1 scenes have no row"),
+    "a shard of scenes renamed": (renamed_shard, "turns/", "its scene is in another shard"),
+    "two shards of scenes exchanged": (exchanged_shards, "settled/", "its scene is in another shard"),
+    "settled poses moved": (settled_pose(position=[9.0, 9.0, 9.0]), "settled/", "as settle_move_max_mm of its scene"),
+    "settled poses turned": (settled_pose(quat_xyzw=[1.0, 0.0, 0.0, 0.0]), "settled/", "as settle_turn_max_deg of its scene"),
+    "the card of a turn edited": (of_turn(lambda row: row["card_after"].update(oc=1.0)), "turns/", "card_after.oc is 1.0"),
+    "a pose of nothing proposed": (of_turn(lambda row: row["coarse"][0].update(instance="gone_0")), "turns/", "poses of"),
+    "movements exchanged": (setting(move_mean_mm=9.0, move_max_mm=1.0), "scenes/", "move_mean_mm is 9.0, expected at most"),
+    "a category edited": (rows("assets", lambda found: found[0].update(category="banana")), "scenes/", "is of category"),
+    "a centre of mass outside": (
+        rows("assets", lambda found: found[0].update(center_of_mass=[5.0, 0.0, 0.0])),
+        "assets/",
+        "center_of_mass is",
+    ),
+    "a negative inertia": (
+        rows("assets", lambda found: found[0].update(inertia_per_mass=[-x for x in found[0]["inertia_per_mass"]])),
+        "assets/",
+        "symmetric and positive",
+    ),
+    "a planned column that does not exist": (
+        manifest(lambda m: m["planned"][0].update(column="objects.nothing")),
+        "manifest.json",
+        "holds no ids",
+    ),
+    "a planned number that is text": (manifest(lambda m: m["planned"][0].update(count="5")), "manifest.json", "another type"),
     "planned items edited": (manifest(lambda m: m["planned"][0].update(count=6)), "scenes", "expected the 6 that were planned"),
 }
 """Damage of which checksums and digest are made to fit."""
@@ -386,6 +467,9 @@ BY_VERDICT: Damages = {
     "leaves the table": (scene(outside), "scenes/", "leaves_table of"),
     "is sunk": (scene(sunk), "scenes/", "table_penetration_mm of"),
     "is unsteady": (scene(unsteady), "scenes/", "stable is False, expected True"),
+    "verdicts left out where all is accepted": (unjudged_where_all_is_accepted, "scenes/", "stable is null, expected True"),
+    "jitters": (setting(jitter_mm=44.0), "scenes/", "jitter_mm is 44.0"),
+    "turns": (setting(settle_turn_max_deg=3.5), "scenes/", "settle_turn_max_deg is 3.5"),
     "relations left out": (scene(untold), "scenes/", "face to"),
     "poses edited in all tables": (moved_everywhere, "scenes/", "expected otherwise"),
     "without a mesh": (
@@ -427,6 +511,11 @@ OF_SAMPLES: Damages = {
         manifest(lambda m: m["settings"].update(train_share=0.0, validation_share=0.0)),
         "scenes/",
         "split is",
+    ),
+    "shares of splits that are no numbers": (
+        manifest(lambda m: m["settings"].update(seed="abc")),
+        "manifest.json",
+        "no numbers",
     ),
     "groups of near-duplicates edited": (rows("scenes", regrouped), "scenes/", "duplicate_group is"),
 }

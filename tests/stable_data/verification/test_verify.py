@@ -95,7 +95,7 @@ def test_an_older_run_is_not_known_to_be_whole(tmp_path: Path) -> None:
     assert "not known to be whole" in line
     assert all(word in line for word in ("no digest", "no checksums"))
     copy = Path(shutil.copytree(OLDER_RUNS / "generate", tmp_path / "run"))
-    assert upgrade(RunFolder(str(copy))) == 0  # its tables are of the present version, and it gets checksums
+    assert upgrade(RunFolder(str(copy))).num_files == 0  # its tables are of the present version, and it gets checksums
     result, found = verified(copy)
     assert (result.is_whole, found) == (True, []), str(result)
 
@@ -104,9 +104,10 @@ def test_an_older_run_is_not_known_to_be_whole(tmp_path: Path) -> None:
 def test_an_upgraded_run_is_whole(version: str, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(OLDER_RUNS.parent / version, tmp_path / "run"))
     RunFolder(str(copy)).write_shard("sdf", "0" * 16, [])  # the stored runs lack their grids
-    result, _ = verified(copy)
-    assert result.num_damaged["manifest.json"] == 1  # its version, beside those of the files
-    assert upgrade(RunFolder(str(copy))) > 0
+    result, found = verified(copy)
+    assert (result.is_whole, found) == (False, [])  # it is older, and not damaged
+    assert str(result).count("run stable-data upgrade RUN") == 1
+    assert upgrade(RunFolder(str(copy))).num_files > 0
     manifest = read_manifest(RunFolder(str(copy)))
     assert manifest is not None
     manifest["counts"]["sdf"] = 0
@@ -128,6 +129,31 @@ def test_an_unfinished_run_is_not_whole(generated: Path, tmp_path: Path) -> None
     assert not result.is_finished
     assert findings == []
     assert "not finished" in str(result)
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        {"assets": None, "meshes": None, "scenes": 1, "rejected": 1},  # killed in the step of the scenes
+        {"assets": None, "meshes": 1},  # in the step of the assets
+        {"meshes": None},  # between assets and meshes
+        {"assets": None},
+    ],
+)
+def test_a_killed_run_is_not_damaged(lost: dict[str, int | None], generated: Path, tmp_path: Path) -> None:
+    """Whatever shards are still to be made; ``lost``: the number of files of a table that are, None for all."""
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    for table, count in lost.items():
+        for path in sorted((copy / table).glob("part-*"))[:count]:
+            path.unlink()
+    found = read_manifest(RunFolder(str(copy)))
+    assert found is not None
+    write_manifest(
+        RunFolder(str(copy)), {k: v for k, v in found.items() if k not in ("counts", "planned")} | {"status": "running"}
+    )
+    result, findings = verified(copy)
+    assert (result.is_finished, list(map(str, findings))) == (False, [])
+    assert str(result).startswith(f"{copy}: not finished (generate; ")
 
 
 @pytest.mark.parametrize("hidden", [{"networkx", "scipy"}, {"mujoco"}])
