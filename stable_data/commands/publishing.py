@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
@@ -60,7 +59,7 @@ def verify(
 @with_clear_errors
 def publish(
     run: Annotated[str, typer.Argument(metavar="RUN", help="A complete run: folder or URI.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="New folder, which a dataset hub takes as it is.")],
+    out: Annotated[str, typer.Argument(metavar="OUT", help="New local folder, which a dataset hub takes as it is.")],
     title: Annotated[str, typer.Option(help="Title of the dataset. Default: the name of the run.")] = "",
     licence: Annotated[str, typer.Option(help="Licence of the rows themselves, such as CC-BY-4.0. Default: not stated.")] = "",
     url: Annotated[str, typer.Option(help="Where the dataset will be, for its metadata.")] = "",

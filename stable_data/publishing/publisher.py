@@ -1,6 +1,7 @@
 """Writes a run as a folder for a dataset hub: card, Parquet by split, pictures, schemas, licences and Croissant metadata."""
 
 import json
+import os
 import re
 import shutil
 from collections import Counter, defaultdict
@@ -8,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +34,11 @@ from stable_data.publishing.dataset_card import (
     card_text,
 )
 from stable_data.publishing.previews import previews
-from stable_data.storage.checksums import CHECKSUMS, checksum_of
+from stable_data.storage.checksums import checksum_of
 from stable_data.storage.id_hashes import IdSet
 from stable_data.storage.json_schemas import write_contracts
-from stable_data.storage.manifest import CHECKED, COMPLETE, DIGEST, MANIFEST, PLANNED, read_manifest, write_manifest
-from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.manifest import CHECKED, COMPLETE, DIGEST, PLANNED, read_manifest, write_manifest
+from stable_data.storage.run_folder import LOCK, RunFolder, Uri
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.verification.findings import Finding
 from stable_data.verification.verifier import Progress, Verification, VerifyOptions, verify_run
@@ -91,7 +93,7 @@ class Publication:
 
 def publish(
     run: RunFolder,
-    out: Path,
+    out: Uri,
     options: PublishOptions,
     tell: Callable[[Finding], None],
     progress: Progress | None = None,
@@ -103,20 +105,27 @@ def publish(
 
     Args:
         run: The run.
-        out: The folder; it may not exist, or must be empty.
+        out: The folder, a local one; it may not exist, or must be empty. What a killed call left beside it is removed.
         options: What the publisher says.
         tell: Called with each finding of the verification.
         progress: As for :func:`verify_run`, and called after each table.
 
     Raises:
         ConfigError: The run is not known to be whole (``not_whole``), a licence is unknown (``licence_unknown``) or forbids it
-            (``licence_forbids``), the stated licence is none (``licence_invalid``), or the folder cannot be written.
+            (``licence_forbids``), the stated licence is none (``licence_invalid``), or the folder is no local one
+            (``output_invalid``), is written by another process (``locked``) or cannot be written.
     """
     if options.licence and normalise_licence(options.licence) is None:
         raise ConfigError(
             f"--licence {options.licence!r}: is no known licence, expected a name such as CC-BY-4.0", "licence_invalid"
         )
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if "://" in os.fspath(out):
+        raise ConfigError(
+            f"{out}: is the address of a store, expected a local folder; the program of the store or hub uploads it afterwards",
+            "output_invalid",
+        )
+    target = Path(out).expanduser().absolute()
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise ConfigError(f"{out}: is not empty, expected a new folder; choose another one", "output_not_empty")
     licences = asset_licences(run)
     refuse_licences(licences, allow_unknown=options.allow_unknown_licences, allow_no_derivatives=options.allow_no_derivatives)
@@ -124,24 +133,43 @@ def publish(
     if not (verification.is_whole or options.unverified):
         raise ConfigError(f"{verification}; repair it first, or publish it all the same with --unverified", "not_whole")
     manifest = read_manifest(run) or {}
-    with _new_folder(out) as folder:
+    with _new_folder(target) as folder:
         return _write(run, RunFolder(str(folder)), folder, manifest, licences, verification, options, progress)
 
 
 @contextmanager
 def _new_folder(out: Path) -> Iterator[Path]:
     """Yields a folder beside another one, which it replaces at the end; after an error nothing is left."""
-    aside = temporary_path(out.absolute())
+    aside = temporary_path(out)
     try:
+        _remove_stale(out)
         aside.mkdir(parents=True)
-        yield aside
-        if out.exists():
-            out.rmdir()
-        aside.replace(out)
+        with RunFolder(aside).locked():
+            yield aside
+            (aside / LOCK).unlink()
+            if out.exists():
+                out.rmdir()
+            aside.replace(out)
     except OSError as error:
         raise cannot_write(str(out), error) from error
     finally:
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def _remove_stale(out: Path) -> None:
+    """Removes what a killed call left beside a folder.
+
+    Raises:
+        ConfigError: It is still being written (``locked``).
+        OSError: It cannot be removed.
+    """
+    for stale in out.parent.glob(f".{escape(out.name)}.tmp-*"):
+        if stale.is_dir():
+            try:
+                with RunFolder(stale).locked():
+                    shutil.rmtree(stale)
+            except ConfigError as error:
+                raise ConfigError(f"{out}: another process is writing it, expected one; wait for it", error.code) from error
 
 
 def _write(
@@ -164,23 +192,6 @@ def _write(
     if not tables:
         raise ConfigError(f"{run.uri}: has no rows, expected some to publish", "source_empty")
     origin = _origin(manifest)
-    write_manifest(
-        target,
-        {
-            "job": "publish",
-            "status": COMPLETE,
-            "code_version": code_version(),
-            "code_versions": [code_version()],
-            "table_version": TABLE_VERSION,
-            "dataset": str(manifest.get("dataset", "")),
-            "inputs": {"run": manifest.get(DIGEST)},
-            "input_fingerprint": content_id({"run": manifest.get(DIGEST)}),
-            "settings": {"title": options.title, "licence": options.licence},
-            "counts": {table.name: table.num_rows for table in written},
-            PLANNED: [],
-            "origin": origin,
-        },
-    )
     write_contracts(folder / "schemas")
     pictures = previews(run)
     for path, content in pictures.items():
@@ -200,16 +211,30 @@ def _write(
     )
     target.write_bytes("README.md", card_text(card).encode())
     files = _write_licences(target, folder, licences)
-    files += [
-        _described(folder, MANIFEST, "how the run was made, and what it has", "application/json"),
-        _described(folder, CHECKSUMS, "checksums of the files of all tables", "text/plain"),
-    ]
     stated = [*([card.row_licence] if card.row_licence else []), *(name for name in sorted(by_licence) if name != "not known")]
     description = f"{card.main.num_rows} rows of {card.main.name}, made by {origin.get('job')} of stable-data"
     document = croissant_document(title, description, list(dict.fromkeys(stated)), tables, files)
     document |= {"datePublished": datetime.now(UTC).date().isoformat()}
     document |= {key: text for key, text in (("url", options.url), ("citeAs", options.citation)) if text}
     target.write_bytes(CROISSANT_FILE, (json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
+    write_manifest(
+        target,
+        {
+            "job": "publish",
+            "status": COMPLETE,
+            "code_version": code_version(),
+            "code_versions": [code_version()],
+            "table_version": TABLE_VERSION,
+            "dataset": str(manifest.get("dataset", "")),
+            "inputs": {"run": manifest.get(DIGEST)},
+            "input_fingerprint": content_id({"run": manifest.get(DIGEST)}),
+            "settings": {"title": options.title, "licence": options.licence},
+            "counts": {table.name: table.num_rows for table in written},
+            PLANNED: [],
+            "origin": origin,
+        },
+        [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file() and path.name != LOCK],
+    )
     return Publication(tables, verification, len(pictures), tuple(set(run.tables()) - set(names)))
 
 

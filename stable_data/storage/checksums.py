@@ -1,5 +1,7 @@
 """The checksums of the shards of a run: the file ``SHA256SUMS``, which ``sha256sum -c SHA256SUMS`` checks too.
 
+That of a published run also has those of its other files: card, pictures, licences, schemas and metadata.
+
 A checksum is that of the bytes as they were written: no file is read for it. Whoever writes a shard has it
 (:attr:`stable_data.storage.run_folder.RunFolder.written`), and the driver of a job stores it. Only where a driver was killed before it
 stored the last ones, or where a run is older than this file, are shards read once.
@@ -23,7 +25,7 @@ _AT_ONCE = 8  # files of an object store have a latency
 
 
 def read_checksums(folder: RunFolder) -> dict[str, str] | None:
-    """Returns the checksums of a run by file, ``table/part-id.parquet`` -> SHA-256; None if the run has none.
+    """Returns the checksums of a run by file, such as ``table/part-id.parquet`` -> SHA-256; None if the run has none.
 
     Raises:
         ConfigError: The file has another form (``checksums_invalid``), or cannot be read.
@@ -108,8 +110,14 @@ def refuse_changed_files(folder: RunFolder, tables: Collection[str]) -> None:
         )
 
 
-def complete_checksums(folder: RunFolder) -> dict[str, Any]:
-    """Stores the checksums of all shards that are there, and no others; those that are not known are computed from the files.
+def complete_checksums(folder: RunFolder, others: Collection[str] = ()) -> dict[str, Any]:
+    """Stores the checksums of all shards that are there; those that are not known are computed from the files.
+
+    Checksums of files that are no shards, such as the card of a published run, stay as they are stored.
+
+    Args:
+        folder: The run.
+        others: Files that are no shards, and whose checksums are stored too.
 
     Returns:
         What the manifest says of them: the number of ``files``, and the ``sha256`` of the file with the checksums.
@@ -119,10 +127,16 @@ def complete_checksums(folder: RunFolder) -> dict[str, Any]:
     """
     known = (read_checksums(folder) or {}) | folder.written
     names = [f"{table}/{PurePosixPath(path).name}" for table in folder.tables() for path in folder.files(table)]
+    names += sorted({*others, *(name for name in known if not is_shard_file(name))})
     unknown = [name for name in names if name not in known]
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         known |= zip(unknown, pool.map(lambda name: _checksum(folder, name), unknown), strict=True)
     return {"files": len(names), "sha256": _write(folder, {name: known[name] for name in names})}
+
+
+def is_shard_file(name: str) -> bool:
+    """Whether a file of a run, by its name in the folder, is one of a shard, ``table/part-id.parquet``."""
+    return name.count("/") == 1 and PART.fullmatch(PurePosixPath(name).name) is not None
 
 
 def checksum_of(content: bytes) -> str:

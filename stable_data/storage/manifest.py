@@ -6,7 +6,7 @@ the planned items. ``stable-data verify`` compares a run with all of these.
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,12 +82,13 @@ def read_manifest(folder: RunFolder) -> dict[str, Any] | None:
         ) from error
 
 
-def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> dict[str, Any]:
+def write_manifest(folder: RunFolder, manifest: Mapping[str, Any], others: Collection[str] = ()) -> dict[str, Any]:
     """Writes the manifest of a run; that of a complete run also stores the checksums of its shards.
 
     Args:
         folder: The run.
         manifest: The manifest. Its digest is replaced, and so is what it says of the checksums.
+        others: Files of a complete run that are no shards, and whose checksums are stored too.
 
     Returns:
         The manifest as it was written.
@@ -97,7 +98,7 @@ def write_manifest(folder: RunFolder, manifest: Mapping[str, Any]) -> dict[str, 
     """
     content = {key: value for key, value in manifest.items() if key not in (DIGEST, CHECKED)}
     if content.get("status") == COMPLETE:
-        content[CHECKED] = complete_checksums(folder)
+        content[CHECKED] = complete_checksums(folder, others)
     content[DIGEST] = manifest_digest(content)
     text = json.dumps(content, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
     folder.write_bytes(MANIFEST, text.encode())

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from itertools import chain, islice
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, TypeAlias, cast
 
 import pyarrow as pa
@@ -42,6 +42,9 @@ _Columns: TypeAlias = list[str] | Mapping[str, pc.Expression] | None
 
 MAX_BYTES = 96 * 10**6
 """Maximum bytes of a file before compression, so that no file exceeds 100 MB."""
+
+LOCK = ".lock"
+"""Name of the file by which a run's folder is locked."""
 
 PART = re.compile(r"part-([^-]+)(?:-(\d+))?\.parquet")
 """Names of the files of shards: the id of the shard, and from the second file on its number."""
@@ -112,7 +115,7 @@ class RunFolder:
             yield
             return
         try:
-            handle = (Path(self.root) / ".lock").open("w")
+            handle = (Path(self.root) / LOCK).open("w")
         except OSError as error:
             raise cannot_write(self.uri, error) from error
         with handle:
@@ -245,6 +248,19 @@ class RunFolder:
             raise _unreachable(self.uri, error) from error
         names = sorted(info.base_name for info in infos if info.type == pafs.FileType.Directory)
         return [name for name in names if not name.startswith(".") and self.files(name)]
+
+    def files_below(self) -> list[tuple[str, str]]:
+        """Returns the files of the folder and of all folders in it: name in the folder, and path as the file system names it.
+
+        Raises:
+            ConfigError: The folder cannot be read.
+        """
+        try:
+            infos = self.filesystem.get_file_info(pafs.FileSelector(self.root, recursive=True))
+        except OSError as error:
+            raise _unreachable(self.uri, error) from error
+        files = (info.path for info in infos if info.type == pafs.FileType.File)
+        return [(PurePosixPath(path).relative_to(self.root).as_posix(), path) for path in files]
 
     def shard_ids(self, table: str) -> set[str]:
         """Returns the ids of the complete shards of a table; see :meth:`files`."""

@@ -1,6 +1,5 @@
 """Checks the manifest of a run: that it is as it was written, and that the run has what it counts and planned."""
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import pyarrow.compute as pc
 
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
+from stable_data.json_text import document_of, number
 from stable_data.mesatask.dataset_split import SplitShares
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
 from stable_data.storage.checksums import CHECKSUMS, checksum_of, read_checksums
@@ -31,7 +31,7 @@ from stable_data.storage.schema_checks import is_older_version
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.verification.findings import Findings
 from stable_data.verification.known_ids import KEYS, leaves
-from stable_data.verification.scene_checks import SplitRule, is_close, is_number
+from stable_data.verification.scene_checks import SplitRule, is_close
 from stable_data.verification.shard_files import ShardFile
 
 OF_DATASET = content_id("dataset")
@@ -73,7 +73,7 @@ def read_raw_manifest(folder: RunFolder, findings: Findings) -> dict[str, Any] |
         findings.damage(MANIFEST, "is missing, expected the manifest of the run")
         return None
     try:
-        found = json.loads(content)
+        found = document_of(content)
     except ValueError as error:
         findings.damage(MANIFEST, f"is no JSON text ({error})")
         return None
@@ -156,10 +156,10 @@ def split_rule(manifest: Mapping[str, Any]) -> SplitRule | None:
     manifest = origin_of(manifest)
     job, settings = manifest.get("job"), manifest.get("settings")
     if job == "preprocess" and isinstance(settings, dict):
-        seed, train, validation = (settings.get(name) for name in _SHARES)
-        if type(seed) is not int or not (is_number(train) and is_number(validation)):
+        seed, (train, validation) = settings.get(_SHARES[0]), (number(settings.get(name)) for name in _SHARES[1:])
+        if type(seed) is not int or train is None or validation is None:
             return None
-        return SplitRule(SplitShares(seed, float(train), float(validation)))  # type: ignore[arg-type]
+        return SplitRule(SplitShares(seed, train, validation))
     return SplitRule(SplitShares(), "generated") if job == "generate" else None
 
 

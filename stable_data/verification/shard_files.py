@@ -10,7 +10,7 @@ import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
-from stable_data.storage.checksums import CHECKSUMS, checksum_of
+from stable_data.storage.checksums import CHECKSUMS, checksum_of, is_shard_file
 from stable_data.storage.run_folder import PART, RunFolder, read_row_groups
 from stable_data.verification.findings import Findings
 
@@ -59,9 +59,9 @@ def list_files(folder: RunFolder, findings: Findings) -> list[ShardFile]:
 
 
 def compare_with_checksums(files: list[ShardFile], checksums: Mapping[str, str], findings: Findings) -> None:
-    """Compares which files there are with those that have a checksum."""
+    """Compares which files of shards there are with those that have a checksum."""
     there = {file.name for file in files}
-    for name in sorted(checksums.keys() - there):
+    for name in sorted(name for name in checksums.keys() - there if is_shard_file(name)):
         findings.damage(name, f"is missing, expected the file of {CHECKSUMS}")
     for name in sorted(there - checksums.keys()):
         findings.damage(name, f"is not in {CHECKSUMS}, expected no further files")
@@ -84,7 +84,7 @@ def open_file(folder: RunFolder, file: ShardFile, checksum: str | None, findings
                 return None
             found, source = checksum_of(content), pa.BufferReader(content)
         else:
-            found, source = _checksum_in_chunks(folder, file), folder.filesystem.open_input_file(file.path)
+            found, source = checksum_in_chunks(folder, file.path), folder.filesystem.open_input_file(file.path)
         if checksum is not None and found != checksum:
             findings.damage(
                 file.name, f"has the SHA-256 {found[:16]}…, expected {checksum[:16]}… as {CHECKSUMS} says; it was changed"
@@ -117,9 +117,14 @@ def as_array(values: pa.ChunkedArray | pa.Array) -> pa.Array:
     return pa.concat_arrays(found.chunks) if isinstance(found, pa.ChunkedArray) else found
 
 
-def _checksum_in_chunks(folder: RunFolder, file: ShardFile) -> str:
+def checksum_in_chunks(folder: RunFolder, path: str) -> str:
+    """Returns the checksum of a file of any size, by its path as the file system names it.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
     digest = hashlib.sha256()
-    with folder.filesystem.open_input_stream(file.path) as stream:
+    with folder.filesystem.open_input_stream(path) as stream:
         while chunk := stream.read(_CHUNK):
             digest.update(chunk)
     return digest.hexdigest()

@@ -36,6 +36,7 @@ from stable_data.verification.manifest_checks import (
     split_rule,
     stated_checksums,
 )
+from stable_data.verification.other_files import check_other_files
 from stable_data.verification.row_checks import OwnCheck
 from stable_data.verification.scene_checks import UNRESOLVED, SceneCheck
 from stable_data.verification.shard_files import ShardFile, compare_with_checksums, list_files, open_file, row_groups
@@ -105,7 +106,7 @@ class Verification:
         is_finished: Whether the manifest says that it is complete.
         num_damaged: Number of findings by table.
         unknown: What could not be known.
-        num_files: Files of shards.
+        num_files: Files of shards, and the other files of a published run.
         num_checked: Those of them that were compared with their checksum.
         rows: Number of rows by table.
         num_scenes: Scenes that have verdicts.
@@ -186,8 +187,11 @@ class _Verifier:
         self._is_finished = self._manifest.get("status") == COMPLETE
         self._checksums = stated_checksums(folder, manifest, findings)
         self._files = list_files(folder, findings)
+        self._num_others = 0
         if self._checksums is not None and self._is_finished:
             compare_with_checksums(self._files, self._checksums, findings)
+            is_published = self._manifest.get("job") == "publish"
+            self._num_others = check_other_files(folder, self._checksums, findings, is_published=is_published)
         self._known = KnownIds(frozenset(file.table for file in self._files))
         self._counts = CountCheck(self._manifest, self._files, findings)
         is_selection = self._manifest.get("job") == "query"  # an older one has a texture once for each shard that it was in
@@ -235,8 +239,8 @@ class _Verifier:
             self._is_finished,
             dict(self._findings.num_damaged),
             tuple(self._findings.unknown),
-            len(self._files),
-            self._num_checked,
+            len(self._files) + self._num_others,
+            self._num_checked + self._num_others,
             rows,
             self._chosen.num_scenes,
             audited,
@@ -347,7 +351,7 @@ class _Verifier:
             findings.cannot_know(f"verdicts: the audit {install_hint(error) or error}; or leave them out with --verdicts none")
             return 0, 0
         simulates, origin = options.verdicts == "all", origin_of(self._manifest)
-        judges = settings_of(origin).get("judges") if origin.get("job") in _SETTLING else None
+        judges = settings_of(origin).get("judges") if str(origin.get("job")) in _SETTLING else None
         is_settled = isinstance(judges, str) and "mujoco" in judges
         if simulates and (is_settled or self._chosen.num_simulated) and find_spec("mujoco") is None:
             hint = install_hint(ModuleNotFoundError(name="mujoco"))
