@@ -227,7 +227,10 @@ class CountCheck:
             plan = items.planned
             if table == plan.table and plan.column.partition(".")[0] in rows.column_names:
                 try:
-                    items.rows.add(leaves(rows, plan.column, 0)[0])
+                    ids = leaves(rows, plan.column, 0)[0]
+                    if not pa.types.is_string(ids.type):
+                        raise TypeError(f"they are {ids.type}")
+                    items.rows.add(ids)
                 except (pa.ArrowException, LookupError, TypeError, ValueError) as error:
                     self._findings.damage(MANIFEST, f"{PLANNED} names the column {plan.column}, which holds no ids ({error})")
             of_plan = self._shard_ids.get(plan.table, set()) | ({OF_DATASET} if plan.lost else set())

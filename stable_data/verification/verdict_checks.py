@@ -22,9 +22,12 @@ from stable_data.verification.shard_files import ShardFile
 _DEPTH_MM, _DEPTH_SHARE = 0.011, 0.03
 """By how much depths may differ: meshes that touch have the least depth of 0.01 mm or none, and depths are measured to 2 %."""
 
-_GAP_MM, _GAP_MM_UNORDERED = 0.01, 1.0
-"""By how much gaps may differ; the second one if the mesh of an older run lost the order of its faces, on which the sample of points
-depends that a gap is measured from."""
+_GAP_MM = 0.01  # by how much gaps and depths in the table may differ
+
+_GAP_MM_UNORDERED, _GAP_SHARE_UNORDERED = 1.0, 0.1
+"""By how much more gaps may differ if the mesh of an older run lost the order of its faces, on which the sample of points depends that a
+gap is measured from. Of 1,188 objects, each with three other orders of the faces, the gaps of 21 changed by more than 0.01 mm: those of
+objects that rest on others by up to 0.5 mm, larger ones by up to 6 %."""
 
 _REST_SLACK = {
     "settle_move_max_mm": 1.0,
@@ -147,8 +150,10 @@ def audit_faults(row: Row, audit: Audit, unordered: Set[str] = frozenset()) -> I
                 yield f"{key} of {name} is {verdict[key]}, expected {right[key]}"
         if set(verdict["supports"]) != set(right["supports"]):
             yield f"{name} stands on {sorted(verdict['supports'])}, expected {sorted(right['supports'])}"
-        gap_mm = _GAP_MM_UNORDERED if name in unordered else _GAP_MM
-        for key, most in (("gap_mm", gap_mm), ("table_penetration_mm", _GAP_MM)):
+        for key in ("gap_mm", "table_penetration_mm"):
+            most = _GAP_MM
+            if key == "gap_mm" and name in unordered:
+                most += _GAP_MM_UNORDERED + _GAP_SHARE_UNORDERED * abs(right[key] or 0.0)
             if not _is_about(verdict[key], right[key], most):
                 yield f"{key} of {name} is {verdict[key]}, expected {right[key]}"
 

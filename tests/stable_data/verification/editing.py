@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from stable_data.storage.checksums import CHECKSUMS
 from stable_data.storage.manifest import read_manifest, write_manifest
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS, Row
+from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION, Row
 
 Damage: TypeAlias = Callable[[Path], None]
 Change: TypeAlias = Callable[[list[Row]], list[Row] | None]
@@ -115,3 +115,14 @@ def copied_shard(table: str, source: Sequence[str] = (), *, hidden: bool = True)
             hide(run)
 
     return damage
+
+
+def small_run(folder: Path) -> Path:
+    """A whole run of generate with two scenes, which needs no job: a stored older one, with all columns of today."""
+    run = Path(shutil.copytree(Path(__file__).parents[2] / "data" / "run_v3" / "generate", folder / "run"))
+    found = RunFolder(str(run))
+    for table in found.tables():
+        for path in found.files(table):
+            found.write_file(table, Path(path).name, found.read_file(table, path))
+    manifest(lambda document: document.update(upgraded_to=TABLE_VERSION))(run)
+    return run
