@@ -63,6 +63,12 @@ def publish(
     title: Annotated[str, typer.Option(help="Title of the dataset. Default: the name of the run.")] = "",
     licence: Annotated[str, typer.Option(help="Licence of the rows themselves, such as CC-BY-4.0. Default: not stated.")] = "",
     url: Annotated[str, typer.Option(help="Where the dataset will be, for its metadata.")] = "",
+    creator: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A person who made the dataset, for its metadata; may be repeated.")
+    ] = None,
+    organization: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="An organization that made the dataset; may be repeated.")
+    ] = None,
     citation: Annotated[str, typer.Option(help="How to cite the dataset, for its card and its metadata.")] = "",
     allow_unknown_licences: Annotated[
         bool, typer.Option("--allow-unknown-licences", help="Publish assets without a known licence too.")
@@ -90,12 +96,25 @@ def publish(
 
     verify_options = VerifyOptions(sample, verdicts=_verdicts(verdicts))
     options = PublishOptions(
-        title, licence, url, citation, allow_unknown_licences, allow_no_derivatives, unverified, verify_options
+        title,
+        licence,
+        url,
+        tuple(creator or ()),
+        tuple(organization or ()),
+        citation,
+        allow_unknown_licences,
+        allow_no_derivatives,
+        unverified,
+        verify_options,
     )
     with files_bar(quiet=quiet) as show:
         found = write(RunFolder(run), out, options, lambda finding: echo(str(finding), err=True), show)
     for name in found.left_out:
         echo(f"left out: table {name} is none of this library", err=True)
+    if found.missing:
+        options_of = {"creator": "--creator or --organization", "url": "--url"}
+        said = " and ".join(f"{name} ({options_of[name]})" for name in found.missing)
+        echo(f"croissant.json lacks {said}, which Croissant 1.0 requires", err=True)
     rows = ", ".join(f"{table.name} {table.num_rows}" for table in found.tables)
     echo(
         f"{out}: {rows}; {found.num_previews} pictures; README.md is the card"

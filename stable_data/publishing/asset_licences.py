@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 import pyarrow as pa
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.assets.licences import licence_terms, normalise_licence
+from stable_data.assets.licences import is_restricted, licence_terms, normalise_licence
 from stable_data.errors import ConfigError
+from stable_data.publishing.private_paths import rows_without_folders
 from stable_data.storage.run_folder import RunFolder
 
 _COLUMNS = ("asset_id", "category", "licence", "licence_text", "licence_where", "author", "source", "source_url", "source_set")
@@ -62,7 +63,7 @@ class AssetLicence:
 
 
 def asset_licences(run: RunFolder) -> list[AssetLicence]:
-    """Returns the licences of the assets of a run, sorted by asset; none if it has no assets.
+    """Returns the licences of the assets of a run, sorted by asset and without private paths; none if it has no assets.
 
     Raises:
         ConfigError: The table ``assets`` cannot be read.
@@ -72,12 +73,12 @@ def asset_licences(run: RunFolder) -> list[AssetLicence]:
 
 def _licences(run: RunFolder) -> Iterator[AssetLicence]:
     for batch in run.batches("assets", _COLUMNS):
-        for row in batch.to_pylist():
+        for row in rows_without_folders(pa.Table.from_batches([batch])).to_pylist():
             stated = row["licence_text"] or row["licence"]
             yield AssetLicence(
                 row["asset_id"],
                 row["category"] or "",
-                normalise_licence(row["licence"]) or normalise_licence(stated),
+                _licence_of(row["licence"], row["licence_text"]),
                 stated,
                 row["licence_where"],
                 row["author"],
@@ -85,6 +86,16 @@ def _licences(run: RunFolder) -> Iterator[AssetLicence]:
                 row["source_url"],
                 row["source_set"],
             )
+
+
+def _licence_of(licence: str | None, text: str | None) -> str | None:
+    """The licence of an asset; None if it is not known, or if its text names another one or a restriction."""
+    stated, by_text = normalise_licence(licence), normalise_licence(text)
+    if not text or stated == by_text:
+        return stated
+    if by_text is not None:
+        return by_text if stated is None and not is_restricted(licence or "") else None
+    return None if is_restricted(text) else stated
 
 
 def licence_table(licences: Sequence[AssetLicence]) -> pa.Table:

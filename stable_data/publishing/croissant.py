@@ -6,8 +6,9 @@ from typing import Any
 
 import pyarrow as pa
 
+from stable_data.assets.licences import normalise_licence
 from stable_data.publishing.asset_licences import SCHEMA as LICENCE_SCHEMA
-from stable_data.publishing.dataset_card import ABOUT, LICENCE_FILE, PublishedTable
+from stable_data.publishing.dataset_card import ABOUT, KEYWORDS, LICENCE_FILE, PublishedTable
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.verification.known_ids import KEYS
 
@@ -62,6 +63,11 @@ def croissant_document(
     licences: Sequence[str],
     tables: Sequence[PublishedTable],
     files: Sequence[CroissantFile],
+    people: Sequence[str] = (),
+    organizations: Sequence[str] = (),
+    url: str = "",
+    citation: str = "",
+    published: str = "",
 ) -> dict[str, Any]:
     """Returns the content of ``croissant.json``.
 
@@ -71,17 +77,33 @@ def croissant_document(
     Args:
         title: Title of the dataset.
         description: A sentence about it.
-        licences: Names or addresses of its licences; empty if none is known.
+        licences: Every licence of its content: SPDX identifiers, or words such as ``not known``.
         tables: Its tables, those with rows.
         files: Further files.
+        people: Names of the people who made it.
+        organizations: Names of the organizations that made it.
+        url: Where it is; empty if it is not known.
+        citation: How to cite it; empty if nobody says.
+        published: The day, ``2026-11-27``; empty if it is not known.
     """
+    optional = {
+        "creator": [
+            *({"@type": "sc:Person", "name": name} for name in people),
+            *({"@type": "sc:Organization", "name": name} for name in organizations),
+        ],
+        "url": url,
+        "citeAs": citation,
+        "datePublished": published,
+    }
     found: dict[str, Any] = {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "name": title,
         "description": description,
         "conformsTo": _VERSION,
-        "license": list(licences) or ["unknown"],
+        "license": [_licence_entry(licence) for licence in licences],
+        **{key: value for key, value in optional.items() if value},
+        "keywords": list(KEYWORDS),
         "version": "1.0.0",
         "distribution": [*map(_file_object, files), *map(_file_set, tables)],
         "recordSet": [_record_set(table) for table in tables],
@@ -89,6 +111,17 @@ def croissant_document(
     if any(file.name == LICENCE_FILE for file in files):
         found["recordSet"].append(_licence_records())
     return found
+
+
+def missing_entries(document: dict[str, Any]) -> list[str]:
+    """Returns what Croissant 1.0 requires of a dataset and only its publisher knows, and a document does not have."""
+    return [name for name in ("creator", "url") if name not in document]
+
+
+def _licence_entry(licence: str) -> str | dict[str, str]:
+    """The address of a licence at SPDX; without an identifier, or with one that leaves the version open, its name."""
+    is_known = normalise_licence(licence) == licence and (not licence.startswith("CC-BY") or licence[-1].isdigit())
+    return f"https://spdx.org/licenses/{licence}.html" if is_known else {"@type": "sc:CreativeWork", "name": licence}
 
 
 def _file_object(file: CroissantFile) -> dict[str, Any]:

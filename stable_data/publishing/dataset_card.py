@@ -1,6 +1,7 @@
 """The card of a published run: README.md, with the head that Hugging Face reads."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,8 +9,17 @@ from typing import Any
 from stable_data.markdown_text import plain
 from stable_data.storage.row_groups import SPLITS
 
-ALL = "all"
-"""Stands for the split in the names of shards whose rows have none."""
+UNSPLIT = "unsplit"
+"""Stands for the split of rows that have none."""
+
+KEYWORDS = ("tabletop", "3d-scenes", "simulation", "robotics", "mujoco", "stable-data")
+"""What a dataset is found by."""
+
+_NO_WORD = re.compile(r"[^A-Za-z0-9_]+")
+_LONGEST_SPLIT = 40  # characters
+
+NOT_KNOWN, ROWS_NOT_STATED = "not known", "not stated for the rows"
+"""Stand for a licence in lists of licences."""
 
 LICENCE_FILE, ATTRIBUTION_FILE, CROISSANT_FILE = "licences.parquet", "ATTRIBUTION.md", "croissant.json"
 
@@ -63,7 +73,7 @@ class PublishedTable:
 
     Attributes:
         name: The table.
-        rows: Number of rows by split; :data:`ALL` for rows without one.
+        rows: Number of rows by the name of a split (:class:`SplitNames`).
         num_bytes: Size of its files.
     """
 
@@ -77,11 +87,33 @@ class PublishedTable:
         return sum(self.rows.values())
 
     def data_files(self) -> list[tuple[str, str]]:
-        """Returns the name of a split for a hub, and the pattern of its files; a table without splits is one."""
-        if set(self.rows) <= {ALL}:
-            return [("train", f"{self.name}/part-{ALL}.*.parquet")]
-        order = [*SPLITS, ALL]
-        return [(split, f"{self.name}/part-{split}.*.parquet") for split in sorted(self.rows, key=order.index)]
+        """Returns the name of a split for a hub, and the pattern of its files; a table without splits is one, ``train``."""
+        if set(self.rows) <= {UNSPLIT}:
+            return [("train", f"{self.name}/part-{UNSPLIT}.*.parquet")]
+        names = sorted(self.rows, key=lambda name: (SPLITS.index(name) if name in SPLITS else len(SPLITS), name))
+        return [(split, f"{self.name}/part-{split}.*.parquet") for split in names]
+
+
+class SplitNames:
+    """The names of splits that dataset hubs and names of files allow: of letters, digits and underscores.
+
+    A usual name stays. ``all`` is no name, because it stands for all splits together, and no two names differ in case alone.
+    """
+
+    def __init__(self) -> None:
+        self._names = dict[str, str]()
+
+    def of(self, split: str | None) -> str:
+        """Returns the name for a value of the column ``split``; :data:`UNSPLIT` if it is null or empty."""
+        split = split or ""
+        if split not in self._names:
+            first = _NO_WORD.sub("_", split).strip("_")[:_LONGEST_SPLIT] or UNSPLIT
+            taken, name, number = {other.casefold() for other in self._names.values()} | {"all"}, first, 1
+            while name.casefold() in taken:
+                number += 1
+                name = f"{first}_{number}"
+            self._names[split] = name
+        return self._names[split]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +124,7 @@ class CardContent:
         title: Title of the dataset.
         origin: The manifest of the run that was published, without what is private.
         tables: Its tables, those with rows.
-        licences: Number of assets by licence, ``not known`` among them.
+        licences: Number of assets by licence, :data:`NOT_KNOWN` among them.
         row_licence: Licence of the rows themselves, as an SPDX identifier; None if the publisher states none.
         verdict: What ``verify`` said of the run.
         figures: Lines on the verdicts of the scenes.
@@ -124,15 +156,19 @@ def card_text(content: CardContent) -> str:
 
 
 def hub_licence(content: CardContent) -> dict[str, str]:
-    """Returns the entries of a card's head that state the licence: one name if there is a single known licence, else a page."""
-    every = {name for name in content.licences if name != "not known"} | (
-        {content.row_licence} if content.row_licence else set()
-    )
-    if len(every) == 1 and "not known" not in content.licences and (name := _HUB_LICENCES.get(str(next(iter(every))))):
-        return {"license": name}
-    if not every and not content.licences:
+    """Returns the entries of a card's head that state the licence: a single name if all rows and all assets have it, else a list."""
+    every = list_licences(content)
+    if every == [ROWS_NOT_STATED] and not content.licences:
         return {"license": "unknown"}
-    return {"license": "other", "license_name": "several", "license_link": ATTRIBUTION_FILE}
+    if len(every) == 1 and every[0] in _HUB_LICENCES:
+        return {"license": _HUB_LICENCES[every[0]]}
+    link = ATTRIBUTION_FILE if content.licences else "README.md"
+    return {"license": "other", "license_name": ", ".join(map(str.lower, every)), "license_link": link}
+
+
+def list_licences(content: CardContent) -> list[str]:
+    """Returns every licence of the content: that of the rows, then those of the assets, each once; also that one is not known."""
+    return list(dict.fromkeys([content.row_licence or ROWS_NOT_STATED, *sorted(content.licences)]))
 
 
 def size_category(count: int) -> str:
@@ -151,7 +187,7 @@ def _head(content: CardContent) -> dict[str, Any]:
         "pretty_name": content.title,
         **hub_licence(content),
         "task_categories": ["robotics"],
-        "tags": ["tabletop", "3d-scenes", "simulation", "robotics", "mujoco", "stable-data", "croissant"],
+        "tags": [*KEYWORDS, "croissant"],
         "size_categories": [size_category(content.main.num_rows)],
         "configs": configs,
     }
@@ -177,7 +213,7 @@ def _body(content: CardContent) -> str:
         "|---|---|---|---|---|",
     ]
     for table in content.tables:
-        splits = ", ".join(f"{name} {count:,}" for name, count in table.rows.items()) if set(table.rows) != {ALL} else ""
+        splits = ", ".join(f"{name} {count:,}" for name, count in table.rows.items()) if set(table.rows) != {UNSPLIT} else ""
         lines.append(
             f"| {table.name} | {ABOUT.get(table.name, '')} | {table.num_rows:,} | {splits} | {table.num_bytes / 1e6:.1f} |"
         )

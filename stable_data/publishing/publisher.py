@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
@@ -23,17 +22,21 @@ from stable_data.code_version import code_version
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.publishing.asset_licences import AssetLicence, asset_licences, licence_table, refuse_licences
-from stable_data.publishing.croissant import CroissantFile, croissant_document
+from stable_data.publishing.croissant import CroissantFile, croissant_document, missing_entries
 from stable_data.publishing.dataset_card import (
-    ALL,
     ATTRIBUTION_FILE,
     CROISSANT_FILE,
     LICENCE_FILE,
+    NOT_KNOWN,
+    UNSPLIT,
     CardContent,
     PublishedTable,
+    SplitNames,
     card_text,
+    list_licences,
 )
 from stable_data.publishing.previews import previews
+from stable_data.publishing.private_paths import public_value, rows_without_folders, without_folders
 from stable_data.storage.checksums import checksum_of
 from stable_data.storage.id_hashes import IdSet
 from stable_data.storage.json_schemas import write_contracts
@@ -44,8 +47,6 @@ from stable_data.verification.findings import Finding
 from stable_data.verification.verifier import Progress, Verification, VerifyOptions, verify_run
 
 _SHARD_BYTES, _SHARD_BYTES_OF = 64 * 10**6, {"scenes": 16 * 10**6}
-_FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:|~)?(?:[/\\][^\s/\\:'\",;()]+)+[/\\](?=[^\s/\\])")
-_MESSAGES = ("message", "reason", "task_reason")
 _VERDICTS = ("clean", "stable", "task_reachable", "task_graspable")
 
 
@@ -57,6 +58,8 @@ class PublishOptions:
         title: Title of the dataset; empty: the name of the run.
         licence: Licence of the rows themselves; empty if the publisher states none.
         url: Where the dataset will be; empty if it is not known.
+        creators: Names of the people who made the dataset.
+        organizations: Names of the organizations that made it.
         citation: How to cite it; empty if the publisher does not say.
         allow_unknown_licences: Whether assets without a known licence are published.
         allow_no_derivatives: Whether assets are published that must not be passed on changed.
@@ -67,6 +70,8 @@ class PublishOptions:
     title: str = ""
     licence: str = ""
     url: str = ""
+    creators: tuple[str, ...] = ()
+    organizations: tuple[str, ...] = ()
     citation: str = ""
     allow_unknown_licences: bool = False
     allow_no_derivatives: bool = False
@@ -83,12 +88,14 @@ class Publication:
         verification: The verification of the run.
         num_previews: Pictures of the card.
         left_out: Tables that this library does not know.
+        missing: What ``croissant.json`` must have by its specification, and the publisher did not say.
     """
 
     tables: tuple[PublishedTable, ...]
     verification: Verification
     num_previews: int
     left_out: tuple[str, ...]
+    missing: tuple[str, ...]
 
 
 def publish(
@@ -197,25 +204,33 @@ def _write(
     for path, content in pictures.items():
         target.write_bytes(path, content)
     title = options.title or Path(run.root).name
-    by_licence = Counter(one.licence or "not known" for one in licences)
+    by_licence = Counter(one.licence or NOT_KNOWN for one in licences)
     card = CardContent(
         title,
         origin,
         tables,
         by_licence,
         normalise_licence(options.licence) if options.licence else None,
-        str(verification).partition(": ")[2].replace(run.uri, "the run"),
+        without_folders(str(verification).removeprefix(f"{run.uri}: ").replace(run.uri, "the run")),
         figures.lines(),
         list(pictures),
         options.citation,
     )
     target.write_bytes("README.md", card_text(card).encode())
     files = _write_licences(target, folder, licences)
-    stated = [*([card.row_licence] if card.row_licence else []), *(name for name in sorted(by_licence) if name != "not known")]
     description = f"{card.main.num_rows} rows of {card.main.name}, made by {origin.get('job')} of stable-data"
-    document = croissant_document(title, description, list(dict.fromkeys(stated)), tables, files)
-    document |= {"datePublished": datetime.now(UTC).date().isoformat()}
-    document |= {key: text for key, text in (("url", options.url), ("citeAs", options.citation)) if text}
+    document = croissant_document(
+        title,
+        description,
+        list_licences(card),
+        tables,
+        files,
+        options.creators,
+        options.organizations,
+        options.url,
+        options.citation,
+        datetime.now(UTC).date().isoformat(),
+    )
     target.write_bytes(CROISSANT_FILE, (json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
     write_manifest(
         target,
@@ -225,7 +240,7 @@ def _write(
             "code_version": code_version(),
             "code_versions": [code_version()],
             "table_version": TABLE_VERSION,
-            "dataset": str(manifest.get("dataset", "")),
+            "dataset": str(origin.get("dataset", "")),
             "inputs": {"run": manifest.get(DIGEST)},
             "input_fingerprint": content_id({"run": manifest.get(DIGEST)}),
             "settings": {"title": options.title, "licence": options.licence},
@@ -235,7 +250,9 @@ def _write(
         },
         [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file() and path.name != LOCK],
     )
-    return Publication(tables, verification, len(pictures), tuple(set(run.tables()) - set(names)))
+    return Publication(
+        tables, verification, len(pictures), tuple(set(run.tables()) - set(names)), tuple(missing_entries(document))
+    )
 
 
 def _write_licences(target: RunFolder, folder: Path, licences: list[AssetLicence]) -> list[CroissantFile]:
@@ -258,7 +275,7 @@ def _write_table(run: RunFolder, target: RunFolder, name: str, figures: "_Figure
     """Writes the rows of a table in shards of about _SHARD_BYTES, by split."""
     limit = _SHARD_BYTES_OF.get(name, _SHARD_BYTES)
     pending: dict[str, list[pa.Table]] = defaultdict(list)
-    rows, numbers, there = Counter[str](), Counter[str](), IdSet()
+    rows, numbers, there, names = Counter[str](), Counter[str](), IdSet(), SplitNames()
 
     def flush(split: str) -> None:
         shard = pa.concat_tables([SCHEMAS[name].empty_table(), *pending.pop(split)])
@@ -271,7 +288,7 @@ def _write_table(run: RunFolder, target: RunFolder, name: str, figures: "_Figure
         if name == "textures":  # in a run each shard has those of its assets
             part = part.filter(pa.array(~there.has(part["sha256"])))
             there.add(part["sha256"])
-        for split, own in _by_split(_without_folders(part)):
+        for split, own in _by_split(rows_without_folders(part), names):
             rows[split] += own.num_rows
             pending[split].append(own)
             if sum(each.nbytes for each in pending[split]) > limit:
@@ -279,56 +296,27 @@ def _write_table(run: RunFolder, target: RunFolder, name: str, figures: "_Figure
     for split in list(pending):
         flush(split)
     if not rows:  # a table without rows stays one
-        pending[ALL] = []
-        flush(ALL)
+        pending[UNSPLIT] = []
+        flush(UNSPLIT)
     size = sum(size for _, size, _ in target.file_stamps(name))
     return PublishedTable(name, dict(rows), size)
 
 
-def _by_split(rows: pa.Table) -> Iterator[tuple[str, pa.Table]]:
+def _by_split(rows: pa.Table, names: SplitNames) -> Iterator[tuple[str, pa.Table]]:
+    """The rows of each split, with the name of the split."""
     if "split" not in rows.column_names:
         if rows.num_rows:
-            yield ALL, rows
+            yield UNSPLIT, rows
         return
-    splits = pc.fill_null(rows["split"], ALL)
+    splits = pc.fill_null(rows["split"], "")
     for split in pc.unique(splits).to_pylist():
-        yield split, rows.filter(pc.equal(splits, split))
-
-
-def _without_folders(rows: pa.Table) -> pa.Table:
-    """Rows without the folders of the machine that made them in messages."""
-    for column in _MESSAGES:
-        if column in rows.column_names:
-            texts = [None if text is None else without_folders(text) for text in rows[column].to_pylist()]
-            place = rows.schema.get_field_index(column)
-            rows = rows.set_column(place, rows.schema.field(column), pa.array(texts, pa.string()))
-    return rows
-
-
-def without_folders(text: str) -> str:
-    """Returns a text in which paths of files are reduced to their last part.
-
-    Example:
-        >>> without_folders("asset cup: /home/me/data/cup.glb cannot be read")
-        'asset cup: cup.glb cannot be read'
-    """
-    return _FOLDERS.sub("", text)
+        yield names.of(split), rows.filter(pc.equal(splits, split))
 
 
 def _origin(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """What a published run says of the run that it was made of: its manifest without checksums, and without paths and addresses."""
     left_out = {DIGEST, PLANNED, CHECKED, "work", "command"}
-    return {key: _public(value) for key, value in manifest.items() if key not in left_out}
-
-
-def _public(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {without_folders(str(key)): _public(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_public(entry) for entry in value]
-    if isinstance(value, str) and "://" in value:
-        return ""
-    return without_folders(value) if isinstance(value, str) else value
+    return {key: public_value(value) for key, value in manifest.items() if key not in left_out}
 
 
 class _Figures:
