@@ -81,6 +81,7 @@ def main() -> None:
             "supports": ([], ["--faces", "2000"]),
             "import_scale": ([data], ["--assets", "32", "--subset", "8"]),
             "synth": (["--scenes", "200"], ["--scenes", "20"]),
+            "fuzz": ([f"{run}/fuzz", "--count", "20000"], ["--count", "500"]),
         }
         failed = []
         for name, (words, quick) in jobs.items():

@@ -1,0 +1,1 @@
+"""Fuzzing: changed inputs for every reader, run in processes that are watched."""

@@ -1,0 +1,1 @@
+"""Edits of inputs, one module for each form."""

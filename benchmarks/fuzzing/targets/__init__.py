@@ -1,0 +1,1 @@
+"""The readers that are fuzzed, with the honest files that are changed for them."""

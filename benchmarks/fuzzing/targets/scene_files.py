@@ -1,0 +1,135 @@
+"""Targets: scene files of other projects, audited and with new poses."""
+
+import json
+from pathlib import Path
+
+from benchmarks.fuzzing.cases import Base, Target
+from benchmarks.fuzzing.mutation.glb_edits import joined_glb
+from benchmarks.fuzzing.targets import source_files as files
+from benchmarks.fuzzing.targets.meshes import picture
+from benchmarks.fuzzing.targets.results import check_finite, check_lint
+from stable_data.errors import SceneError
+from stable_data.importers.boundary import Boundary
+from stable_data.importers.scenes.lint import lint_scene_files, scene_candidates
+from stable_data.importers.scenes.opening import OpenedScene, read_scene_file
+from stable_data.importers.scenes.scene_file import SceneFile
+
+_PHYSICS_WORDS = (
+    *(
+        "KHR_physics_rigid_bodies",
+        "KHR_implicit_shapes",
+        "OMI_physics_body",
+        "OMI_physics_shape",
+        "motion",
+        "collider",
+        "geometry",
+        "shape",
+        "mesh",
+    ),
+    *(
+        "convexHull",
+        "mass",
+        "centerOfMass",
+        "inertiaDiagonal",
+        "isKinematic",
+        "box",
+        "sphere",
+        "capsule",
+        "cylinder",
+        "radiusTop",
+        "height",
+        "size",
+    ),
+    *(
+        "-rigid",
+        "-col",
+        "-convcolonly",
+        "translation",
+        "rotation",
+        "scale",
+        "matrix",
+        "children",
+        "animations",
+        "channels",
+        "extensions",
+        "friction",
+    ),
+)
+
+
+def _mjcf() -> list[Base]:
+    contents = {"scene.xml": files.MJCF_SCENE, "parts/things.xml": files.MJCF_THINGS, "meshes/wedge.obj": files.WEDGE}
+    return [Base("scene", contents, {"scene.xml": 6, "parts/things.xml": 2, "meshes/wedge.obj": 1})]
+
+
+def _gltf() -> list[Base]:
+    document, content = files.gltf_scene()
+    joined = json.loads(json.dumps(document))
+    joined["buffers"][0].pop("uri")
+    beside = {"picture.png": picture("PNG")}
+    return [
+        Base("gltf", {"scene.gltf": files.dumped(document), "thing.bin": content, **beside}, {"scene.gltf": 4, "thing.bin": 1}),
+        Base("glb", {"scene.glb": joined_glb(json.dumps(joined).encode(), content), **beside}, {"scene.glb": 1}),
+    ]
+
+
+def _usd() -> list[Base]:
+    layers = {"scene.usda": files.USDA_SCENE, "bottle.usda": files.USDA_BOTTLE}
+    return [Base("usda", layers, {"scene.usda": 5, "bottle.usda": 1})]
+
+
+_MAIN = {"scene": "scene.xml", "gltf": "scene.gltf", "glb": "scene.glb", "usda": "scene.usda"}
+
+
+def _check_file(file: SceneFile) -> None:
+    for body in file.bodies:
+        check_finite(f"body {body.name!r:.80}", body.position, body.quat_xyzw, body.mass, body.center_of_mass, body.inertia)
+        check_finite(f"body {body.name!r:.80}", *(part.vertices for part in body.parts))
+
+
+def _move(opened: OpenedScene, base: str) -> None:
+    """Puts new poses into the file, without a simulation."""
+    poses = {
+        b.name: ((b.position[0], b.position[1], b.position[2] + 0.01), b.quat_xyzw) for b in opened.file.bodies if b.is_free
+    }
+    try:
+        if base in ("gltf", "glb"):
+            from stable_data.importers.scenes.gltf_patch import patch_nodes
+
+            patch_nodes(opened.scene, poses)  # type: ignore[attr-defined]
+        elif base == "scene":
+            from stable_data.importers.scenes.mjcf_patch import patch_poses
+
+            patch_poses(opened.scene, poses)  # type: ignore[attr-defined]
+        else:
+            from stable_data.importers.scenes.usd_scenes import write_overrides
+
+            write_overrides(opened, poses)  # type: ignore[arg-type]
+    except SceneError:
+        return  # a pose that cannot be changed
+
+
+def _read_scene(folder: Path, base: str) -> bool:
+    opened = read_scene_file(Boundary(folder), _MAIN[base])
+    _check_file(opened.file)
+    _move(opened, base)
+    return True
+
+
+def _audit(folder: Path, base: str) -> bool:
+    result = lint_scene_files(folder, scene_candidates(folder))
+    check_lint(result)
+    return bool(result.rows)
+
+
+def _audited() -> list[Base]:
+    return [*_mjcf(), *_gltf(), *_usd()]
+
+
+TARGETS = (
+    Target("scene_mjcf", 8, _mjcf, _read_scene, files.XML_WORDS),
+    Target("scene_gltf", 12, _gltf, _read_scene, _PHYSICS_WORDS),
+    Target("scene_usd", 8, _usd, _read_scene, files.USD_WORDS),
+    Target("scene_audit", 2, _audited, _audit, (*_PHYSICS_WORDS, *files.XML_WORDS, *files.USD_WORDS), block=50),
+)
+"""The targets of this module."""

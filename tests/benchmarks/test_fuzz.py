@@ -1,0 +1,236 @@
+"""The fuzzer finds what is planted, resumes exactly, and what once broke stays mended."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from benchmarks.fuzz import main
+from benchmarks.fuzzing.campaign import Campaign, State, _Pool, divided
+from benchmarks.fuzzing.cases import Case, num_edits
+from benchmarks.fuzzing.findings import stored_cases
+from benchmarks.fuzzing.mutation.files import edited_file
+from benchmarks.fuzzing.targets.registry import TARGETS
+from benchmarks.fuzzing.watching import Finding, FindingKind, Outcome
+from tests.benchmarks.planted import HONEST
+
+ROOT = Path(__file__).resolve().parents[2]
+CORPUS = ROOT / "tests" / "data" / "fuzz"
+PLANTED = "tests.benchmarks.planted:TARGETS"
+STORED = list(stored_cases(CORPUS))
+LEAST_ACCEPTED = 0.03  # of the first inputs of a target: mutators that only make noise reach no code behind the parsers
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are watched on Linux")
+
+
+@pytest.fixture(scope="module")
+def planted() -> Iterator[_Pool]:
+    with _Pool(1, PLANTED, 0) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def readers() -> Iterator[_Pool]:
+    with _Pool(1, "benchmarks.fuzzing.targets.registry:TARGETS", 0) as pool:
+        yield pool
+
+
+def said(pool: _Pool, word: str) -> Outcome:
+    return pool.replay("planted", Case("honest", "text.txt", f"{HONEST.decode()} {word} end_of_text".encode()))
+
+
+def found(pool: _Pool, word: str) -> Finding:
+    finding = said(pool, word).finding
+    assert finding is not None
+    return finding
+
+
+def test_honest_and_refused_inputs_are_no_findings(planted: _Pool) -> None:
+    assert said(planted, "").is_accepted
+    outcome = said(planted, "refused")
+    assert (outcome.is_accepted, outcome.code, outcome.finding) == (False, "text_refused", None)
+
+
+@pytest.mark.parametrize(
+    ("word", "kind", "type_"),
+    [
+        ("crash", FindingKind.CRASH, "KeyError"),
+        ("end", FindingKind.SIGNAL, "SIGSEGV"),
+        ("eat", FindingKind.MEMORY, "address space"),
+        ("eat_in_secret", FindingKind.MEMORY, "address space"),
+        ("open_outside", FindingKind.ESCAPE, "open"),
+        ("open_natively", FindingKind.ESCAPE, "native"),
+        ("open_in_secret", FindingKind.ESCAPE, "open"),
+        ("change_input", FindingKind.ESCAPE, "open"),
+        ("kept", FindingKind.ESCAPE, "open"),
+        ("start", FindingKind.ESCAPE, "subprocess.Popen"),
+        ("run_code", FindingKind.ESCAPE, "exec"),
+        ("pass", FindingKind.FALSE_PASS, "FalsePass"),
+        ("say_too_much", FindingKind.MESSAGE, "long"),
+        ("say_nothing", FindingKind.MESSAGE, "no code"),
+    ],
+)
+def test_planted_faults_are_found(planted: _Pool, word: str, kind: FindingKind, type_: str) -> None:
+    finding = found(planted, word)
+    assert (finding.kind, finding.type) == (kind, type_)
+    assert said(planted, "").is_accepted, "the next input is read by a process that is as new"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("word", "type_"), [("hang", "slow"), ("wait", "stuck")])
+def test_a_reader_that_does_not_end_is_ended(planted: _Pool, word: str, type_: str) -> None:
+    finding = found(planted, word)
+    assert (finding.kind, finding.type) == (FindingKind.HANG, type_)
+    assert "_hang" in finding.trace or "_wait" in finding.trace
+
+
+def test_a_hang_is_found_by_its_processor_time(planted: _Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.fuzzing.process.MOST_SECONDS", 0.5)
+    monkeypatch.setattr("benchmarks.fuzzing.process._GRACE", 0.0)
+    assert found(planted, "hang").kind is FindingKind.HANG
+
+
+def test_a_reader_apart_decides_what_counts(planted: _Pool) -> None:
+    outcome = planted.replay("spared", Case("honest", "text.txt", b"crash"))
+    assert (outcome.finding, outcome.code) == (None, "text_refused")
+    assert planted.replay("spared", Case("honest", "text.txt", b"say_nothing")).finding is not None
+
+
+def test_an_honest_input_that_is_refused_ends_the_command(planted: _Pool) -> None:
+    with pytest.raises(RuntimeError, match="the base honest is refused"):
+        planted.replay("dishonest", Case("honest", "text.txt", b"x"))
+
+
+def figures_of(out: Path) -> tuple[dict[str, tuple[int, int, int]], dict[str, tuple[int, int]]]:
+    state = State.of_json((out / "state.json").read_text())
+    counts = {name: (c.done, c.accepted, c.refused) for name, c in state.targets.items()}
+    return counts, {key: (known.number, known.count) for key, known in state.findings.items()}
+
+
+def test_a_stopped_campaign_goes_on_with_the_same_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--target", "planted", "--target", "calm", "--workers", "1"]
+    assert main([str(tmp_path / "whole"), "--count", "400", *options], PLANTED) == 1
+    table = capsys.readouterr().out
+    assert "400 of 400 inputs" in table
+    for count in ("100", "250", "400"):
+        main([str(tmp_path / "parts"), "--count", count, *options], PLANTED)
+    whole, parts = figures_of(tmp_path / "whole"), figures_of(tmp_path / "parts")
+    assert whole[0] == parts[0]
+    assert whole[1] == parts[1]
+    done = whole[0]["planted"]
+    assert done[0] == 300 > done[1] + done[2] > 0
+    assert {key.partition(",")[0] for key in whole[1]} >= {"planted: crash", "planted: signal", "planted: message"}
+
+
+def test_findings_are_written_reduced_and_can_be_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(
+        [str(tmp_path), "--count", "200", "--target", "planted", "--workers", "1", "--json", str(tmp_path / "f.json")], PLANTED
+    )
+    (place,) = (tmp_path / "findings").glob("planted/honest/crash*/text.txt")
+    assert place.read_bytes().split() == [b"crash"]
+    capsys.readouterr()
+    assert main([str(tmp_path), "--replay", str(place)], PLANTED) == 1
+    assert "crash, KeyError" in capsys.readouterr().out
+    state = State.of_json((tmp_path / "state.json").read_text())
+    number = next(known.number for known in state.findings.values() if known.finding.kind is FindingKind.CRASH)
+    assert main([str(tmp_path), "--replay", f"planted/{number}"], PLANTED) == 1
+    figures = json.loads((tmp_path / "f.json").read_text())
+    assert figures["inputs"] == 200
+    assert figures["core_hours"] >= 0
+    assert any("crash" in name for name in figures["findings"])
+
+
+@pytest.mark.slow
+def test_a_killed_command_loses_no_input_and_counts_none_twice(tmp_path: Path) -> None:
+    code = f"from benchmarks.fuzz import main; main([{str(tmp_path / 'killed')!r}, '--count', '4000', '--target', 'planted'], {PLANTED!r})"
+    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, start_new_session=True, stdout=subprocess.DEVNULL)
+    state = tmp_path / "killed" / "state.json"
+    while not state.exists() or not any(c.done for c in State.of_json(state.read_text()).targets.values()):
+        time.sleep(0.2)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    for out in ("killed", "whole"):
+        main([str(tmp_path / out), "--count", "4000", "--target", "planted", "--workers", "1"], PLANTED)
+    assert figures_of(tmp_path / "killed") == figures_of(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--target", "none"], "no target 'none'"),
+        (["--replay", "planted/x"], "--replay is 'planted/x'"),
+        (["--replay", "calm"], "--replay is 'calm'"),
+    ],
+)
+def test_what_cannot_start_says_why(
+    tmp_path: Path, arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(tmp_path), *arguments], PLANTED) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_another_seed_or_a_broken_state_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Campaign(tmp_path, 0, 1, PLANTED).save()
+    assert main([str(tmp_path), "--seed", "1"], PLANTED) == 2
+    assert "has the seed 0" in capsys.readouterr().err
+    (tmp_path / "state.json").write_text("{")
+    assert main([str(tmp_path)], PLANTED) == 2
+    assert "cannot be read" in capsys.readouterr().err
+
+
+def test_the_count_is_divided_by_shares() -> None:
+    assert divided(10, {"a": 1, "b": 2, "c": 0.5}) == {"a": 3, "b": 6, "c": 1}
+    assert sum(divided(1_000_000, {name: target.share for name, target in TARGETS.items()}).values()) == 1_000_000
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_an_input_depends_on_its_number_alone(name: str) -> None:
+    target = TARGETS[name]
+    first, again = (target.case(0, 3) for _ in range(2))
+    assert first == again
+    bases = target.bases
+    cases = [target.case(0, number) for number in range(20)]
+    assert any(case.content != bases[case.base].files[case.path] for case in cases)
+    assert target.case(0, 3, kept=()).content == bases[first.base].files[first.path]
+    assert 1 <= num_edits(0, target, 3) <= 5
+    assert len({case.content for case in cases}) > 5
+
+
+def test_edits_of_every_form_give_bytes() -> None:
+    for target in TARGETS.values():
+        for base in target.bases.values():
+            for path in base.changed or base.files:
+                for number in range(3):
+                    content = edited_file(path, base.files[path], Random(number), (), target.words)  # noqa: S311 - inputs
+                    edited_file(path, content, Random(number + 1), (content,), target.words)  # noqa: S311 - inputs
+
+
+@pytest.mark.parametrize(("target", "name", "case"), STORED, ids=[f"{target}-{name}" for target, name, _ in STORED])
+def test_what_once_broke_stays_mended(readers: _Pool, target: str, name: str, case: Case) -> None:
+    finding = readers.replay(target, case).finding
+    assert finding is None, f"{finding.key}\n{finding.message}\n{finding.trace}"
+
+
+def test_every_stored_input_belongs_to_a_target() -> None:
+    assert STORED
+    for target, _, case in STORED:
+        assert case.path in TARGETS[target].bases[case.base].files
+        assert len(case.content) < 100_000
+
+
+@pytest.mark.slow
+def test_inputs_of_every_target_are_accepted_often_enough(tmp_path: Path) -> None:
+    campaign = Campaign(tmp_path, 0, 1)
+    for name in TARGETS:
+        campaign.plan(60, [name])
+    campaign.run()
+    shares = {name: counts.accepted / counts.done for name, counts in campaign.state.targets.items()}
+    assert {name: share for name, share in shares.items() if share < LEAST_ACCEPTED} == {}
+    assert campaign.state.findings == {}
