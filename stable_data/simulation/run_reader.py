@@ -1,5 +1,6 @@
 """Reads selected scenes of a run, in order, with the geometry that they need."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,7 +11,7 @@ import pyarrow as pa
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.run_assets import run_annotations, run_store
 from stable_data.assets.store import AssetStore
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, SceneError
 from stable_data.json_text import quote_value
 from stable_data.scene import Scene
 from stable_data.simulation.scene_geometry import RestPose, SceneGeometry
@@ -22,6 +23,8 @@ from stable_data.storage.table_rows import card_columns, scene_from_row
 
 NEEDED = ("scenes", "assets", "meshes")
 """Tables that a run must have so that its scenes can be built."""
+
+_LEAST_NORM = 1e-6  # of a quaternion that is a rotation
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,10 +212,29 @@ class SettledPoses:
         self._index = SceneIndex(run, "settled")
 
     def of(self, scene_id: str) -> dict[str, RestPose]:
-        """The poses of a scene's objects after settling, by instance; empty if it was never settled."""
+        """The poses of a scene's objects after settling, by instance; empty if it was never settled.
+
+        Raises:
+            SceneError: A pose is missing or none (``row_invalid``). A run may come from anywhere.
+        """
         row = self._index.row(scene_id, ["poses"])
-        poses = () if row is None else row["poses"]
-        return {pose["instance"]: (tuple(pose["position"]), tuple(pose["quat_xyzw"])) for pose in poses}
+        try:
+            return dict(map(_rest_pose, () if row is None else row["poses"]))
+        except (TypeError, ValueError) as error:
+            found = f"{quote_value(scene_id)}: its poses after settling cannot be used ({error!s:.200})"
+            raise SceneError(f"{found}, expected what a job writes; make the run again", "row_invalid") from error
+
+
+def _rest_pose(pose: Row) -> tuple[str, RestPose]:
+    """The instance and the pose of an entry of ``poses``.
+
+    Raises:
+        TypeError, ValueError: It is no pose.
+    """
+    (x, y, z), (a, b, c, d) = pose["position"], pose["quat_xyzw"]
+    if not math.isfinite(x + y + z) or not math.hypot(a, b, c, d) > _LEAST_NORM:
+        raise ValueError("a number is not finite, or a quaternion is zero")
+    return pose["instance"], ((x, y, z), (a, b, c, d))
 
 
 def _check_tables(run: RunFolder, *, settled: bool = False) -> None:

@@ -7,6 +7,7 @@ from pathlib import PurePosixPath
 import pyarrow.fs as pafs
 
 from stable_data.json_text import document_of
+from stable_data.limits import LIMITS
 from stable_data.storage.manifest import DIGEST, MANIFEST, manifest_digest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.verification.findings import Finding, Findings
@@ -52,7 +53,7 @@ def _verify_folder(folder: RunFolder, runs: list[str], tell: Tell) -> Verificati
     """Verifies ``evaluation.json``."""
     findings, systems = Findings(tell), dict[str, object]()
     try:
-        document = document_of(folder.read_bytes(EVALUATION) or b"")
+        document = document_of(folder.read_bytes(EVALUATION, LIMITS.text.max_document_bytes + 1) or b"")
         systems = {str(label): entry["repetitions"] for label, entry in document["systems"].items()}
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         findings.damage(EVALUATION, f"is no evaluation ({type(error).__name__}: {error})")

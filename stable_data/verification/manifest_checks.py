@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError
 from stable_data.json_text import document_of, number
+from stable_data.limits import LIMITS
 from stable_data.mesatask.dataset_split import SplitShares
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
 from stable_data.storage.checksums import CHECKSUMS, checksum_of, read_checksums
@@ -31,7 +32,7 @@ from stable_data.storage.schema_checks import is_older_version
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.verification.findings import Findings
 from stable_data.verification.known_ids import KEYS, leaves
-from stable_data.verification.scene_checks import SplitRule, is_close
+from stable_data.verification.scene_checks import SplitRule, is_close, is_number
 from stable_data.verification.shard_files import ShardFile
 
 OF_DATASET = content_id("dataset")
@@ -68,7 +69,7 @@ def read_raw_manifest(folder: RunFolder, findings: Findings) -> dict[str, Any] |
     Raises:
         ConfigError: The folder cannot be read.
     """
-    content = folder.read_bytes(MANIFEST)
+    content = folder.read_bytes(MANIFEST, LIMITS.text.max_document_bytes + 1)
     if content is None:
         findings.damage(MANIFEST, "is missing, expected the manifest of the run")
         return None

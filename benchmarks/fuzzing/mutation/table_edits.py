@@ -3,6 +3,7 @@
 import hashlib
 import io
 from collections.abc import Sequence
+from functools import lru_cache
 from random import Random
 from typing import Any
 
@@ -42,7 +43,7 @@ def edited_table(content: bytes, rng: Random, donors: Sequence[bytes] = (), word
         words: Words of the grammar.
     """
     try:
-        table = pq.read_table(io.BytesIO(content), use_threads=False)
+        table = _table(content)
         if not table.num_columns:
             return None
         changed = _edited(table, rng, donors, words)
@@ -53,6 +54,12 @@ def edited_table(content: bytes, rng: Random, donors: Sequence[bytes] = (), word
     except (*_ERRORS, OSError):
         return None
     return sink.getvalue()
+
+
+@lru_cache(maxsize=64)
+def _table(content: bytes) -> pa.Table:
+    """The table of a file; those of honest files are read again and again."""
+    return pq.read_table(io.BytesIO(content), use_threads=False)
 
 
 def _edited(table: pa.Table, rng: Random, donors: Sequence[bytes], words: Sequence[str]) -> pa.Table:
@@ -86,7 +93,7 @@ def _edited(table: pa.Table, rng: Random, donors: Sequence[bytes], words: Sequen
         metadata[key] = rng.choice((b"", b"0", b"99", b"\xff\xfe", b"x" * 10_000, metadata.get(key, b"")[::-1]))
         return table.replace_schema_metadata(metadata if rng.random() < 0.7 else None)
     if donors:
-        other_table = pq.read_table(io.BytesIO(rng.choice(donors)), use_threads=False)
+        other_table = _table(rng.choice(donors))
         column = rng.choice(other_table.column_names)
         values = other_table[column].to_pylist()[: table.num_rows]
         padded = pa.array(values + [None] * (table.num_rows - len(values)), other_table.schema.field(column).type)

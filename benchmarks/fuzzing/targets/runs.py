@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from benchmarks.fuzzing.cases import Base, Target
-from benchmarks.fuzzing.targets.results import DATA, check_scene, check_verdicts, files_below
+from benchmarks.fuzzing.targets.results import DATA, check_finite, check_scene, check_verdicts, files_below
 from benchmarks.fuzzing.watching import FalsePass, check_text
 from stable_data.assets.run_assets import run_annotations
 from stable_data.diversity.comparison import compare_sets
@@ -141,8 +141,8 @@ def _shards() -> list[Base]:
 
 
 def _scenes_alone() -> list[Base]:
-    files = {path: content for path, content in _preprocessed().items() if path.startswith(("scenes/", MANIFEST))}
-    return [Base("scenes", files, _weights(files, scenes=1))]
+    files = {path: content for path, content in _generated().items() if path.startswith(("scenes/", "settled/", MANIFEST))}
+    return [Base("scenes", files, _weights(files, scenes=5, settled=1))]
 
 
 def _all_tables() -> list[Base]:
@@ -176,7 +176,6 @@ def _read_rows(folder: Path, base: str) -> bool:
     ways = (
         lambda: scenes_from_table(rows),
         lambda: SceneArrays.from_table(rows),
-        lambda: SettledPoses(run),
         lambda: run.num_rows("scenes"),
     )
     done = [_outcome(way) for way in ways]
@@ -185,6 +184,8 @@ def _read_rows(folder: Path, base: str) -> bool:
         check_scene(scene)
         card_from_row(row)
         check_verdicts(row)
+        for position, quat in SettledPoses(run).of(scene.scene_id).values():
+            check_finite("pose", position, quat)
     return all(done)
 
 

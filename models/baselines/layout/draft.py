@@ -14,6 +14,7 @@ from models.semantic_reasoner.replies.grammar import CATEGORY, HIGHEST_CM, MOST_
 from models.semantic_reasoner.replies.json_form import JsonForm, closed_object
 from models.semantic_reasoner.text.reply_json import LayoutObject, category_word, sanitise_words
 from stable_data.errors import SceneError
+from stable_data.json_text import number as float_of
 from stable_data.json_text import quote_value
 from stable_data.scene import TABLE, SceneObject, Tabletop, Vec3
 from stable_data.scene_graph.relations import CELLS, facing_of
@@ -213,8 +214,8 @@ def _read_object(entry: Any, k: int) -> tuple[str, str, Vec3, int]:
 
 
 def _number(value: Any) -> int:
-    is_whole = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
-    return int(value) if is_whole else 0
+    found = float_of(value)  # infinite for an integer beyond the range of a double
+    return int(found) if found is not None and found.is_integer() else 0
 
 
 def _is_side(value: Any) -> bool:

@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,11 +17,14 @@ from typing import Any, Protocol, runtime_checkable
 
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, Sampling, close_engine
 from stable_data.errors import Notice, cannot_write
+from stable_data.json_text import is_unicode
 
 CACHE_VERSION = 1
 """Raised whenever the format of keys or entries changes, so that older entries are not found."""
 
 _MAX_BYTES = 64 * 2**20  # of an entry
+_MOST = 2**53  # of tokens, and of a cost
+_TYPES: Mapping[str, tuple[type, ...]] = {"text": (str,), "prompt_tokens": (int,), "reply_tokens": (int,), "cost": (int, float)}
 
 
 @runtime_checkable
@@ -134,6 +137,11 @@ def _completion(entry: Any, key: str) -> Completion:
         raise ValueError("not an entry of this key")
     if entry.pop("sum", None) != _checksum(entry):
         raise ValueError("its content was changed")
+    if entry.keys() != _TYPES.keys() or not all(type(entry[name]) in types for name, types in _TYPES.items()):
+        raise ValueError("its content is no completion")  # whoever writes to the folder can state a sum that fits
+    counts = entry["prompt_tokens"], entry["reply_tokens"], entry["cost"]
+    if not (is_unicode(entry["text"]) and all(0 <= count < _MOST for count in counts)):
+        raise ValueError("its content has a number out of range, or text that is not UTF-8")
     return Completion(**entry, is_cached=True)
 
 
