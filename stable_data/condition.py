@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Any
 
 from stable_data.errors import GoalError
+from stable_data.json_text import number
 
 NAME_SEPARATOR = ", "
 """Joins several instances in one field, as in a relation."""
@@ -130,8 +131,9 @@ def condition_of(document: object) -> GoalCondition:
     """
     if isinstance(document, Mapping):
         subject, kind, target = (document.get(key) for key in ("subject", "kind", "target"))
-        distance, is_negated = document.get("distance"), document.get("is_negated")
-        is_length = distance is None or isinstance(distance, (int, float))
+        stated, is_negated = document.get("distance"), document.get("is_negated")
+        distance = number(stated)
+        is_length = stated is None or distance is not None
         if (
             isinstance(subject, str)
             and subject
@@ -140,8 +142,6 @@ def condition_of(document: object) -> GoalCondition:
             and is_length
             and is_negated in (None, False, True)
         ):
-            return GoalCondition(
-                subject, ConditionKind(str(kind)), target, None if distance is None else float(distance), bool(is_negated)
-            )
+            return GoalCondition(subject, ConditionKind(str(kind)), target, distance, bool(is_negated))
     expected = f"subject, kind (one of {', '.join(ConditionKind)}), target, distance in metres and is_negated"
     raise GoalError(f"condition is {str(document)[:80]!r}, expected {expected}; compile the goal again", "goal_invalid")

@@ -7,6 +7,19 @@ A message is one line: which item, what was found, what was expected and what to
 from dataclasses import dataclass
 
 
+_MOST_TEXT, _END = 2000, 500  # characters of a message, and of its end if it is cut
+_CUT = " ... "
+
+
+def short_line(text: str) -> str:
+    """Returns a message as one line of a bounded length: what it quotes may come from anywhere.
+
+    A longer one keeps its beginning and its end, which says what was expected.
+    """
+    line = one_line(text)
+    return line if len(line) <= _MOST_TEXT else line[: _MOST_TEXT - _END - len(_CUT)] + _CUT + line[-_END:]
+
+
 def one_line(text: str) -> str:
     """Returns text that a terminal can show on one line: other characters, such as those that move its cursor, are escaped.
 
@@ -19,12 +32,13 @@ class StableDataError(ValueError):
     """The base class of all errors of the toolkit.
 
     Args:
-        message: One line: which item, what was found, what was expected, what to do. What cannot be printed is escaped.
+        message: One line: which item, what was found, what was expected, what to do. What cannot be printed is escaped, and a very
+            long message is cut.
         code: Short machine-readable reason, the ``code`` column of the ``failures`` table.
     """
 
     def __init__(self, message: str, code: str = "error") -> None:
-        super().__init__(one_line(message))
+        super().__init__(short_line(message))
         self.code = code
 
     def __reduce__(self) -> tuple[type["StableDataError"], tuple[str, str]]:
@@ -64,7 +78,7 @@ class Notice:
         item_id: The scene or asset.
         step: The step that made the remark, such as ``read`` or ``mesh``.
         code: Short machine-readable reason, such as ``glb_missing``.
-        message: One line for the user. What cannot be printed is escaped.
+        message: One line for the user. What cannot be printed is escaped, and a very long message is cut.
     """
 
     item_id: str
@@ -73,8 +87,8 @@ class Notice:
     message: str
 
     def __post_init__(self) -> None:
-        """Escapes what cannot be printed."""
-        object.__setattr__(self, "message", one_line(self.message))
+        """Escapes what cannot be printed, and cuts what is very long."""
+        object.__setattr__(self, "message", short_line(self.message))
 
 
 def cannot_write(where: str, error: OSError) -> ConfigError:

@@ -28,7 +28,7 @@ LOG = "trace.txt"
 """File for the traceback of a process that ends or hangs."""
 
 _MOST_ADDRESSES = 34 * 2**30  # bytes that a process may reserve further: what is reserved is seen, and a runaway is ended
-_SLACK = 256 * 2**20  # bytes that a peak of memory may lie above the present size: the next input could hide below it
+_SLACK = 2**30  # bytes that an earlier peak of memory may lie above the present size: from 2 GiB on, it would count for the next input
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,7 @@ DEFAULT_WEIGHTS = Path(__file__).resolve().parents[1] / "weights" / "point_encod
 _PREFIXES = ("module.student.backbone.", "student.backbone.", "module.backbone.", "backbone.", "module.", "")
 _NOT_ENCODING = re.compile(r"(seg_head|cls_head)\.|embedding\.mask_token$")  # task heads, and the token of masked pre-training
 _HEAD_CHANNELS = 16  # channels of an attention head, in all published models
+_WRONG_VALUES = (ValueError, LookupError, AttributeError, TypeError)  # what reading raises for content that is none
 _MAX_LISTED = 12  # names that a message lists
 
 
@@ -111,9 +112,9 @@ def load_published(path: Path, preprocessing: Preprocessing) -> PointEncoder:
 def _read(path: Path) -> Mapping[str, Any]:
     try:
         content = load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError) as error:
+    except (OSError, SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, *_WRONG_VALUES) as error:
         # torch's own message for a file with code explains how to execute the code.
-        what = "more than data" if isinstance(error, pickle.UnpicklingError) else str(error).splitlines()[0]
+        what = "more than data" if isinstance(error, pickle.UnpicklingError) else f"{str(error).partition(chr(10))[0]:.300}"
         message = f"{path}: found {what}, expected a checkpoint of tensors and plain values alone"
         raise ConfigError(message, "weights_invalid") from error
     if not isinstance(content, Mapping):

@@ -1,20 +1,23 @@
 """The file of a policy: one safetensors file with weights, normalisation, what it observes and commands, and what it was trained on."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from models.policy.network import PolicyNetwork, PolicyShape
 from models.settings import fill_settings
 from models.training.weights_file import build_no_larger_than, read_weights, save_weights
 from stable_data.errors import ConfigError
-from stable_data.json_text import quote_value
+from stable_data.json_text import number, quote_value
 from stable_data.robot.episodes import EpisodeFeatures
 
 FILE = "weights/policy.safetensors"
 """The file in the folder of a training."""
 
+_MOST = 100_000  # actions that are carried out, and pixels of a side
 _KEYS = ("network", "features", "execute", "assets")
 _NAMES = ("state_names", "environment_state_names", "action_names")
 
@@ -62,17 +65,10 @@ def load_policy(path: Path) -> PolicyWeights:
     tensors, header = read_weights(path)
     try:
         found = {key: json.loads(header.pop(key)) for key in _KEYS}
-        features = found["features"]
-        names = {name: tuple(features[name]) for name in _NAMES}
-        size = features["image_size"]
-        known = EpisodeFeatures(
-            features["robot"],
-            features["fps"],
-            features["control"],
-            **names,
-            cameras=tuple(features["cameras"]),
-            image_size=None if size is None else (size[0], size[1]),
-        )
+        known = _features_of(found["features"])
+        execute, assets = found["execute"], found["assets"]
+        if type(execute) is not int or not 0 < execute < _MOST or not (assets is None or _are_texts(assets)):
+            raise TypeError(f"execute is {quote_value(execute)}, or assets are no names")
         shape = fill_settings(PolicyShape, found["network"], "network")
         network = build_no_larger_than(path, lambda: PolicyNetwork(shape))
         network.load_state_dict(tensors)
@@ -84,10 +80,31 @@ def load_policy(path: Path) -> PolicyWeights:
         ) from error
     if broken := [name for name, value in tensors.items() if not value.isfinite().all()]:
         raise ConfigError(f"{path}: {broken[0]} has values that are not finite, expected finite weights", "weights_invalid")
-    assets = found["assets"]
-    return PolicyWeights(
-        network.eval(), shape, known, int(found["execute"]), None if assets is None else frozenset(assets), header
-    )
+    return PolicyWeights(network.eval(), shape, known, execute, None if assets is None else frozenset(assets), header)
+
+
+def _features_of(stated: Any) -> EpisodeFeatures:
+    """The features of a header.
+
+    Raises:
+        LookupError, TypeError, ValueError: They have another form.
+    """
+    texts, lists, size = [stated["robot"], stated["control"]], [stated[name] for name in (*_NAMES, "cameras")], stated["image_size"]
+    fps = number(stated["fps"])
+    if not (_are_texts(texts) and all(map(_are_texts, lists)) and fps is not None and 0 < fps < math.inf):
+        raise TypeError("features have values of other types")
+    states, surroundings, actions, cameras = map(tuple, lists)
+    image_size: tuple[int, int] | None = None
+    if size is not None:
+        height, width = size
+        if not all(type(side) is int and 0 < side < _MOST for side in (height, width)):
+            raise TypeError("image_size has values of other types")
+        image_size = height, width
+    return EpisodeFeatures(texts[0], fps, texts[1], states, surroundings, actions, cameras, image_size)
+
+
+def _are_texts(values: Any) -> bool:
+    return isinstance(values, list) and all(isinstance(value, str) for value in values)
 
 
 def check_environment(policy: EpisodeFeatures, environment: EpisodeFeatures, name: str) -> None:

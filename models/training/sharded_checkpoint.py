@@ -30,7 +30,7 @@ T = TypeVar("T")
 _VALUES = "training.json"
 _NEW = ".new"  # the folder that is being written
 _FILE_BYTES = 2 * 1024**3  # of a process's part in one file, since a file is built in memory
-_UNREADABLE = (OSError, ValueError, KeyError, TypeError, RuntimeError, AssertionError, SafetensorError)
+_UNREADABLE = (OSError, ValueError, LookupError, AttributeError, TypeError, RuntimeError, AssertionError, SafetensorError)
 
 
 def save_sharded(

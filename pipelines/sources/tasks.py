@@ -232,6 +232,8 @@ def _parquet_row(batch: pa.RecordBatch, index: int) -> Mapping[str, Any]:
 def _check_columns(path: Path, names: Sequence[str]) -> None:
     if missing := [key for key in KEYS[1:4] if key not in names]:
         raise _invalid_file(path, f"has no column {missing[0]}")
+    if repeated := [name for name in KEYS if list(names).count(name) > 1]:
+        raise _invalid_file(path, f"has the column {repeated[0]} twice")
     if unknown := [name for name in names if name not in KEYS]:  # otherwise only the rows with a value in it would fail
         raise _invalid_file(path, f"has a column {quote_value(unknown[0])}")
 

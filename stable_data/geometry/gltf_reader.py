@@ -322,7 +322,10 @@ class _GlbReader:
             if image is not None and name in attributes:
                 uv = _moved_uv(self._accessor(attributes[name], 2, triangles).astype(np.float64), moved)
             has_alpha, opacity = opacity is not None, 1.0 if opacity is None else opacity
-            surfaces.append(Surface(corners[triangles], factor, colours, image, uv, opacity, has_alpha))
+            shown = corners[triangles]
+            if not np.isfinite(shown).all():
+                self.fail("glb_nan_vertices", "has corners of triangles that are not finite", "finite coordinates")
+            surfaces.append(Surface(shown, factor, colours, image, uv, opacity, has_alpha).with_valid_look())
         return surfaces
 
     def meshes(self, indices: Sequence[int]) -> dict[int, Mesh]:

@@ -1,7 +1,7 @@
 """The surface of a mesh as it is seen: triangles with a material."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,22 @@ class Surface:
     corner_uv: FloatArray | None = None
     opacity: float = 1.0
     has_alpha: bool = False
+
+    def with_valid_look(self) -> "Surface":
+        """Returns the surface with colours and opacity from 0 to 1 and texture coordinates that are numbers.
+
+        A look from outside alone never refuses a mesh.
+        """
+        colour, corners, uv = self.colour, self.corner_colours, self.corner_uv
+        if colour is not None:
+            red, green, blue = np.clip(np.nan_to_num(np.array(colour)), 0.0, 1.0).tolist()
+            colour = (red, green, blue)
+        if corners is not None:
+            corners = np.clip(np.nan_to_num(corners), 0.0, 1.0)
+        if uv is not None:
+            uv = np.nan_to_num(uv, posinf=0.0, neginf=0.0)
+        opacity = float(np.clip(np.nan_to_num(self.opacity, nan=1.0), 0.0, 1.0))
+        return replace(self, colour=colour, corner_colours=corners, corner_uv=uv, opacity=opacity)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -145,7 +145,7 @@ def read_mesh_file(
     else:
         found = read_stl(content, path, max_faces=max_faces)
     used = [index for index, surface in enumerate(found.surfaces) if len(surface.triangles)]
-    surfaces = tuple(_with_valid_look(found.surfaces[index]) for index in used)
+    surfaces = tuple(found.surfaces[index].with_valid_look() for index in used)
     _check(surfaces, path)
     names = tuple(found.names[index] for index in used) if found.names else ()
     return replace(found, surfaces=surfaces, names=names), tuple(beside.notices)
@@ -196,19 +196,6 @@ def _refuse_archives(content: bytes, path: str) -> None:
     for magic, name in _ARCHIVES.items():
         if content.startswith(magic):
             raise MeshError(f"{path}: is compressed ({name}), expected a plain mesh file; unpack it", "model_unreadable")
-
-
-def _with_valid_look(surface: Surface) -> Surface:
-    """A surface whose colours are from 0 to 1 and whose texture coordinates are numbers: a look alone never refuses a mesh."""
-    colour, corners, uv = surface.colour, surface.corner_colours, surface.corner_uv
-    if colour is not None:
-        red, green, blue = np.clip(np.nan_to_num(np.array(colour)), 0.0, 1.0).tolist()
-        colour = (red, green, blue)
-    if corners is not None:
-        corners = np.clip(np.nan_to_num(corners), 0.0, 1.0)
-    if uv is not None:
-        uv = np.nan_to_num(uv, posinf=0.0, neginf=0.0)
-    return replace(surface, colour=colour, corner_colours=corners, corner_uv=uv)
 
 
 def _check(surfaces: tuple[Surface, ...], path: str) -> None:

@@ -317,7 +317,8 @@ class SceneIndex:
                 names = read_row_groups(file, path, range(file.num_row_groups), ["scene_id"], use_threads=False)["scene_id"]
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(self._run.uri, path, error) from error
-        return _hashes(names), sizes
+        known = conform_to_schema(pa.table({"scene_id": names}), self._schema(["scene_id"]))
+        return _hashes(known["scene_id"]), sizes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,15 +61,30 @@ def check_required(schema: pa.Schema, table: str, where: str) -> None:
 
 
 def conform_to_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Returns a table with the columns, order and types of a schema; missing columns and struct fields are null."""
-    present = {name: table[name] for name in table.column_names}
-    columns = [
-        (found if found.type == column.type else found.cast(column.type))
-        if (found := present.get(column.name)) is not None
-        else pa.nulls(len(table), column.type)
-        for column in schema
-    ]
+    """Returns a table with the columns, order and types of a schema; missing columns and struct fields are null.
+
+    Raises:
+        ConfigError: A column occurs twice, or its values cannot have the type of the schema (``column_invalid``).
+    """
+    present = dict(zip(table.column_names, table.columns, strict=True))
+    if len(present) < table.num_columns:
+        raise _invalid_column("a column occurs twice, expected each once")
+    columns = []
+    for column in schema:
+        found = present.get(column.name)
+        if found is None:
+            columns.append(pa.nulls(len(table), column.type))
+            continue
+        try:
+            columns.append(found if found.type == column.type else found.cast(column.type))
+        except (pa.ArrowException, ValueError) as error:
+            what = f"column {column.name} has the type {found.type!s:.80} ({error!s:.120}), expected {column.type!s:.80}"
+            raise _invalid_column(what) from error
     return pa.Table.from_arrays(columns, schema=schema)
+
+
+def _invalid_column(what: str) -> ConfigError:
+    return ConfigError(f"{what}; was the file written by this project? Run the job again into a new folder", "column_invalid")
 
 
 def missing_columns(found: Iterable[pa.Field], expected: Iterable[pa.Field]) -> list[str]:

@@ -4,9 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from stable_data.errors import one_line
-
-_MOST_TEXT = 1000  # characters of a finding: it may quote values of a run from anywhere
+from stable_data.errors import one_line, short_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +24,7 @@ class Finding:
     def __str__(self) -> str:
         """Returns the finding in one line: table, shard, row, what."""
         row = "" if self.row is None else f" row {self.row}"
-        what = one_line(" ".join(self.what.split()))
-        what = what if len(what) <= _MOST_TEXT else f"{what[:_MOST_TEXT]}..."
+        what = short_line(" ".join(self.what.split()))
         return f"{one_line(self.where)}{row}: {what}" if self.where else what
 
 
@@ -54,6 +51,6 @@ class Findings:
 
     def cannot_know(self, what: str) -> None:
         """Notes that something cannot be known: such a run is not known to be whole."""
-        what = one_line(what[:_MOST_TEXT])
+        what = short_line(what)
         if what not in self.unknown:
             self.unknown.append(what)

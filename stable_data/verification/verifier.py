@@ -221,7 +221,7 @@ class _Verifier:
             self._progress("files", number + 1, len(files))
         for check in self._checks.values():
             if isinstance(check, TurnCheck):
-                check.close()
+                self._close(check)
         for keys in self._keys.values():
             keys.close()
         if self._is_finished:
@@ -322,6 +322,12 @@ class _Verifier:
             except Exception as error:  # noqa: BLE001 - a value that no check expects is damage, and ends no verification
                 self._findings.damage(file.name, f"cannot be checked: {type(error).__name__}: {error}", start)
             start += part.num_rows
+
+    def _close(self, check: TurnCheck) -> None:
+        try:
+            check.close()
+        except Exception as error:  # noqa: BLE001 - as above
+            self._findings.damage("turns", f"cannot be checked: {type(error).__name__}: {error}")
 
     def _read_source(self, source: RunFolder) -> None:
         """Reads the ids of the scenes of the source."""

@@ -1,6 +1,7 @@
 """Edits of ZIP archives: of the content, the names and the packing of their members."""
 
 import io
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -41,7 +42,8 @@ def edited_archive(content: bytes, rng: Random, edit: Callable[[str, bytes], byt
     else:
         packing = zipfile.ZIP_DEFLATED
     sink = io.BytesIO()
-    with zipfile.ZipFile(sink, "w", packing) as archive:
+    with warnings.catch_warnings(), zipfile.ZipFile(sink, "w", packing) as archive:
+        warnings.simplefilter("ignore")  # that a name occurs twice
         for other, inside in members:
             archive.writestr(zipfile.ZipInfo(other or "x"), inside, packing)
     return sink.getvalue()

@@ -1,5 +1,6 @@
 """Edits of a file by the form that its name states."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import PurePosixPath
 from random import Random
@@ -18,6 +19,7 @@ _XML = frozenset({".xml", ".mjcf", ".urdf", ".sdf", ".config", ".dae", ".xacro",
 _TEXTS = frozenset({".txt", ".toml", ".csv", ".obj", ".mtl", ".usda", ".md", ".jsonl", ".json", ".gltf", "", ".ndjson", *_XML})
 _BOTH = frozenset({".ply", ".stl", ".usd"})  # formats that have a form in ASCII
 _AS_BYTES = 0.06  # probability of an edit of the bytes of a file that has another form
+_RECURSION = 30_000
 _AS_TEXT = 0.12  # probability of an edit of the words of a file that is a tree
 
 
@@ -31,7 +33,15 @@ def edited_file(path: str, content: bytes, rng: Random, donors: Sequence[bytes] 
         donors: Contents of other files of the form.
         words: Words of its grammar.
     """
-    suffix = PurePosixPath(path).suffix.lower()
+    before = sys.getrecursionlimit()
+    sys.setrecursionlimit(_RECURSION)  # else what an edit of a deep tree gives would depend on the depth of the caller
+    try:
+        return _edited_file(PurePosixPath(path).suffix.lower(), content, rng, donors, words)
+    finally:
+        sys.setrecursionlimit(before)
+
+
+def _edited_file(suffix: str, content: bytes, rng: Random, donors: Sequence[bytes], words: Sequence[str]) -> bytes:
     if rng.random() < _AS_BYTES:
         return edited_bytes(content, rng, donors)
     if suffix in _TEXTS and rng.random() < _AS_TEXT:

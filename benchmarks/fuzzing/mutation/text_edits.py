@@ -8,6 +8,7 @@ from benchmarks.fuzzing.mutation.odd_values import near_number, odd_number, odd_
 
 _WORD = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|\w+|[^\w\s]|\s+")
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_HALF = re.compile("([\ud800-\udfff])")
 _OPENINGS = ("(", "[", "{", '"', "'", "not ", "- ", "<a>", "#", "\\", "((", "[[", "{{")
 _MOST_WORDS = 4000
 
@@ -24,7 +25,7 @@ def edited_text(content: bytes, rng: Random, donors: Sequence[bytes] = (), words
     text = content.decode("utf-8", "surrogateescape")
     kind = rng.random()
     if kind < 0.12:
-        return _by_lines(text, rng, donors).encode("utf-8", "surrogatepass" if rng.random() < 0.2 else "replace")
+        return _encoded(_by_lines(text, rng, donors))
     parts = _WORD.findall(text, 0, 200_000)[:_MOST_WORDS]
     rest = text[sum(map(len, parts)) :]
     if not parts:
@@ -50,8 +51,13 @@ def edited_text(content: bytes, rng: Random, donors: Sequence[bytes] = (), words
         parts[k], parts[other] = parts[other], parts[k]
     else:
         parts[k] = rng.choice(_OPENINGS) * rng.choice((1, 2, 40, 1000)) + parts[k]
-    return ("".join(parts) + rest).encode(
-        "utf-8", "surrogateescape" if "\udc80" <= max(text, default="") <= "\udcff" else "surrogatepass"
+    return _encoded("".join(parts) + rest)
+
+
+def _encoded(text: str) -> bytes:
+    """The bytes of a text: those that were no UTF-8 as they were, and halves of surrogate pairs as three bytes each."""
+    return b"".join(
+        part.encode("utf-8", "surrogateescape" if "\udc80" <= part <= "\udcff" else "surrogatepass") for part in _HALF.split(text)
     )
 
 

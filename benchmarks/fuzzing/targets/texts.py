@@ -17,7 +17,7 @@ from models.semantic_reasoner.engines.response_cache import ResponseCache
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.factory import embedded_interpreter
 from models.semantic_reasoner.language.category_statistics import FILE, CategoryStatistics
-from pipelines.settings import JOBS, resolve_settings
+from pipelines.settings import JOBS, list_settings, resolve_settings
 from pipelines.sources.edits import read_edits
 from pipelines.sources.tasks import read_tasks
 from stable_data.condition import ConditionKind
@@ -186,12 +186,13 @@ def _read_edits(folder: Path, base: str) -> bool:
     return bool(found.edits)
 
 
+_DEFAULTS = {verb: location.defaults() for verb, location in JOBS.items()}  # it imports the jobs, once for all workers
+
+
 def _settings() -> list[Base]:
     found = []
     for verb in JOBS:
         section = verb.replace("-", "_")
-        from pipelines.settings import list_settings
-
         values = [(s.key, s.default) for s in list_settings(verb) if s.default is not None]
         lines = [f"{key} = {json.dumps(value)}" for key, value in values if isinstance(value, (int, float, str, bool))][:12]
         found.append(Base(f"{verb}_toml", {"settings.toml": f"[{section}]\n{chr(10).join(lines)}\n".encode()}))
@@ -201,7 +202,7 @@ def _settings() -> list[Base]:
 
 def _read_settings(folder: Path, base: str) -> bool:
     verb, _, form = base.rpartition("_")
-    default = JOBS[verb].defaults()
+    default = _DEFAULTS[verb]
     if form == "toml":
         resolve_settings(type(default), verb.replace("-", "_"), folder / "settings.toml", (), default)
     else:
