@@ -1,11 +1,13 @@
 """The process that runs inputs: one after the other, watched, and ended by its parent where it does not go on."""
 
+import ctypes
 import faulthandler
 import gc
 import logging
 import os
 import resource
 import signal
+import sys
 import time
 import traceback
 import warnings
@@ -28,6 +30,7 @@ LOG = "trace.txt"
 """File for the traceback of a process that ends or hangs."""
 
 _MOST_ADDRESSES = 34 * 2**30  # bytes that a process may reserve further: what is reserved is seen, and a runaway is ended
+_END_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 _SLACK = 2**30  # bytes that an earlier peak of memory may lie above the present size: from 2 GiB on, it would count for the next input
 
 
@@ -100,6 +103,8 @@ def serve(connection: Connection, progress: Any, registry: str, seed: int, root:
         root: Folder of its files; the traceback of a process that ends or hangs is :data:`LOG` in it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)  # who would end an input that hangs?
     try:
         with (Path(root) / LOG).open("w") as log:
             _Worker(connection, progress, load_targets(registry), seed, Places(Path(root)), log).run()

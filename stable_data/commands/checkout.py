@@ -26,5 +26,6 @@ def run_pipelines(arguments: Sequence[str]) -> int:
         found = f"{arguments[0]} needs pipelines/, which is not installed"
         raise ConfigError(f"{found}, expected a checkout; run the command in one", "no_pipelines")
     path = os.pathsep.join([str(checkout), *filter(None, [os.environ.get("PYTHONPATH")])])  # the checkout need not be installed
-    command = [sys.executable, "-m", "pipelines", *arguments]
+    # -P: Python would look for modules in the current folder first, which may hold data of others.
+    command = [sys.executable, "-P", "-m", "pipelines", *arguments]
     return subprocess.run(command, check=False, env=os.environ | {"PYTHONPATH": path}).returncode

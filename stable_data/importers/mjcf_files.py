@@ -131,6 +131,7 @@ def merged_elements(
             if k == 0 and document != path:
                 number[0] = above  # the root of an included file is no element of the model
             elif (document, k) in included:
+                number[k] = number[tag.parent]  # of what stands within it, which MuJoCo refuses
                 add(included[document, k], number[tag.parent])
             else:
                 number[k] = len(found)

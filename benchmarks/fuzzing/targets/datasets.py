@@ -172,12 +172,12 @@ def _audit(folder: Path, base: str) -> bool:
 
 
 TARGETS = (
-    Target("layout", 60, _layouts, _read_layout, _KEYS),
+    Target("layout", 80, _layouts, _read_layout, _KEYS),
     Target(
         "task_info", 40, _task_infos, _read_task, ("on", "in", "left of", "Goal", "Task", "relations", "conditions", "distance")
     ),
     Target("annotation", 25, _annotations, _read_annotations, _KEYS),
-    Target("text_features", 40, _features, _read_features),
+    Target("text_features", 60, _features, _read_features),
     Target("dataset", 2, _datasets, _audit, _KEYS, block=50),
 )
 """The targets of this module."""

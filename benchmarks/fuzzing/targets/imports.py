@@ -247,7 +247,7 @@ _CONTEXT = ConversionContext()
 TARGETS = (
     Target(
         "import_mesh",
-        30,
+        50,
         _meshes,
         _reading("mesh"),
         (*files.XML_WORDS[:20], "f", "v", "vt", "usemtl", "mtllib", "map_Kd", "element", "property", "list"),

@@ -291,7 +291,7 @@ def _read_answer(folder: Path, base: str) -> bool:
 
 TARGETS = (
     Target("reply_layout", 20, _layouts, _read_layout, _WORDS),
-    Target("reply_draft", 40, _drafts, _read_draft, _WORDS),
+    Target("reply_draft", 30, _drafts, _read_draft, _WORDS),
     Target(
         "reply_rating", 30, _ratings, _read_rating, ("score", "rationale", "10", "9.25", "true", *(c.key for c in CRITERIA))
     ),

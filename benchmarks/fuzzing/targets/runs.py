@@ -30,6 +30,7 @@ from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.scene_arrays import SceneArrays, scenes_from_table
 from stable_data.storage.subset import count_selected, select
 from stable_data.storage.table_rows import card_from_row, scene_from_row
+from stable_data.verification.evaluation_folder import EVALUATION, verify_evaluation
 from stable_data.verification.findings import Finding
 from stable_data.verification.verifier import VerifyOptions, verify_run
 from stable_data.viewer.page import run_page
@@ -157,7 +158,13 @@ def _manifests() -> list[Base]:
     files = _with_checksums(
         {path: content for path, content in _generated().items() if path.startswith((MANIFEST, "warnings/", "turns/"))}
     )
-    return [Base("generate", files, {MANIFEST: 4, "SHA256SUMS": 1})]
+    evaluation: dict[str, Any] = {"systems": {"stable": {"repetitions": 1, "figures": {"oc": 0.0}}}, "seed": 0}
+    evaluation["digest"] = manifest_digest(evaluation)
+    run = {f"seed_0/stable/scenes/{path}": content for path, content in files.items()}
+    return [
+        Base("generate", files, {MANIFEST: 4, "SHA256SUMS": 1}),
+        Base("evaluation", {EVALUATION: json.dumps(evaluation).encode(), **run}, {EVALUATION: 1}),
+    ]
 
 
 def _outcome(one: Callable[[], object]) -> bool:
@@ -257,6 +264,12 @@ def _exports() -> list[Base]:
 
 def _read_manifest(folder: Path, base: str) -> bool:
     run = RunFolder(str(folder))
+    if base == "evaluation":
+        findings: list[Finding] = []
+        found_runs = list(verify_evaluation(run, findings.append, VerifyOptions(1, verdicts="none")))
+        for finding in findings:
+            check_text(str(finding), "")
+        return bool(found_runs)
     _outcome(lambda: read_checksums(run))
     try:
         run.read_document(MANIFEST)
@@ -290,7 +303,7 @@ def _old() -> list[Base]:
 
 
 TARGETS = (
-    Target("run_rows", 12, _scenes_alone, _read_rows, _WORDS),
+    Target("run_rows", 8, _scenes_alone, _read_rows, _WORDS),
     Target("run_geometry", 2, _shards, _read_geometry, _WORDS, block=50),
     Target("run_query", 3, _scenes_alone, _query, _WORDS, block=50),
     Target("run_verify", 3, _all_tables, _verify, _WORDS, block=50),

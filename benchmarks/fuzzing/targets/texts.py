@@ -1,6 +1,7 @@
 """Targets: texts that people write: conditions, tasks, edits, instructions, goals, settings, limits, and documents of the project."""
 
 import json
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,11 @@ from models.semantic_reasoner.engines.response_cache import ResponseCache
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.factory import embedded_interpreter
 from models.semantic_reasoner.language.category_statistics import FILE, CategoryStatistics
-from pipelines.settings import JOBS, list_settings, resolve_settings
+from pipelines.settings import JOBS, resolve_settings
 from pipelines.sources.edits import read_edits
 from pipelines.sources.tasks import read_tasks
 from stable_data.condition import ConditionKind
+from stable_data.config_diff import flatten_config
 from stable_data.errors import ConfigError, Notice
 from stable_data.instructions.task_info import resolve_task_objects
 from stable_data.json_text import document_of
@@ -191,11 +193,10 @@ _DEFAULTS = {verb: location.defaults() for verb, location in JOBS.items()}  # it
 
 def _settings() -> list[Base]:
     found = []
-    for verb in JOBS:
-        section = verb.replace("-", "_")
-        values = [(s.key, s.default) for s in list_settings(verb) if s.default is not None]
+    for verb, default in _DEFAULTS.items():
+        values = flatten_config(asdict(default)).items()
         lines = [f"{key} = {json.dumps(value)}" for key, value in values if isinstance(value, (int, float, str, bool))][:12]
-        found.append(Base(f"{verb}_toml", {"settings.toml": f"[{section}]\n{chr(10).join(lines)}\n".encode()}))
+        found.append(Base(f"{verb}_toml", {"settings.toml": f"[{verb.replace('-', '_')}]\n{chr(10).join(lines)}\n".encode()}))
         found.append(Base(f"{verb}_set", {"set.txt": "\n".join(line.replace(" = ", "=") for line in lines[:4]).encode()}))
     return found
 
@@ -481,7 +482,7 @@ TARGETS = (
     Target("condition", 120, _conditions, _read_condition, _CONDITION_WORDS),
     Target(
         "tasks",
-        60,
+        50,
         _tasks,
         _read_tasks,
         ("instruction", "table_type", "table_size_cm", "restricted_zone_cm", "scene_id", "120 x 60"),
@@ -501,7 +502,7 @@ TARGETS = (
         _read_limits,
         ("mesh.max_faces", "item.max_memory_bytes", "=", ",", "1_000", "0", "-1", "1e9", "json.max_levels"),
     ),
-    Target("instruction", 10, _instructions, _read_instruction, _SENTENCE_WORDS),
+    Target("instruction", 6, _instructions, _read_instruction, _SENTENCE_WORDS),
     Target(
         "goal", 40, _goals, _read_goal, (*map(str, ConditionKind), *_SENTENCE_WORDS, "subject", "target", "2_mug_0", "table")
     ),

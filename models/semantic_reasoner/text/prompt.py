@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 
 from models.semantic_reasoner.text.reply_json import DECIMALS, LayoutObject, render_objects, sanitise_words
 from stable_data.errors import SceneError
+from stable_data.json_text import is_unicode
 from stable_data.limits import LIMITS, at_most
 from stable_data.scene import Relation, Stage, Tabletop, TaskInfo
 
@@ -150,7 +151,7 @@ def check_instruction(words: str) -> str:
     """Returns an instruction as the prompt contains it.
 
     Raises:
-        SceneError: It is empty or too long (``instruction_invalid``).
+        SceneError: It is empty, too long, or no text that UTF-8 can encode (``instruction_invalid``).
     """
     instruction = sanitise_words(words)
     if not instruction:
@@ -158,6 +159,8 @@ def check_instruction(words: str) -> str:
     if len(instruction) > LIMITS.text.max_instruction:
         most = at_most(LIMITS.text, "max_instruction")
         raise SceneError(f"instruction has {len(instruction):,} characters, expected {most}; shorten it", "instruction_invalid")
+    if not is_unicode(instruction):
+        raise SceneError("instruction is not UTF-8, expected whole characters; type it again", "instruction_invalid")
     return instruction
 
 

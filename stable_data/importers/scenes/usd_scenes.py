@@ -26,7 +26,7 @@ from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes import convex_solids
 from stable_data.importers.scenes.formats import repaired_name
 from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
-from stable_data.importers.usd.layers import check_prims
+from stable_data.importers.usd.layers import check_prims, reason_of
 from stable_data.importers.usd.physics import Collider, StageFrame, inertial_of
 from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of
@@ -153,8 +153,7 @@ def _opened(place: Path, name: str) -> Sdf.Layer:
     except MemoryError:
         raise
     except Exception as error:
-        found = " ".join(str(error).split())[:300]
-        raise MeshError(f"{name}: USD cannot read it ({found}), expected a USD layer; repair it", "model_unreadable") from error
+        raise MeshError(f"{name}: USD cannot read it ({reason_of(error)}), expected a USD layer; repair it", "model_unreadable") from error
     if layer is None:
         raise MeshError(f"{name}: USD cannot read it, expected a USD layer; repair it", "model_unreadable")
     return layer
@@ -170,8 +169,7 @@ def _placed_stage(folder: Path, contents: Mapping[str, bytes], path: str) -> Usd
     except MemoryError:
         raise
     except Exception as error:
-        found = " ".join(str(error).split())[:300]
-        raise MeshError(f"{path}: USD cannot open it ({found}), expected a stage; repair it", "model_unreadable") from error
+        raise MeshError(f"{path}: USD cannot open it ({reason_of(error)}), expected a stage; repair it", "model_unreadable") from error
     if stage is None:
         raise MeshError(f"{path}: USD cannot open it, expected a stage; repair it", "model_unreadable")
     return stage

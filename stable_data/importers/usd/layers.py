@@ -47,15 +47,15 @@ def quiet_usd(path: str) -> Iterator[None]:
     except StableDataError:
         raise
     except (Tf.ErrorException, Tf.CppException, *_PARSE_ERRORS) as error:
-        message = f"{quote_value(path)}: USD cannot read it ({_reason(error)}), expected a layer that it reads; export it again"
+        message = f"{quote_value(path)}: USD cannot read it ({reason_of(error)}), expected a layer that it reads; export it again"
         raise MeshError(message, "model_unreadable") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
         del delegate
 
 
-def _reason(error: Exception) -> str:
-    """What USD says, without places in its code and on this machine."""
+def reason_of(error: Exception) -> str:
+    """Returns what USD says, without places in its code and on this machine, at most 300 characters."""
     try:
         text = " ".join(str(error).split())
     except UnicodeDecodeError:  # it quotes the file

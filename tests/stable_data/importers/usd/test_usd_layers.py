@@ -232,6 +232,16 @@ def test_layers_without_an_asset(tmp_path: Path) -> None:
     assert len(read(tmp_path, "single.usda").surfaces) == 1
 
 
+def test_modules_in_the_current_folder_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save(stage_at(tmp_path / "thing.usda"))
+    for name in ("json.py", "stable_data.py", "pxr.py"):
+        (tmp_path / name).write_text(f"open({str(tmp_path / 'run')!r}, 'w')\nraise SystemExit\n")
+    monkeypatch.chdir(tmp_path)
+    with LayerScanner(Boundary(tmp_path)) as scan:
+        assert scan("thing.usda").has_default
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_layer_that_ends_the_parser_costs_that_layer_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "good.usda").write_text('#usda 1.0\n(defaultPrim = "a")\ndef Cube "a" {}\n')
     with LayerScanner(Boundary(tmp_path)) as scan:
