@@ -222,7 +222,7 @@ class CountCheck:
         table = file.table
         self.rows[table] += rows.num_rows
         for column, key in _COUNTED.get(table, {}).items():
-            for entry in pc.value_counts(rows[column]).to_pylist():
+            for entry in pc.value_counts(_column(rows, table, column)).to_pylist():
                 self._by_value[key][entry["values"]] += entry["counts"]
         for items in self._items:
             plan = items.planned
@@ -250,15 +250,17 @@ class CountCheck:
             self._num_hashes += len(hashes)
             self._hashes.add(pa.array(hashes, pa.string()))
         elif table == "episodes":
-            for kind, success, reason in zip(*(rows[n].to_pylist() for n in ("task_kind", "success", "reason")), strict=True):
+            of_episodes = (_column(rows, table, name).to_pylist() for name in ("task_kind", "success", "reason"))
+            for kind, success, reason in zip(*of_episodes, strict=True):
                 done = self._by_task.setdefault(kind, [0, 0])
                 done[0], done[1] = done[0] + bool(success), done[1] + 1
                 if not success:
                     self._reasons[str(reason).partition(":")[0]] += 1
         elif table == "ratings":
-            self._averages += [value for value in rows["average"].to_pylist() if value is not None]
-            self._numbers["passed"] += pc.sum(rows["quality_pass"]).as_py() or 0
-            self._numbers["passes_known"] += rows.num_rows - rows["quality_pass"].null_count
+            averages, passes = (_column(rows, table, name) for name in ("average", "quality_pass"))
+            self._averages += [value for value in averages.to_pylist() if value is not None]
+            self._numbers["passed"] += pc.sum(passes).as_py() or 0
+            self._numbers["passes_known"] += rows.num_rows - passes.null_count
 
     def close(self, *, has_checksums: bool) -> None:
         """Compares the numbers.
@@ -321,6 +323,11 @@ class CountCheck:
             self._findings.damage(
                 MANIFEST, f"counts.{plan.failed_key} is {stated}, expected {plan.count - len(rows)} by the rows of {plan.table}"
             )
+
+
+def _column(rows: pa.Table, table: str, name: str) -> pa.ChunkedArray | pa.Array:
+    """A column of rows of a table; nulls if the file lacks it."""
+    return rows[name] if name in rows.column_names else pa.nulls(rows.num_rows, SCHEMAS[table].field(name).type)
 
 
 def _planned_items(entry: Any) -> PlannedItems:
