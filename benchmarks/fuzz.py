@@ -2,7 +2,10 @@
 
 ``python -m benchmarks.fuzz OUT [--count 1000000] [--workers 2] [--minutes M] [--target NAME ...] [--seed 0] [--json FILE]``. OUT holds
 the state: the same command continues a stopped one, and counts and processor time are summed. Input number k of a target depends on the
-seed, the target and k alone. Findings are in OUT/findings, made small, each different one once.
+seed, the target and k alone. Findings are in OUT/findings, made small, each different one once. A command first runs those again that are
+left: one that ends well now is mended.
+
+``--summary`` prints the figures of all commands so far, and runs nothing.
 
 ``--replay PLACE`` runs one input and says how it ends: ``TARGET/NUMBER``, or a stored file ``FOLDER/TARGET/BASE/NAME/PATH``.
 
@@ -17,8 +20,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.fuzzing.campaign import TARGETS, Campaign
+from benchmarks.fuzzing.campaign import STATE, TARGETS, Campaign
 from benchmarks.fuzzing.cases import Case
+from benchmarks.fuzzing.watching import FindingKind
 from stable_data.errors import ConfigError, StableDataError, one_line
 
 
@@ -35,6 +39,7 @@ class FuzzFigure:
         per_second: Inputs for each second of processor time.
         core_seconds: Processor time, seconds.
         findings: Different findings.
+        left: Those of them that are not mended.
     """
 
     target: str
@@ -45,13 +50,14 @@ class FuzzFigure:
     per_second: float
     core_seconds: float
     findings: int
+    left: int
 
 
 def figures(campaign: Campaign) -> list[FuzzFigure]:
     """Returns the figures of all targets that have inputs."""
     found = []
     for name, counts in campaign.state.targets.items():
-        of_target = sum(known.target == name for known in campaign.state.findings.values())
+        of_target = [known for known in campaign.state.findings.values() if known.target == name]
         share, rate = counts.accepted / max(counts.done, 1), counts.done / max(counts.seconds, 1e-9)
         found.append(
             FuzzFigure(
@@ -62,23 +68,43 @@ def figures(campaign: Campaign) -> list[FuzzFigure]:
                 len(counts.codes),
                 round(rate, 1),
                 round(counts.seconds, 1),
-                of_target,
+                len(of_target),
+                sum(not known.is_mended for known in of_target),
             )
         )
     return found
 
 
-def show(found: Sequence[FuzzFigure]) -> None:
-    """Prints the table."""
-    print(f"{'target':<22}{'inputs':>10}{'accepted':>10}{'reasons':>9}{'per s':>9}{'core s':>10}{'findings':>10}")
+def by_kind(campaign: Campaign) -> dict[str, dict[str, int]]:
+    """Returns the different findings of each kind: how many were found, mended and are left."""
+    counts = {str(kind): {"found": 0, "mended": 0, "left": 0} for kind in FindingKind}
+    for known in campaign.state.findings.values():
+        of_kind = counts[str(known.finding.kind)]
+        of_kind["found"] += 1
+        of_kind["mended" if known.is_mended else "left"] += 1
+    return counts
+
+
+def show(campaign: Campaign) -> None:
+    """Prints the figures of all commands in the folder of a campaign: by target, by kind of finding, and in all."""
+    found = figures(campaign)
+    print(f"{'target':<22}{'inputs':>10}{'accepted':>10}{'reasons':>9}{'per s':>9}{'core s':>10}{'findings':>10}{'left':>6}")
     for one in found:
-        share = f"{100 * one.accepted:.1f} %"
+        share, rate, seconds = f"{100 * one.accepted:.1f} %", f"{one.per_second:.0f}", f"{one.core_seconds:.0f}"
         print(
-            f"{one.target:<22}{one.inputs:>10}{share:>10}{one.reasons:>9}{one.per_second:>9.0f}{one.core_seconds:>10.0f}{one.findings:>10}"
+            f"{one.target:<22}{one.inputs:>10}{share:>10}{one.reasons:>9}{rate:>9}{seconds:>10}{one.findings:>10}{one.left:>6}"
         )
-    inputs, seconds = sum(one.inputs for one in found), sum(one.core_seconds for one in found)
-    planned, findings = sum(one.planned for one in found), sum(one.findings for one in found)
-    print(f"{inputs} of {planned} inputs, {seconds / 3600:.2f} core hours, {findings} different findings")
+    print(f"{'kind of finding':<22}{'found':>10}{'mended':>10}{'left':>9}")
+    kinds = by_kind(campaign)
+    for kind, counts in kinds.items():
+        print(f"{kind:<22}{counts['found']:>10}{counts['mended']:>10}{counts['left']:>9}")
+    inputs, seconds_of_all = sum(one.inputs for one in found), sum(one.core_seconds for one in found)
+    planned, findings = sum(one.planned for one in found), sum(counts["found"] for counts in kinds.values())
+    left = sum(counts["left"] for counts in kinds.values())
+    print(
+        f"{inputs} of {planned} inputs, seed {campaign.state.seed}, {seconds_of_all / 3600:.2f} core hours, "
+        f"{findings} different findings, {left} left"
+    )
 
 
 def totals(campaign: Campaign) -> dict[str, Any]:
@@ -88,7 +114,11 @@ def totals(campaign: Campaign) -> dict[str, Any]:
         "seed": campaign.state.seed,
         "inputs": sum(one.inputs for one in found),
         "core_hours": round(sum(one.core_seconds for one in found) / 3600, 3),
-        "findings": [f"{known.folder} ({known.count})" for known in campaign.state.findings.values()],
+        "kinds": by_kind(campaign),
+        "findings": [
+            {"place": known.folder, "inputs": known.count, "is_mended": known.is_mended}
+            for known in campaign.state.findings.values()
+        ],
         "targets": [asdict(one) for one in found],
     }
 
@@ -112,7 +142,7 @@ def placed_case(campaign: Campaign, place: str) -> tuple[str, Case]:
 
 
 def main(arguments: Sequence[str] | None = None, registry: str = TARGETS) -> int:
-    """Runs the command; the status is 1 if there are findings, and 2 if it could not start."""
+    """Runs the command; the status is 1 if findings are left, and 2 if it could not start."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, metavar="OUT", help="folder of the state and of the findings")
     parser.add_argument("--count", type=int, default=1_000_000, help="inputs in all, with those of earlier commands")
@@ -121,10 +151,13 @@ def main(arguments: Sequence[str] | None = None, registry: str = TARGETS) -> int
     parser.add_argument("--target", action="append", default=[], metavar="NAME", help="only these targets; the count is theirs")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--replay", metavar="PLACE", help="run one input: TARGET/NUMBER, or a stored file")
+    parser.add_argument("--summary", action="store_true", help="print the figures of all commands in OUT; run nothing")
     parser.add_argument("--list", action="store_true", help="list the targets")
     parser.add_argument("--json", type=Path, help="output file of the figures")
     options = parser.parse_args(arguments)
     try:
+        if options.summary and not (options.out / STATE).is_file():
+            raise ConfigError(f"{options.out}: has no {STATE}, expected the folder of a campaign", "campaign_invalid")
         campaign = Campaign(options.out, options.seed, max(1, options.workers), registry)
         if options.list:
             for name, target in campaign.targets.items():
@@ -132,19 +165,25 @@ def main(arguments: Sequence[str] | None = None, registry: str = TARGETS) -> int
             return 0
         if options.replay is not None:
             return _replay(campaign, options.replay)
-        campaign.plan(options.count, options.target)
-        try:
-            campaign.run(60 * options.minutes, options.target, lambda line: print(one_line(line)[:400], flush=True))
-            campaign.reduce(lambda line: print(one_line(line), flush=True))
-        except KeyboardInterrupt:
-            print("interrupted; the same command continues", file=sys.stderr)
+        if not options.summary:
+            campaign.plan(options.count, options.target)
+            try:
+                campaign.recheck(_tell)
+                campaign.run(60 * options.minutes, options.target, _tell)
+                campaign.reduce(_tell)
+            except KeyboardInterrupt:
+                print("interrupted; the same command continues", file=sys.stderr)
     except StableDataError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    show(figures(campaign))
+    show(campaign)
     if options.json is not None:
         options.json.write_text(json.dumps(totals(campaign), indent=2) + "\n", "utf-8")
-    return int(bool(campaign.state.findings))
+    return int(any(not known.is_mended for known in campaign.state.findings.values()))
+
+
+def _tell(line: str) -> None:
+    print(one_line(line)[:400], flush=True)
 
 
 def _replay(campaign: Campaign, place: str) -> int:

@@ -6,7 +6,6 @@ A message is one line: which item, what was found, what was expected and what to
 
 from dataclasses import dataclass
 
-
 _MOST_TEXT, _END = 2000, 500  # characters of a message, and of its end if it is cut
 _CUT = " ... "
 

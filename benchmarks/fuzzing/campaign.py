@@ -186,6 +186,23 @@ class Campaign:
         with self.locked(), _Pool(self._num_workers, self._registry, self.state.seed) as pool:
             _Run(self, pool, chosen, seconds, tell).run()
 
+    def recheck(self, tell: Callable[[str], None] = lambda _: None) -> None:
+        """Runs the inputs of the findings again that are not mended; those that end well now are.
+
+        Args:
+            tell: Called with a line for each mended finding.
+        """
+        left = [known for known in self.state.findings.values() if not known.is_mended and known.target in self.targets]
+        if not left:
+            return
+        with self.locked(), _Pool(1, self._registry, self.state.seed) as pool:
+            for known in left:
+                if pool.replay(known.target, read_finding(self.out / FINDINGS, known)).finding is None:
+                    known.is_mended = True
+                    write_finding(self.out / FINDINGS, known, read_finding(self.out / FINDINGS, known).content)
+                    self.save()
+                    tell(f"{known.folder}: mended")
+
     def reduce(self, tell: Callable[[str], None] = lambda _: None, seconds: float = _REDUCE_SECONDS) -> None:
         """Makes the inputs of the findings smaller, those that were not tried yet.
 
@@ -193,7 +210,7 @@ class Campaign:
             tell: Called with a line for each.
             seconds: Most time for one.
         """
-        left = [known for known in self.state.findings.values() if not known.is_reduced]
+        left = [known for known in self.state.findings.values() if not known.is_reduced and not known.is_mended]
         if not left:
             return
         with self.locked(), _Pool(1, self._registry, self.state.seed) as pool:
@@ -423,11 +440,12 @@ class _Run:
         finding, findings = outcome.finding, self._campaign.state.findings
         assert finding is not None
         key = f"{name}: {finding.key}"
-        if key in findings:
+        if key in findings and not findings[key].is_mended:
             findings[key].count += 1
             return
         case = self._campaign.targets[name].case(self._campaign.state.seed, number)
-        known = findings[key] = KnownFinding(name, number, case.base, case.path, finding)
+        count = findings[key].count + 1 if key in findings else 1  # one that was mended for another input alone is left again
+        known = findings[key] = KnownFinding(name, number, case.base, case.path, finding, count)
         write_finding(self._campaign.out / FINDINGS, known, case.content)
         self._tell(f"{name}/{number}: {finding.key}: {finding.message[:200]}")
 

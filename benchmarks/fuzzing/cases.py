@@ -49,7 +49,7 @@ class Target:
 
     Attributes:
         name: Its name.
-        share: How many of all inputs it gets, relative to the other targets.
+        share: How many of all inputs it gets, relative to the other targets; those of this project are thousands of a million.
         make_bases: Makes its honest inputs; the same ones in every process.
         read: Gives a folder to the reader, together with the name of the base; returns whether the input was accepted. It raises
             what the reader raises, and :class:`benchmarks.fuzzing.watching.FalsePass` for a result that must not be.

@@ -26,6 +26,7 @@ class KnownFinding:
         finding: What is wrong.
         count: How many inputs had it.
         is_reduced: Whether it was tried to make the input smaller.
+        is_mended: Whether the input ended well when it was run again.
     """
 
     target: str
@@ -35,6 +36,7 @@ class KnownFinding:
     finding: Finding
     count: int = 1
     is_reduced: bool = False
+    is_mended: bool = False
 
     @property
     def folder(self) -> str:

@@ -275,7 +275,8 @@ class Watch:
         if event == "open":
             path, _, flags = arguments
             # It does not say the folder to which the path is relative; that is one that the library has opened before.
-            is_in_open_folder = not isinstance(path, int) and not os.path.isabs(path) and sys._getframe(1).f_code.co_filename == shutil.__file__
+            is_relative = not isinstance(path, int) and not os.path.isabs(path)  # noqa: PTH117 - called for each file
+            is_in_open_folder = is_relative and sys._getframe(1).f_code.co_filename == shutil.__file__
             if not is_in_open_folder and not self._may(path, is_change=bool((flags or 0) & _WRITING)):
                 self._escaped(event, f"{path!r:.300}, flags {flags}")
         elif event in _READS:
@@ -286,8 +287,9 @@ class Watch:
         elif event in _WRITES:
             handle = arguments[-1] if event in _OF_FOLDER else -1  # an open folder, to which the path is relative
             for k in _WRITES[event]:
-                path = arguments[k] if handle == -1 else os.path.join(f"/proc/self/fd/{handle}", os.fsdecode(arguments[k]))
-                if not self._may(path, is_change=True) and not (event == "os.mkdir" and os.path.isdir(path)):
+                path = arguments[k] if handle == -1 else str(Path(f"/proc/self/fd/{handle}") / os.fsdecode(arguments[k]))
+                is_made = event == "os.mkdir" and Path(os.fsdecode(path)).is_dir()  # nothing changes
+                if not is_made and not self._may(path, is_change=True):
                     self._escaped(event, f"{path!r:.300}")
         else:
             self._audit_code(event, arguments)

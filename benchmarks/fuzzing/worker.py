@@ -31,7 +31,9 @@ LOG = "trace.txt"
 
 _MOST_ADDRESSES = 34 * 2**30  # bytes that a process may reserve further: what is reserved is seen, and a runaway is ended
 _END_WITH_PARENT = 1  # PR_SET_PDEATHSIG
-_SLACK = 2**30  # bytes that an earlier peak of memory may lie above the present size: from 2 GiB on, it would count for the next input
+_SLACK = (
+    2**30
+)  # bytes of an earlier peak above the present size that are left alone: from 2 GiB on, they would count for the next input
 
 
 @dataclass(frozen=True, slots=True)

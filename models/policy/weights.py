@@ -89,7 +89,11 @@ def _features_of(stated: Any) -> EpisodeFeatures:
     Raises:
         LookupError, TypeError, ValueError: They have another form.
     """
-    texts, lists, size = [stated["robot"], stated["control"]], [stated[name] for name in (*_NAMES, "cameras")], stated["image_size"]
+    texts, lists, size = (
+        [stated["robot"], stated["control"]],
+        [stated[name] for name in (*_NAMES, "cameras")],
+        stated["image_size"],
+    )
     fps = number(stated["fps"])
     if not (_are_texts(texts) and all(map(_are_texts, lists)) and fps is not None and 0 < fps < math.inf):
         raise TypeError("features have values of other types")

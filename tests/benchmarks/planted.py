@@ -92,7 +92,9 @@ def _pass(_: Path) -> None:
 
 
 def _say_too_much(_: Path) -> None:
-    raise ConfigError("x" * 100_000, "text_refused")
+    error = ConfigError("a short text", "text_refused")
+    error.args = ("x" * 100_000,)  # errors cut what they are made with
+    raise error
 
 
 def _say_nothing(_: Path) -> None:
@@ -122,6 +124,10 @@ def _bases() -> list[Base]:
     return [Base("honest", {"text.txt": HONEST})]
 
 
+def _read_well(folder: Path, base: str) -> bool:
+    return bool((folder / "text.txt").read_bytes())
+
+
 def _spared(folder: Path, base: str) -> bool:
     """As users are protected: a text that crashes the reader is refused by a look at it first."""
     if b"crash" in (folder / "text.txt").read_bytes():
@@ -133,9 +139,12 @@ TARGETS = {
     target.name: target
     for target in (
         Target("planted", 3, _bases, _read, ("crash", "refused", "say_nothing", "end"), block=40),
-        Target("calm", 1, _bases, lambda folder, base: bool((folder / "text.txt").read_bytes()), block=40),
+        Target("calm", 1, _bases, _read_well, block=40),
         Target("spared", 1, _bases, _read, block=40, read_apart=_spared),
         Target("dishonest", 1, _bases, lambda folder, base: False),
     )
 }
 """The targets of the tests."""
+
+MENDED = {"planted": Target("planted", 3, _bases, _read_well, TARGETS["planted"].words, block=40)}
+"""The planted target after all faults were mended."""

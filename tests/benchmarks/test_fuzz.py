@@ -121,6 +121,7 @@ def test_a_stopped_campaign_goes_on_with_the_same_inputs(tmp_path: Path, capsys:
     assert "400 of 400 inputs" in table
     for count in ("100", "250", "400"):
         main([str(tmp_path / "parts"), "--count", count, *options], PLANTED)
+    assert "400 of 400 inputs" in capsys.readouterr().out
     whole, parts = figures_of(tmp_path / "whole"), figures_of(tmp_path / "parts")
     assert whole[0] == parts[0]
     assert whole[1] == parts[1]
@@ -145,6 +146,35 @@ def test_findings_are_written_reduced_and_can_be_replayed(tmp_path: Path, capsys
     assert figures["inputs"] == 200
     assert figures["core_hours"] >= 0
     assert any("crash" in name for name in figures["findings"])
+
+
+def test_a_summary_sums_all_commands_and_runs_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, options = tmp_path / "out", ["--target", "planted", "--workers", "1"]
+    assert main([str(out), "--summary"], PLANTED) == 2
+    assert not out.exists()
+    for count in ("40", "80"):
+        main([str(out), "--count", count, *options], PLANTED)
+    last = capsys.readouterr().out.splitlines()
+    assert main([str(out), "--summary", "--json", str(tmp_path / "f.json")], PLANTED) == 1
+    table = capsys.readouterr().out.splitlines()
+    assert table == last[-len(table) :]
+    counts = State.of_json((out / "state.json").read_text()).targets["planted"]
+    assert (counts.done, counts.next, counts.open) == (80, 80, [])
+    assert table[-1].startswith(f"80 of 80 inputs, seed 0, {counts.seconds / 3600:.2f} core hours, ")
+    figures = json.loads((tmp_path / "f.json").read_text())
+    assert figures["core_hours"] == round(sum(one["core_seconds"] for one in figures["targets"]) / 3600, 3)
+    assert figures["kinds"]["crash"] == {"found": 1, "mended": 0, "left": 1}
+    assert sum(kind["found"] for kind in figures["kinds"].values()) == len(figures["findings"])
+
+
+def test_a_finding_that_was_mended_is_no_longer_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = [str(tmp_path), "--target", "planted", "--workers", "1"]
+    assert main([*options, "--count", "80"], PLANTED) == 1
+    found = len(State.of_json((tmp_path / "state.json").read_text()).findings)
+    capsys.readouterr()
+    assert main([*options, "--count", "80"], "tests.benchmarks.planted:MENDED") == 0
+    assert f"{found} different findings, 0 left" in capsys.readouterr().out
+    assert main([*options, "--count", "160"], PLANTED) == 1, "it came back"
 
 
 @pytest.mark.slow
@@ -187,7 +217,10 @@ def test_another_seed_or_a_broken_state_is_refused(tmp_path: Path, capsys: pytes
 
 def test_the_count_is_divided_by_shares() -> None:
     assert divided(10, {"a": 1, "b": 2, "c": 0.5}) == {"a": 3, "b": 6, "c": 1}
-    assert sum(divided(1_000_000, {name: target.share for name, target in TARGETS.items()}).values()) == 1_000_000
+    parts = divided(1_000_000, {name: target.share for name, target in TARGETS.items()})
+    assert sum(parts.values()) == 1_000_000
+    assert min(parts.values()) >= 5000, "inputs of the slowest targets"
+    assert parts == {name: 1000 * target.share for name, target in TARGETS.items()}, "shares are thousands of a million"
 
 
 @pytest.mark.parametrize("name", TARGETS)

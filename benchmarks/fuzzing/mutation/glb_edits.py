@@ -75,7 +75,7 @@ def _edited_numbers(document: bytes, binary: bytes, rng: Random) -> bytes:
     spans = [
         (v.get("byteOffset", 0), v["byteLength"]) for v in views if isinstance(v, dict) and isinstance(v.get("byteLength"), int)
     ]
-    spans = [(a, n) for a, n in spans if isinstance(a, int) and 0 <= a and 4 <= n <= len(binary) - a]
+    spans = [(a, n) for a, n in spans if isinstance(a, int) and a >= 0 and 4 <= n <= len(binary) - a]
     start, size = rng.choice(spans) if spans else (0, len(binary))
     if size < 4:
         return edited_bytes(binary, rng)
@@ -104,7 +104,7 @@ def _edited_image(document: bytes, binary: bytes, rng: Random) -> bytes:
         return edited_bytes(binary, rng)
     view = rng.choice(spans)
     start, size = view.get("byteOffset", 0), view.get("byteLength", 0)
-    if not (isinstance(start, int) and isinstance(size, int) and 0 <= start and 0 < size <= len(binary) - start):
+    if not (isinstance(start, int) and isinstance(size, int) and start >= 0 and 0 < size <= len(binary) - start):
         return edited_bytes(binary, rng)
     changed = edited_bytes(binary[start : start + size], rng)[:size].ljust(size, b"\0")  # the other views stay where they are
     return binary[:start] + changed + binary[start + size :]

@@ -164,7 +164,7 @@ def _of_other_type(value: Any, rng: Random, words: Sequence[str]) -> Any:
         return rng.choice((dict(enumerate(map(str, value))), value[:1], value[::-1], len(value), value * 2, None))
     if isinstance(value, dict):
         return rng.choice(
-            (list(value.values()), list(value), len(value), {k: None for k in value}, dict(list(value.items())[::-1]))
+            (list(value.values()), list(value), len(value), dict.fromkeys(value), dict(list(value.items())[::-1]))
         )
     return odd_value(rng, words)
 

@@ -57,7 +57,8 @@ def edited_text(content: bytes, rng: Random, donors: Sequence[bytes] = (), words
 def _encoded(text: str) -> bytes:
     """The bytes of a text: those that were no UTF-8 as they were, and halves of surrogate pairs as three bytes each."""
     return b"".join(
-        part.encode("utf-8", "surrogateescape" if "\udc80" <= part <= "\udcff" else "surrogatepass") for part in _HALF.split(text)
+        part.encode("utf-8", "surrogateescape" if "\udc80" <= part <= "\udcff" else "surrogatepass")
+        for part in _HALF.split(text)
     )
 
 

@@ -177,7 +177,7 @@ TARGETS = (
         "task_info", 40, _task_infos, _read_task, ("on", "in", "left of", "Goal", "Task", "relations", "conditions", "distance")
     ),
     Target("annotation", 25, _annotations, _read_annotations, _KEYS),
-    Target("text_features", 60, _features, _read_features),
-    Target("dataset", 2, _datasets, _audit, _KEYS, block=50),
+    Target("text_features", 50, _features, _read_features),
+    Target("dataset", 5, _datasets, _audit, _KEYS, block=50),
 )
 """The targets of this module."""

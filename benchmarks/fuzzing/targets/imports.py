@@ -100,7 +100,10 @@ _ROWS = (
     },
     {"path": "box.stl", "id": "b", "size_cm": [10, 10, 10], "author": "A", "url": "https://a.b", "description": "A box."},
 )
-_CSV = b'file,id,name,category,licence,size_cm,mass_kg,up,front,tags\nbox.obj,a,Mug,mug,CC0-1.0,"10 10 10",0.2,z,-y,"a;b"\nbox.stl,b,Box,box,CC-BY-4.0,,,,,\n'
+_CSV = b"""file,id,name,category,licence,size_cm,mass_kg,up,front,tags
+box.obj,a,Mug,mug,CC0-1.0,"10 10 10",0.2,z,-y,"a;b"
+box.stl,b,Box,box,CC-BY-4.0,,,,,
+"""
 
 
 def _manifests() -> list[Base]:
@@ -117,7 +120,10 @@ def _manifests() -> list[Base]:
         }
     }
     glb = _meshes()[-1].files["thing.glb"]
-    catalogue = b"id=x\nname=Set\nid#1=a\nname#1=Mug\nmodel#1=/box.obj\nwidth#1=10\ndepth#1=10\nheight#1=10\ncategory#1=Kitchen\ncreator#1=A\\u00e9\n"
+    catalogue = (
+        b"id=x\nname=Set\nid#1=a\nname#1=Mug\nmodel#1=/box.obj\nwidth#1=10\ndepth#1=10\nheight#1=10\n"
+        b"category#1=Kitchen\ncreator#1=A\\u00e9\n"
+    )
     return [
         _base("jsonl", {**meshes, "rows.jsonl": lines}, jsonl=1),
         _base("csv", {**meshes, "rows.csv": _CSV}, csv=1),
@@ -247,23 +253,23 @@ _CONTEXT = ConversionContext()
 TARGETS = (
     Target(
         "import_mesh",
-        50,
+        40,
         _meshes,
         _reading("mesh"),
         (*files.XML_WORDS[:20], "f", "v", "vt", "usemtl", "mtllib", "map_Kd", "element", "property", "list"),
     ),
-    Target("import_dae", 12, _collada, _reading("mesh"), files.XML_WORDS),
+    Target("import_dae", 8, _collada, _reading("mesh"), files.XML_WORDS),
     Target(
         "import_manifest",
-        25,
+        20,
         _manifests,
         _reading("mesh", _manifest_options),
         ("file", "path", "id", "size_m", "unit_m", "mass", "up", "-x", "tags"),
     ),
-    Target("import_urdf", 20, _urdf, _reading("urdf"), files.XML_WORDS),
-    Target("import_sdformat", 12, _sdformat, _reading("sdformat"), files.XML_WORDS),
-    Target("import_mjcf", 12, _mjcf, _reading("mjcf"), files.XML_WORDS),
-    Target("import_usd", 8, _usd, _read_usd_alone, files.USD_WORDS, block=100, starts=_SCAN, read_apart=_reading("usd")),
-    Target("convert", 3, _converted, _convert, files.XML_WORDS, block=50),
+    Target("import_urdf", 8, _urdf, _reading("urdf"), files.XML_WORDS),
+    Target("import_sdformat", 5, _sdformat, _reading("sdformat"), files.XML_WORDS),
+    Target("import_mjcf", 5, _mjcf, _reading("mjcf"), files.XML_WORDS),
+    Target("import_usd", 5, _usd, _read_usd_alone, files.USD_WORDS, block=100, starts=_SCAN, read_apart=_reading("usd")),
+    Target("convert", 5, _converted, _convert, files.XML_WORDS, block=50),
 )
 """The targets of this module."""

@@ -202,7 +202,7 @@ def _read_image(folder: Path, base: str) -> bool:
 
 
 TARGETS = (
-    Target("glb", 60, _assets, _read_asset, _WORDS),
-    Target("image", 60, _images, _read_image),
+    Target("glb", 40, _assets, _read_asset, _WORDS),
+    Target("image", 50, _images, _read_image),
 )
 """The targets of this module."""

@@ -315,14 +315,14 @@ def _old() -> list[Base]:
 
 
 TARGETS = (
-    Target("run_rows", 8, _scenes_alone, _read_rows, _WORDS),
-    Target("run_geometry", 2, _shards, _read_geometry, _WORDS, block=50),
-    Target("run_query", 3, _scenes_alone, _query, _WORDS, block=50),
-    Target("run_verify", 3, _all_tables, _verify, _WORDS, block=50),
-    Target("run_verdicts", 1, _shards, _verify_verdicts, _WORDS, block=25),
-    Target("run_page", 1, _shards, _page, _WORDS, block=25),
-    Target("run_export", 1, _exports, _export, _WORDS, block=25),
-    Target("run_manifest", 6, _manifests, _read_manifest, _WORDS, block=100),
-    Target("run_upgrade", 2, _old, _upgrade, _WORDS, block=50),
+    Target("run_rows", 5, _scenes_alone, _read_rows, _WORDS),
+    Target("run_geometry", 5, _shards, _read_geometry, _WORDS, block=50),
+    Target("run_query", 5, _scenes_alone, _query, _WORDS, block=50),
+    Target("run_verify", 5, _all_tables, _verify, _WORDS, block=50),
+    Target("run_verdicts", 5, _shards, _verify_verdicts, _WORDS, block=25),
+    Target("run_page", 5, _shards, _page, _WORDS, block=25),
+    Target("run_export", 5, _exports, _export, _WORDS, block=25),
+    Target("run_manifest", 5, _manifests, _read_manifest, _WORDS, block=100),
+    Target("run_upgrade", 5, _old, _upgrade, _WORDS, block=50),
 )
 """The targets of this module."""

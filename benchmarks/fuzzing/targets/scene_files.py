@@ -127,9 +127,9 @@ def _audited() -> list[Base]:
 
 
 TARGETS = (
-    Target("scene_mjcf", 8, _mjcf, _read_scene, files.XML_WORDS),
-    Target("scene_gltf", 12, _gltf, _read_scene, _PHYSICS_WORDS),
-    Target("scene_usd", 8, _usd, _read_scene, files.USD_WORDS),
-    Target("scene_audit", 2, _audited, _audit, (*_PHYSICS_WORDS, *files.XML_WORDS, *files.USD_WORDS), block=50),
+    Target("scene_mjcf", 5, _mjcf, _read_scene, files.XML_WORDS),
+    Target("scene_gltf", 6, _gltf, _read_scene, _PHYSICS_WORDS),
+    Target("scene_usd", 5, _usd, _read_scene, files.USD_WORDS),
+    Target("scene_audit", 5, _audited, _audit, (*_PHYSICS_WORDS, *files.XML_WORDS, *files.USD_WORDS), block=50),
 )
 """The targets of this module."""

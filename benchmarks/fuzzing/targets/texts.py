@@ -115,7 +115,7 @@ def _rows() -> pa.Table:
     flat = pa.schema([field for field in schema if not pa.types.is_nested(field.type)])
     rows = [
         dict.fromkeys(flat.names),
-        {name: None for name in flat.names} | {"scene_id": "a", "num_objects": 3, "clean": True, "aws": 0.7},
+        dict.fromkeys(flat.names) | {"scene_id": "a", "num_objects": 3, "clean": True, "aws": 0.7},
     ]
     return pa.Table.from_pylist(rows, schema=flat)
 
@@ -479,10 +479,10 @@ def _read_stored(folder: Path, base: str) -> bool:
 
 
 TARGETS = (
-    Target("condition", 120, _conditions, _read_condition, _CONDITION_WORDS),
+    Target("condition", 80, _conditions, _read_condition, _CONDITION_WORDS),
     Target(
         "tasks",
-        50,
+        40,
         _tasks,
         _read_tasks,
         ("instruction", "table_type", "table_size_cm", "restricted_zone_cm", "scene_id", "120 x 60"),
@@ -490,7 +490,7 @@ TARGETS = (
     Target("edits", 60, _edit_files, _read_edits, ("scene_id", "instruction", "edit_id", "reply", "office_1", "desk/2")),
     Target(
         "settings",
-        50,
+        45,
         _settings,
         _read_settings,
         ("true", "inf", "nan", "1979-05-27", "[x]", "[[x]]", "a.b=1", "'''", "0xff", "{a=1}"),
@@ -502,9 +502,9 @@ TARGETS = (
         _read_limits,
         ("mesh.max_faces", "item.max_memory_bytes", "=", ",", "1_000", "0", "-1", "1e9", "json.max_levels"),
     ),
-    Target("instruction", 6, _instructions, _read_instruction, _SENTENCE_WORDS),
+    Target("instruction", 15, _instructions, _read_instruction, _SENTENCE_WORDS),
     Target(
-        "goal", 40, _goals, _read_goal, (*map(str, ConditionKind), *_SENTENCE_WORDS, "subject", "target", "2_mug_0", "table")
+        "goal", 35, _goals, _read_goal, (*map(str, ConditionKind), *_SENTENCE_WORDS, "subject", "target", "2_mug_0", "table")
     ),
     Target(
         "detection",
@@ -513,6 +513,6 @@ TARGETS = (
         _read_detections,
         ("image", "box", "score", "format_answer", "category", "question", "a.png"),
     ),
-    Target("stored", 40, _stored, _read_stored, ("version", "categories", "tables", "words", "count", "key", "sum", "text")),
+    Target("stored", 35, _stored, _read_stored, ("version", "categories", "tables", "words", "count", "key", "sum", "text")),
 )
 """The targets of this module."""

@@ -133,14 +133,14 @@ def _reader() -> list[Base]:
 TARGETS = (
     Target(
         "weights",
-        12,
+        10,
         _files,
         _read_file,
         ("settings", "network", "F32", "I64", "F8_E4M3", "shape", "dtype", "data_offsets", "features"),
     ),
     Target("checkpoint", 6, _published, _read_published, ("state_dict", "about", "step")),
     Target(
-        "model_folder", 15, _readers, _read_folder, ("path", "type", "Pooling", "Transformer", "max_seq_length", "pooling_mode")
+        "model_folder", 12, _readers, _read_folder, ("path", "type", "Pooling", "Transformer", "max_seq_length", "pooling_mode")
     ),
 )
 """The targets of this module."""

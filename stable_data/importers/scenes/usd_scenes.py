@@ -153,7 +153,9 @@ def _opened(place: Path, name: str) -> Sdf.Layer:
     except MemoryError:
         raise
     except Exception as error:
-        raise MeshError(f"{name}: USD cannot read it ({reason_of(error)}), expected a USD layer; repair it", "model_unreadable") from error
+        raise MeshError(
+            f"{name}: USD cannot read it ({reason_of(error)}), expected a USD layer; repair it", "model_unreadable"
+        ) from error
     if layer is None:
         raise MeshError(f"{name}: USD cannot read it, expected a USD layer; repair it", "model_unreadable")
     return layer
@@ -169,7 +171,9 @@ def _placed_stage(folder: Path, contents: Mapping[str, bytes], path: str) -> Usd
     except MemoryError:
         raise
     except Exception as error:
-        raise MeshError(f"{path}: USD cannot open it ({reason_of(error)}), expected a stage; repair it", "model_unreadable") from error
+        raise MeshError(
+            f"{path}: USD cannot open it ({reason_of(error)}), expected a stage; repair it", "model_unreadable"
+        ) from error
     if stage is None:
         raise MeshError(f"{path}: USD cannot open it, expected a stage; repair it", "model_unreadable")
     return stage

@@ -47,7 +47,9 @@ def quiet_usd(path: str) -> Iterator[None]:
     except StableDataError:
         raise
     except (Tf.ErrorException, Tf.CppException, *_PARSE_ERRORS) as error:
-        message = f"{quote_value(path)}: USD cannot read it ({reason_of(error)}), expected a layer that it reads; export it again"
+        message = (
+            f"{quote_value(path)}: USD cannot read it ({reason_of(error)}), expected a layer that it reads; export it again"
+        )
         raise MeshError(message, "model_unreadable") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()

@@ -113,7 +113,14 @@ class LayerScanner:
     def _started(self) -> subprocess.Popen[bytes]:
         limits = json.dumps(asdict(self._root.limits))
         # -P: Python would look for modules in the current folder first, which may be the source folder.
-        command = [sys.executable, "-P", "-c", f"from {__name__} import answer_paths; answer_paths()", str(self._root.root), limits]
+        command = [
+            sys.executable,
+            "-P",
+            "-c",
+            f"from {__name__} import answer_paths; answer_paths()",
+            str(self._root.root),
+            limits,
+        ]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         return subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
