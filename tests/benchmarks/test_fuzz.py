@@ -1,4 +1,4 @@
-"""The fuzzer finds what is planted, resumes exactly, and what once broke stays mended."""
+"""The fuzzer finds what is planted, and a stopped campaign continues exactly."""
 
 import json
 import os
@@ -8,24 +8,17 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from random import Random
 
 import pytest
 
 from benchmarks.fuzz import main
 from benchmarks.fuzzing.campaign import Campaign, State, _Pool, divided
-from benchmarks.fuzzing.cases import Case, num_edits
-from benchmarks.fuzzing.findings import stored_cases
-from benchmarks.fuzzing.mutation.files import edited_file
-from benchmarks.fuzzing.targets.registry import TARGETS
+from benchmarks.fuzzing.cases import Case
 from benchmarks.fuzzing.watching import Finding, FindingKind, Outcome
 from tests.benchmarks.planted import HONEST
 
 ROOT = Path(__file__).resolve().parents[2]
-CORPUS = ROOT / "tests" / "data" / "fuzz"
 PLANTED = "tests.benchmarks.planted:TARGETS"
-STORED = list(stored_cases(CORPUS))
-LEAST_ACCEPTED = 0.03  # of the first inputs of a target: mutators that only make noise reach no code behind the parsers
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are watched on Linux")
 
@@ -33,12 +26,6 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="pr
 @pytest.fixture(scope="module")
 def planted() -> Iterator[_Pool]:
     with _Pool(1, PLANTED, 0) as pool:
-        yield pool
-
-
-@pytest.fixture(scope="module")
-def readers() -> Iterator[_Pool]:
-    with _Pool(1, "benchmarks.fuzzing.targets.registry:TARGETS", 0) as pool:
         yield pool
 
 
@@ -145,7 +132,7 @@ def test_findings_are_written_reduced_and_can_be_replayed(tmp_path: Path, capsys
     figures = json.loads((tmp_path / "f.json").read_text())
     assert figures["inputs"] == 200
     assert figures["core_hours"] >= 0
-    assert any("crash" in name for name in figures["findings"])
+    assert any("crash" in one["place"] for one in figures["findings"])
 
 
 def test_a_summary_sums_all_commands_and_runs_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -217,53 +204,3 @@ def test_another_seed_or_a_broken_state_is_refused(tmp_path: Path, capsys: pytes
 
 def test_the_count_is_divided_by_shares() -> None:
     assert divided(10, {"a": 1, "b": 2, "c": 0.5}) == {"a": 3, "b": 6, "c": 1}
-    parts = divided(1_000_000, {name: target.share for name, target in TARGETS.items()})
-    assert sum(parts.values()) == 1_000_000
-    assert min(parts.values()) >= 5000, "inputs of the slowest targets"
-    assert parts == {name: 1000 * target.share for name, target in TARGETS.items()}, "shares are thousands of a million"
-
-
-@pytest.mark.parametrize("name", TARGETS)
-def test_an_input_depends_on_its_number_alone(name: str) -> None:
-    target = TARGETS[name]
-    first, again = (target.case(0, 3) for _ in range(2))
-    assert first == again
-    bases = target.bases
-    cases = [target.case(0, number) for number in range(20)]
-    assert any(case.content != bases[case.base].files[case.path] for case in cases)
-    assert target.case(0, 3, kept=()).content == bases[first.base].files[first.path]
-    assert 1 <= num_edits(0, target, 3) <= 5
-    assert len({case.content for case in cases}) > 5
-
-
-def test_edits_of_every_form_give_bytes() -> None:
-    for target in TARGETS.values():
-        for base in target.bases.values():
-            for path in base.changed or base.files:
-                for number in range(3):
-                    content = edited_file(path, base.files[path], Random(number), (), target.words)  # noqa: S311 - inputs
-                    edited_file(path, content, Random(number + 1), (content,), target.words)  # noqa: S311 - inputs
-
-
-@pytest.mark.parametrize(("target", "name", "case"), STORED, ids=[f"{target}-{name}" for target, name, _ in STORED])
-def test_what_once_broke_stays_mended(readers: _Pool, target: str, name: str, case: Case) -> None:
-    finding = readers.replay(target, case).finding
-    assert finding is None, f"{finding.key}\n{finding.message}\n{finding.trace}"
-
-
-def test_every_stored_input_belongs_to_a_target() -> None:
-    assert STORED
-    for target, _, case in STORED:
-        assert case.path in TARGETS[target].bases[case.base].files
-        assert len(case.content) < 100_000
-
-
-@pytest.mark.slow
-def test_inputs_of_every_target_are_accepted_often_enough(tmp_path: Path) -> None:
-    campaign = Campaign(tmp_path, 0, 1)
-    for name in TARGETS:
-        campaign.plan(60, [name])
-    campaign.run()
-    shares = {name: counts.accepted / counts.done for name, counts in campaign.state.targets.items()}
-    assert {name: share for name, share in shares.items() if share < LEAST_ACCEPTED} == {}
-    assert campaign.state.findings == {}
