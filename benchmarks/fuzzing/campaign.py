@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from benchmarks.fuzzing.watching import Finding, FindingKind, Outcome
 from benchmarks.fuzzing.worker import Block, BlockDone, Broken, Found, Replay, Replayed, load_targets
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
+from stable_data.limits import SETTING
 
 TARGETS = "benchmarks.fuzzing.targets.registry:TARGETS"
 """The targets of this project."""
@@ -32,7 +34,13 @@ _VERSION = 1
 _SAVE_SECONDS = 5.0
 _LOOK_SECONDS = 0.1
 _REDUCE_SECONDS = 40.0
-_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "IGL_NUM_THREADS": "1",
+    "MALLOC_ARENA_MAX": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    SETTING: "item.max_scan_seconds=600",  # of wall time: an honest layer must not be refused on a machine that is very busy
+}
 
 
 @dataclass(slots=True)
@@ -256,10 +264,16 @@ class _Pool:
     """Workers, each of which is replaced as it ends."""
 
     def __init__(self, count: int, registry: str, seed: int) -> None:
-        os.environ |= _ENVIRONMENT  # of the processes to come
         self._context = multiprocessing.get_context("forkserver")
         module = registry.partition(":")[0]
         self._context.set_forkserver_preload(["benchmarks.fuzzing.worker", module])
+        before = {name: os.environ.get(name) for name in _ENVIRONMENT}
+        os.environ |= _ENVIRONMENT  # of the processes to come, not of this one
+        try:
+            forkserver.ensure_running()
+        finally:
+            for name, value in before.items():
+                os.environ.pop(name) if value is None else os.environ.update({name: value})
         self._registry, self._seed, self._started = registry, seed, 0
         memory = "/dev/shm"  # noqa: S108 - a folder in memory; that in it has a random name
         self._folder = tempfile.TemporaryDirectory(

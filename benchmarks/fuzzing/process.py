@@ -14,6 +14,7 @@ from benchmarks.fuzzing.worker import ACCEPTED, BEGAN, DONE, LOG, NUMBER, PROGRE
 
 _GRACE = 2.0  # seconds of processor time beyond the limit: the worker itself notes an input that ends meanwhile
 _MOST_WALL_SECONDS = 120.0  # of an input that computes nothing: it waits for something that never comes
+_COMPUTES = 0.5  # seconds of processor time in that time: less is nothing, also on a machine that is very busy
 _TICKS = os.sysconf("SC_CLK_TCK")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
@@ -38,7 +39,7 @@ class WorkerProcess:
         self._process.start()
         other.close()
         self._seen = 0.0
-        self._started, self._number = time.monotonic(), -1
+        self._since, self._computed, self._input = time.monotonic(), 0.0, (-1, 0)
         self._resident = _resident(self._process.pid)
         self.job: Job | None = None
 
@@ -63,7 +64,7 @@ class WorkerProcess:
         self._progress[DONE] = self._progress[ACCEPTED] = self._progress[REFUSED] = 0
         self._progress[NUMBER] = job.first if isinstance(job, Block) else 0
         self._progress[BEGAN] = 0  # until its first input begins
-        self._started, self._number = time.monotonic(), -1
+        self._input = (-1, 0)
         self._connection.send(job)
 
     def seconds(self) -> float:
@@ -88,16 +89,18 @@ class WorkerProcess:
 
     def overdue(self) -> Outcome | None:
         """Ends it if its input takes too much; returns how that input ended then."""
-        if self._number != self.number:
-            self._number, self._started = self.number, time.monotonic()
         own = Path(f"/proc/{self._process.pid}/stat")
         try:
             fields = own.read_text("utf-8").rpartition(")")[2].split()
         except OSError:
             return None
-        spent = sum(map(int, fields[11:13])) / _TICKS - self._progress[BEGAN] / 1e9
-        is_stuck = time.monotonic() - self._started > _MOST_WALL_SECONDS and spent < MOST_SECONDS / 2
-        if self._progress[BEGAN] and (spent > MOST_SECONDS + _GRACE or is_stuck):
+        began = self._progress[BEGAN]
+        spent = sum(map(int, fields[11:13])) / _TICKS - began / 1e9
+        computed = spent + _seconds_of_children(self._process.pid)
+        if self._input != (self.number, began) or abs(computed - self._computed) > _COMPUTES:
+            self._input, self._since, self._computed = (self.number, began), time.monotonic(), computed
+        is_stuck = time.monotonic() - self._since > _MOST_WALL_SECONDS
+        if began and (spent > MOST_SECONDS + _GRACE or is_stuck):
             frame, dump = self._ended()
             return Outcome(
                 False, "", Finding(FindingKind.HANG, "stuck" if is_stuck else "slow", frame, "was ended", dump), spent
@@ -137,6 +140,18 @@ class WorkerProcess:
         self._process.join()
         dump = (self._root / LOG).read_text("utf-8", "replace") if (self._root / LOG).exists() else ""
         return frame_of_dump(dump), dump[-6000:]
+
+
+def _seconds_of_children(process: int) -> float:
+    """The processor time of the processes that a process has started and that still run."""
+    ticks = 0
+    try:
+        for child in Path(f"/proc/{process}/task/{process}/children").read_text("utf-8").split():
+            fields = Path(f"/proc/{child}/stat").read_text("utf-8").rpartition(")")[2].split()
+            ticks += sum(map(int, fields[11:13]))
+    except OSError:  # one has ended meanwhile, or the system does not list them
+        return 0.0
+    return ticks / _TICKS
 
 
 def _resident(process: int) -> int:
