@@ -232,7 +232,7 @@ def _rest_pose(pose: Row) -> tuple[str, RestPose]:
         TypeError, ValueError: It is no pose.
     """
     (x, y, z), (a, b, c, d) = pose["position"], pose["quat_xyzw"]
-    if not math.isfinite(x + y + z) or not math.hypot(a, b, c, d) > _LEAST_NORM:
+    if not math.isfinite(x + y + z) or not _LEAST_NORM < math.hypot(a, b, c, d) < math.inf:
         raise ValueError("a number is not finite, or a quaternion is zero")
     return pose["instance"], ((x, y, z), (a, b, c, d))
 

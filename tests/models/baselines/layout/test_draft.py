@@ -53,6 +53,7 @@ def test_objects_are_numbered_within_their_category() -> None:
         ({"objects": [entry(size=[1, 2, 1e9])]}, "reply_malformed"),
         ({"objects": [entry(number=0)]}, "reply_malformed"),
         ({"objects": [entry(number="two")]}, "reply_malformed"),
+        ({"objects": [entry(number=10**400)]}, "reply_malformed"),
         ({"objects": [entry(number=200)]}, "too_many"),
         ({"objects": [entry()] * 200}, "too_many"),
         ({"objects": [entry(size=[0.11, 0.08, 0.1])]}, "unit"),

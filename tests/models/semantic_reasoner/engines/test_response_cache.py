@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,13 @@ def test_failures_are_not_kept(tmp_path: Path) -> None:
     assert engine.complete([ask("x")]) == [Completion("better", is_cached=True)]
 
 
+def with_sum(content: bytes, **changes: Any) -> bytes:
+    """An entry with other content and the checksum that fits: whoever can write to the folder can make one."""
+    fields = {**json.loads(content), **changes}
+    key, _ = fields.pop("key"), fields.pop("sum")
+    return json.dumps({"key": key, "sum": sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest(), **fields}).encode()
+
+
 BROKEN: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda b: b"",
     "half": lambda b: b[: len(b) // 2],
@@ -78,6 +86,11 @@ BROKEN: dict[str, Callable[[bytes], bytes]] = {
     "of another": lambda b: json.dumps({**json.loads(b), "key": "0"}).encode(),
     "a list": lambda b: b"[]",
     "deep": lambda b: b"[" * 100_000,
+    "no words": lambda b: with_sum(b, text=7),
+    "half a character": lambda b: with_sum(b, text="\ud800"),
+    "tokens below none": lambda b: with_sum(b, prompt_tokens=-1),
+    "a cost that is no number": lambda b: with_sum(b, cost=float("nan")),
+    "a further field": lambda b: with_sum(b, is_cached=False),
 }
 
 
