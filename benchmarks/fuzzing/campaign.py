@@ -349,7 +349,7 @@ class _Run:
                         self._look(worker)
                     elif (block := self._next()) is not None:
                         self._give(worker, block)
-                if not self._blocks and (block := self._peek()) is None:
+                if not self._blocks and self._peek() is None:
                     break
                 wait([w.connection for w in self._pool.workers if id(w) in self._blocks], _LOOK_SECONDS)
                 if time.monotonic() - self._saved > _SAVE_SECONDS:

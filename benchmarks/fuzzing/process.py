@@ -83,7 +83,7 @@ class WorkerProcess:
             EOFError: It has ended.
         """
         try:
-            return self._connection.recv() if self._connection.poll() else None  # type: ignore[no-any-return]
+            return self._connection.recv() if self._connection.poll() else None
         except ConnectionError as error:
             raise EOFError from error
 

@@ -51,12 +51,12 @@ def _end(_: Path) -> None:
 
 
 def _eat(_: Path) -> None:
-    _ = np.empty(3 * 2**30, np.uint8)
+    np.empty(3 * 2**30, np.uint8)
 
 
 def _eat_in_secret(_: Path) -> None:
     try:
-        _ = np.empty(2**45, np.uint8)  # refused; the reader makes a refusal of it
+        np.empty(2**45, np.uint8)  # refused; the reader makes a refusal of it
     except MemoryError as error:
         raise MeshError("too large, expected less", "mesh_too_large") from error
 
