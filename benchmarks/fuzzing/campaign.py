@@ -32,7 +32,7 @@ STATE, FINDINGS = "state.json", "findings"
 
 _VERSION = 1
 _SAVE_SECONDS = 5.0
-_LOOK_SECONDS = 0.1
+_LOOK_SECONDS = 0.25
 _REDUCE_SECONDS = 40.0
 _ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -337,7 +337,7 @@ class _Run:
         self._blocks: dict[int, Block] = {}
         self._spent: dict[int, float] = {}
         self._found: dict[int, list[Found]] = {}
-        self._saved = time.monotonic()
+        self._saved, self._is_changed = time.monotonic(), False
         # What was given to a worker of a command that was ended is given again; its counts were not stored.
         self._waiting = [Block(name, a, b) for name, counts in chosen.items() for a, b in counts.open if a < counts.planned]
 
@@ -352,7 +352,7 @@ class _Run:
                 if not self._blocks and self._peek() is None:
                     break
                 wait([w.connection for w in self._pool.workers if id(w) in self._blocks], _LOOK_SECONDS)
-                if time.monotonic() - self._saved > _SAVE_SECONDS:
+                if self._is_changed and time.monotonic() - self._saved > _SAVE_SECONDS:
                     self._save()
         finally:
             self._save()
@@ -380,6 +380,7 @@ class _Run:
         block = Block(name, counts.next, min(counts.planned, counts.next + self._campaign.targets[name].block))
         counts.next = block.end
         counts.open.append((block.first, block.end))
+        self._is_changed = True
         return block
 
     def _give(self, worker: WorkerProcess, block: Block) -> None:
@@ -421,7 +422,7 @@ class _Run:
 
         Findings are noted together with the counts: a block that is given again after a kill adds neither twice.
         """
-        counts = self._chosen[block.target]
+        counts, self._is_changed = self._chosen[block.target], True
         for found in self._found.pop(id(worker)):
             self._note(block.target, found.number, found.outcome)
         done, accepted, refused = worker.counts
@@ -465,4 +466,4 @@ class _Run:
 
     def _save(self) -> None:
         self._campaign.save()
-        self._saved = time.monotonic()
+        self._saved, self._is_changed = time.monotonic(), False

@@ -479,7 +479,7 @@ def _read_stored(folder: Path, base: str) -> bool:
 
 
 TARGETS = (
-    Target("condition", 80, _conditions, _read_condition, _CONDITION_WORDS),
+    Target("condition", 90, _conditions, _read_condition, _CONDITION_WORDS),
     Target(
         "tasks",
         40,
@@ -502,7 +502,7 @@ TARGETS = (
         _read_limits,
         ("mesh.max_faces", "item.max_memory_bytes", "=", ",", "1_000", "0", "-1", "1e9", "json.max_levels"),
     ),
-    Target("instruction", 15, _instructions, _read_instruction, _SENTENCE_WORDS),
+    Target("instruction", 5, _instructions, _read_instruction, _SENTENCE_WORDS, block=50),
     Target(
         "goal", 35, _goals, _read_goal, (*map(str, ConditionKind), *_SENTENCE_WORDS, "subject", "target", "2_mug_0", "table")
     ),
