@@ -14,6 +14,7 @@ An input may end with a result, or with an error of this project: with a code, a
 
 import argparse
 import json
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -197,4 +198,6 @@ def _replay(campaign: Campaign, place: str) -> int:
 
 
 if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):  # also where a shell that started it in the background ignores the first
+        signal.signal(number, signal.default_int_handler)
     sys.exit(main())
