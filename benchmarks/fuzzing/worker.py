@@ -1,7 +1,7 @@
 """The process that runs inputs: one after the other, watched, and ended by its parent where it does not go on."""
 
-import ctypes
 import faulthandler
+import fcntl
 import gc
 import logging
 import os
@@ -14,6 +14,7 @@ import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 from importlib import import_module
+from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TextIO, TypeAlias
@@ -30,7 +31,6 @@ LOG = "trace.txt"
 """File for the traceback of a process that ends or hangs."""
 
 _MOST_ADDRESSES = 34 * 2**30  # bytes that a process may reserve further: what is reserved is seen, and a runaway is ended
-_END_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 _SLACK = (
     2**30
 )  # bytes of an earlier peak above the present size that are left alone: from 2 GiB on, they would count for the next input
@@ -106,12 +106,24 @@ def serve(connection: Connection, progress: Any, registry: str, seed: int, root:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)  # who would end an input that hangs?
+        _end_with_parent()
     try:
         with (Path(root) / LOG).open("w") as log:
             _Worker(connection, progress, load_targets(registry), seed, Places(Path(root)), log).run()
     except (EOFError, BrokenPipeError):
         return
+
+
+def _end_with_parent() -> None:
+    """Lets the system end this process as soon as the command ends, however that is: who else would end an input that hangs?
+
+    The command holds the other end of a pipe. A thread that waits for its end would not run where native code holds the lock of Python.
+    """
+    parent = parent_process()
+    assert parent is not None
+    signal.signal(signal.SIGIO, signal.SIG_DFL)  # it ends the process
+    fcntl.fcntl(parent.sentinel, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(parent.sentinel, fcntl.F_SETFL, fcntl.fcntl(parent.sentinel, fcntl.F_GETFL) | os.O_ASYNC)
 
 
 def load_targets(registry: str) -> dict[str, Target]:

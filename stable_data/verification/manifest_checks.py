@@ -32,7 +32,7 @@ from stable_data.storage.schema_checks import is_older_version
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.verification.findings import Findings
 from stable_data.verification.known_ids import KEYS, leaves
-from stable_data.verification.scene_checks import SplitRule, is_close, is_number
+from stable_data.verification.scene_checks import SplitRule, is_close
 from stable_data.verification.shard_files import ShardFile
 
 OF_DATASET = content_id("dataset")

@@ -178,6 +178,28 @@ def test_a_killed_command_loses_no_input_and_counts_none_twice(tmp_path: Path) -
     assert figures_of(tmp_path / "killed") == figures_of(tmp_path / "whole")
 
 
+def test_no_input_outlives_a_killed_command() -> None:
+    code = f"""
+from benchmarks.fuzzing.campaign import _Pool
+from benchmarks.fuzzing.cases import Case
+pool = _Pool(1, {PLANTED!r}, 0)
+pool.replay("planted", Case("honest", "text.txt", b"calm"))
+print(pool.workers[0]._process.pid, flush=True)
+pool.replay("planted", Case("honest", "text.txt", b"wait"))
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    worker = Path("/proc") / process.stdout.readline().strip()
+    assert worker.is_dir()
+    time.sleep(0.5)
+    process.kill()
+    process.communicate()
+    end = time.monotonic() + 30
+    while worker.is_dir() and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not worker.is_dir()
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

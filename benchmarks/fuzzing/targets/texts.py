@@ -131,7 +131,7 @@ def _read_condition(folder: Path, base: str) -> bool:
     passed = found.rows(table)
     for row in table.to_pylist():
         found.passes(row, table.schema)
-    return passed.num_rows <= table.num_rows
+    return bool(passed.num_rows <= table.num_rows)
 
 
 _TASK_ROWS = (

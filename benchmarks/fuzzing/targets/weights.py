@@ -66,6 +66,7 @@ def _files() -> list[Base]:
 
 def _read_file(folder: Path, base: str) -> bool:
     path = folder / _FILE
+    network: torch.nn.Module
     if base == "corrector":
         network = load_corrector(path).network
     elif base == "rearranger":
