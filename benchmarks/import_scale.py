@@ -34,7 +34,7 @@ import pyarrow.compute as pc
 import typer
 from tqdm import tqdm
 
-from benchmarks.chaos import below
+from benchmarks.faults.processes import below
 from pipelines.reports.text_table import align_columns
 from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.errors import MeshError

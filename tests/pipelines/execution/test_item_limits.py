@@ -99,7 +99,7 @@ def test_a_reader_that_needs_more_memory_is_not_said_to_find_a_broken_file(
     big = write_glb(Mesh(corners, np.arange(900_000).reshape(-1, 3)))
     (root / "Assets_library" / f"{asset_id}.glb").write_bytes(big)
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
-    step, use = AssetStep(str(root), PreprocessSettings()), AssetUse(asset_id, "", 1.0, (), ())
+    step, use = AssetStep(str(root), PreprocessSettings()), AssetUse(asset_id, "", (1.0, 1.0, 1.0), (), ())
     (row,) = step.shard(Shard("0" * 16, (use,)), isolated=True).rows["failures"]
     assert (row["id"], row["code"]) == (asset_id, "out_of_memory")
     assert "item.max_memory_bytes" in row["message"]
@@ -143,10 +143,9 @@ def test_what_is_not_read_or_placed_for_want_of_memory_costs_no_shard_of_scenes(
     def need_more(*_: object) -> Any:
         raise MemoryError
 
-    monkeypatch.setattr(
-        generation, "_opened", lambda _: SimpleNamespace(answers=SimpleNamespace(certifier=SimpleNamespace(store=store)))
-    )
     store, work = SimpleNamespace(fault_of=need_more), GenerateWork((), GenerateSettings())
+    opened = SimpleNamespace(answers=SimpleNamespace(certifier=SimpleNamespace(store=store)))
+    monkeypatch.setattr(generation, "_opened", lambda _: opened)
     assert "item.max_memory_bytes" in (work._fault_of("mug", process=None) or "")
     placed = work._searched(need_more, SimpleNamespace(objects=[SimpleNamespace(instance="mug")]), process=None)  # type: ignore[arg-type]
     assert "item.max_memory_bytes" in placed.dropped["mug"]

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.faults.s3_server import Application
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.execution.ray_executor import WorkerPool
@@ -20,7 +21,7 @@ from pipelines.sources.generation_tasks import TaskSource
 from stable_data.errors import ConfigError
 from stable_data.scene import Tabletop
 from stable_data.storage.run_folder import RunFolder
-from tests.object_store import Application, object_store
+from tests.object_store import object_store
 from tests.pipelines.scripts import one_thing_a_stage
 
 TASKS = [LayoutTask(f"task_{n}", "Lift it.", Tabletop("office_table", (1.2, 0.6))) for n in range(4)]
