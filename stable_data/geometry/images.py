@@ -151,6 +151,7 @@ def open_image(file: Path | IO[bytes], formats: tuple[str, ...]) -> "Image.Image
     """
     from PIL import Image
 
+    others = Image.MAX_IMAGE_PIXELS  # of whoever uses Pillow in this process
     Image.MAX_IMAGE_PIXELS = LIMITS.image.max_pixels
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)  # up to twice as many are only a warning
@@ -158,6 +159,8 @@ def open_image(file: Path | IO[bytes], formats: tuple[str, ...]) -> "Image.Image
             return Image.open(file, formats=formats)
         except Image.DecompressionBombWarning as error:
             raise Image.DecompressionBombError(str(error)) from error
+        finally:
+            Image.MAX_IMAGE_PIXELS = others
 
 
 def _reduced(picture: "Image.Image", side: int, *, has_alpha: bool) -> "Image.Image":

@@ -229,7 +229,7 @@ def test_a_look_that_is_not_finite_is_not_shown(number: float, tmp_path: Path) -
     given.triangles[0, 0, 0] = number
     asset, mesh, rows = textured("a")
     run = write_run(tmp_path / "run", [(asset, mesh | {"look": write_look([replace(given, image=rows[0]["image"])])}, rows)])
-    assert AssetStore(RunAssets(run, tmp_path / "files")).look("a")[1][0].code == "look_invalid"
+    assert AssetStore(RunAssets(run, tmp_path / "files")).look("a")[1][0].code == "glb_nan_vertices"
 
 
 def test_a_run_without_the_table_has_no_looks(tmp_path: Path) -> None:

@@ -282,7 +282,7 @@ def test_a_run_on_an_object_store_is_verified(generated: Path) -> None:
         name = files_of(generated, "turns")[0].relative_to(generated).as_posix()
         folder.write_bytes(name, b"PAR1")
         result = verify_run(RunFolder(uri), found.append, VerifyOptions(verdicts="none"))
-    assert result.num_damaged == {"turns": 3}  # its checksum, that it cannot be read, and how many rows are left
+        assert result.num_damaged == {"turns": 4}  # its checksum; it cannot be read; the rows and the scenes that it has left
 
 
 # --- the rules ----------------------------------------------------------------------------------------------------------------
