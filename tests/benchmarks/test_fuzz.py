@@ -180,12 +180,16 @@ def test_a_killed_command_loses_no_input_and_counts_none_twice(tmp_path: Path) -
 
 def test_no_input_outlives_a_killed_command() -> None:
     code = f"""
+import time
 from benchmarks.fuzzing.campaign import _Pool
 from benchmarks.fuzzing.cases import Case
-pool = _Pool(1, {PLANTED!r}, 0)
-pool.replay("planted", Case("honest", "text.txt", b"calm"))
-print(pool.workers[0]._process.pid, flush=True)
-pool.replay("planted", Case("honest", "text.txt", b"wait"))
+from benchmarks.fuzzing.worker import BEGAN, Replay
+(worker,) = _Pool(1, {PLANTED!r}, 0).workers
+worker.send(Replay("planted", Case("honest", "text.txt", b"wait")))
+while not worker._progress[BEGAN]:
+    time.sleep(0.01)
+print(worker._process.pid, flush=True)
+time.sleep(600)
 """
     process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -194,7 +198,7 @@ pool.replay("planted", Case("honest", "text.txt", b"wait"))
     time.sleep(0.5)
     process.kill()
     process.communicate()
-    end = time.monotonic() + 30
+    end = time.monotonic() + 60
     while worker.is_dir() and time.monotonic() < end:
         time.sleep(0.1)
     assert not worker.is_dir()
