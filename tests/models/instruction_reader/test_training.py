@@ -142,6 +142,7 @@ def test_any_text_can_be_read(model: ReaderModel, text: str) -> None:
         assert all(0 <= r.subject < len(reading.objects) > r.target for r in (*reading.start, *reading.goal))
 
 
+@pytest.mark.slow
 def test_the_job_trains_stops_and_continues(tmp_path: Path) -> None:
     frames, out = tmp_path / "frames", tmp_path / "out"
     frames.mkdir()

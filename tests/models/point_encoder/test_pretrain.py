@@ -96,6 +96,7 @@ def test_the_effective_rank_counts_even_directions() -> None:
     assert effective_rank(codes) == pytest.approx(4, abs=0.01)  # five corners of a simplex
 
 
+@pytest.mark.slow
 def test_pretraining_lowers_its_loss_and_leaves_an_encoder(tmp_path: Path, small: PretrainSettings) -> None:
     report = pretrain(tmp_path, replace(small, steps=40, learning_rate=3e-3))
     losses = np.array([step["distance"] for step in report["losses"]])

@@ -117,6 +117,7 @@ def test_actors_take_their_parts_of_a_gpu_and_give_what_this_process_gives(local
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_an_actor_that_cannot_open_is_one_line(local_ray: None) -> None:
     def missing() -> tuple[PhysicsCorrector, AssetStore]:
@@ -129,6 +130,7 @@ def test_an_actor_that_cannot_open_is_one_line(local_ray: None) -> None:
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_the_error_of_a_worker_is_its_own(local_ray: None) -> None:
     with corrector_pool(lambda: (PhysicsCorrector(refiner=BatchRecorder()), store()), 1, 0.0, may_grow=False) as pool:
@@ -178,6 +180,7 @@ def test_a_separate_process_uses_no_gpu_and_no_actor(kind: type[CorrectorJobSett
     assert kind(device="cuda").alone() == kind(device="cuda")
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_each_actor_gets_each_step_and_another_pool_is_another_one(local_ray: None) -> None:
     def recorded() -> tuple[PhysicsCorrector, AssetStore]:

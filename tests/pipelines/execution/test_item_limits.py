@@ -105,6 +105,7 @@ def test_a_reader_that_needs_more_memory_is_not_said_to_find_a_broken_file(
     assert "item.max_memory_bytes" in row["message"]
 
 
+@pytest.mark.slow
 @dataclass(frozen=True, slots=True)
 class Batch(CorrectWork):
     """A batched computation that holds 20 MiB for each scene."""

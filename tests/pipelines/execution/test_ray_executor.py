@@ -136,6 +136,7 @@ def test_nodes_that_are_lost_again_and_again_are_borne_for_longer_but_not_for_ev
     assert ray_executor._MAX_NODES > ray_executor._MAX_DEATHS
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
 def test_a_shard_that_loses_every_worker_is_named_once_the_rest_is_done() -> None:
@@ -324,6 +325,7 @@ def test_a_node_that_is_lost_does_not_count_against_its_shard(cluster: Any, tmp_
     assert sorted(found) == ["0 together", "1 together", "2 together"]
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_a_cluster_without_any_node_is_waited_for_and_given_up_in_the_end(
     cluster: Any, monkeypatch: pytest.MonkeyPatch

@@ -406,6 +406,7 @@ def test_shared_engines_that_cannot_be_loaded_are_said_in_one_line(dataset: Path
         generate(tasks("Lift it."), str(tmp_path), broken, WorkerPool(1), [str(dataset)])
 
 
+@pytest.mark.slow
 def test_a_shard_over_which_workers_died_gives_the_same_rows(
     dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
 ) -> None:

@@ -83,6 +83,7 @@ def test_a_task_object_whose_asset_is_broken_and_has_no_like_is_a_failure_that_s
     assert "no GLB file" in row["message"]
 
 
+@pytest.mark.slow
 def test_an_asset_that_ends_whoever_reads_it_is_passed_over_where_workers_died(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -103,6 +103,7 @@ def test_a_store_that_refuses_some_requests_gets_the_same_rows(
     assert_same(RunFolder(uri), local)
 
 
+@pytest.mark.slow
 def test_a_store_that_is_gone_ends_the_run_with_one_line_and_what_is_there_stays(
     dataset: Path, settings: GenerateSettings, local: RunFolder, store: tuple[Refusing, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -59,6 +59,7 @@ def test_every_used_asset_has_its_geometry(clean_run: Path) -> None:
         assert grid["mean_error"] < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, clean_run: Path, tmp_path: Path) -> None:
@@ -134,6 +135,7 @@ def test_a_run_that_cannot_start_says_why_in_one_line(
     assert message.format(tmp=tmp_path) in last
 
 
+@pytest.mark.slow
 def test_a_run_into_an_object_store_gives_the_same_rows(tiny: Path, tiny_run: Path) -> None:
     with object_store() as uri:
         preprocess(str(tiny), uri, SMALL, WorkerPool())

@@ -104,6 +104,7 @@ def test_second_run_leaves_what_is_there_and_adds_what_is_missing(written: Path)
     assert _content(written) == before
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
 def test_many_workers_write_the_same(written: Path, tmp_path: Path) -> None:

@@ -156,6 +156,7 @@ def test_the_commands_say_in_one_line_what_a_run_lacks(tmp_path: Path) -> None:
     assert sum("before stable existed" in line for line in written.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_any_column_that_is_not_required_may_be_missing(tmp_path: Path) -> None:
     scenes = _rows(TableDataset(str(runs() / "preprocess")))
     for column in SCHEMAS["scenes"].names:

@@ -178,6 +178,7 @@ def test_what_cannot_become_clean_is_not_solved() -> None:
     assert found.audit.card().clean is False
 
 
+@pytest.mark.slow
 def test_an_overfull_table_is_left_to_certification() -> None:
     full = scene(*(thing(f"plate_{k}", (0.5, 0.4, 0.005, 0.1 * k), support="table") for k in range(40)))
     assert REFINER.refine([LayoutToRefine(full, shapes_of(full))]) == [None]

@@ -67,6 +67,7 @@ def test_objects_that_do_not_touch_stay_bit_by_bit() -> None:
     assert torch.equal(separate_bodies(problem.layout.poses, problem, CLEAR, 60), problem.layout.poses)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
 def test_loose_tables_are_parted(seed: int) -> None:
