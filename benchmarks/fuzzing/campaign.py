@@ -18,7 +18,7 @@ from benchmarks.fuzzing.cases import Case, Target
 from benchmarks.fuzzing.findings import KnownFinding, about, read_finding, write_finding
 from benchmarks.fuzzing.process import WorkerProcess
 from benchmarks.fuzzing.reduction import reduced
-from benchmarks.fuzzing.watching import Finding, FindingKind, Outcome
+from benchmarks.fuzzing.watching import NATIVE, Finding, FindingKind, Outcome
 from benchmarks.fuzzing.worker import Block, BlockDone, Broken, Found, Replay, Replayed, load_targets
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
@@ -31,6 +31,7 @@ STATE, FINDINGS = "state.json", "findings"
 """The file of counts, and the folder of findings, in the folder of a campaign."""
 
 _VERSION = 1
+_MAYBE_OF_OTHERS = (NATIVE, "SIGKILL")  # another process may have opened the file, or have taken the memory of the machine
 _SAVE_SECONDS = 5.0
 _LOOK_SECONDS = 0.25
 _REDUCE_SECONDS = 40.0
@@ -439,21 +440,27 @@ class _Run:
 
     def _lost(self, worker: WorkerProcess, block: Block, outcome: Outcome) -> None:
         """Notes the input with which a worker ended, and goes on with the next one."""
-        number, counts = worker.number, self._chosen[block.target]
+        number = worker.number
         self._count(worker, block, number + 1, more=1)
         self._pool.replace(worker)
         target = self._campaign.targets[block.target]
-        if target.read_apart is not None:
-            with _Pool(1, self._campaign._registry, self._campaign.state.seed) as pool:
-                outcome = pool.replay(target.name, target.case(self._campaign.state.seed, number))
-        if outcome.finding is None:
-            counts.refused, counts.accepted = counts.refused + (not outcome.is_accepted), counts.accepted + outcome.is_accepted
-        else:
-            self._note(block.target, number, outcome)
+        self._note(block.target, number, outcome if target.read_apart is None else self._again(block.target, number))
+
+    def _again(self, name: str, number: int) -> Outcome:
+        """Runs an input again, in a new process."""
+        campaign = self._campaign
+        with _Pool(1, campaign._registry, campaign.state.seed) as pool:
+            return pool.replay(name, campaign.targets[name].case(campaign.state.seed, number))
 
     def _note(self, name: str, number: int, outcome: Outcome) -> None:
-        finding, findings = outcome.finding, self._campaign.state.findings
-        assert finding is not None
+        """Notes how an input ended whose worker did not count it."""
+        findings, counts = self._campaign.state.findings, self._chosen[name]
+        if outcome.finding is not None and outcome.finding.type in _MAYBE_OF_OTHERS:
+            outcome = self._again(name, number)
+        finding = outcome.finding
+        if finding is None:
+            counts.refused, counts.accepted = counts.refused + (not outcome.is_accepted), counts.accepted + outcome.is_accepted
+            return
         key = f"{name}: {finding.key}"
         if key in findings and not findings[key].is_mended:
             findings[key].count += 1

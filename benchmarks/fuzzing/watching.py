@@ -31,6 +31,9 @@ MOST_MEMORY = 2 * 2**30
 MOST_MESSAGE = 2000
 """Characters of a message; longer ones are a finding."""
 
+NATIVE = "native"
+"""The type of an escape that Python did not report: something opened a file that no reader may open."""
+
 _OWN = ("stable_data", "models", "pipelines")
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _OF_SYSTEM = (
@@ -260,7 +263,7 @@ class Watch:
             what, where, trace = self._escapes[0]
             finding = Finding(FindingKind.ESCAPE, what, _own_frame_of_text(trace), where, trace)
         elif seen := self._eyes.seen():
-            finding = Finding(FindingKind.ESCAPE, "native", "", seen)
+            finding = Finding(FindingKind.ESCAPE, NATIVE, "", seen)
         elif seconds > MOST_SECONDS:
             finding = Finding(FindingKind.HANG, "slow", "" if finding is None else finding.frame, f"{seconds:.1f} s")
         elif used > MOST_MEMORY:

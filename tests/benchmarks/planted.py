@@ -128,6 +128,17 @@ def _read_well(folder: Path, base: str) -> bool:
     return bool((folder / "text.txt").read_bytes())
 
 
+_READ: list[str] = []
+
+
+def _read_once_outside(folder: Path, base: str) -> bool:
+    """Opens a file elsewhere for the fifth input of a process alone, as if another process had opened it."""
+    _READ.append(base)
+    if len(_READ) == 5:
+        _open_outside_natively(folder)
+    return True
+
+
 def _spared(folder: Path, base: str) -> bool:
     """As users are protected: a text that crashes the reader is refused by a look at it first."""
     if b"crash" in (folder / "text.txt").read_bytes():
@@ -141,6 +152,7 @@ TARGETS = {
         Target("planted", 3, _bases, _read, ("crash", "refused", "say_nothing", "end"), block=40),
         Target("calm", 1, _bases, _read_well, block=40),
         Target("spared", 1, _bases, _read, block=40, read_apart=_spared),
+        Target("beside_others", 1, _bases, _read_once_outside, block=40),
         Target("dishonest", 1, _bases, lambda folder, base: False),
     )
 }

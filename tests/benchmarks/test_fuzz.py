@@ -117,6 +117,12 @@ def test_a_stopped_campaign_goes_on_with_the_same_inputs(tmp_path: Path, capsys:
     assert {key.partition(",")[0] for key in whole[1]} >= {"planted: crash", "planted: signal", "planted: message"}
 
 
+def test_what_another_process_opened_is_no_finding(tmp_path: Path) -> None:
+    assert main([str(tmp_path), "--count", "40", "--target", "beside_others", "--workers", "1"], PLANTED) == 0
+    counts = State.of_json((tmp_path / "state.json").read_text()).targets["beside_others"]
+    assert (counts.done, counts.accepted, counts.refused) == (40, 40, 0)
+
+
 def test_findings_are_written_reduced_and_can_be_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(
         [str(tmp_path), "--count", "200", "--target", "planted", "--workers", "1", "--json", str(tmp_path / "f.json")], PLANTED
@@ -184,20 +190,22 @@ import time
 from benchmarks.fuzzing.campaign import _Pool
 from benchmarks.fuzzing.cases import Case
 from benchmarks.fuzzing.worker import BEGAN, Replay
-(worker,) = _Pool(1, {PLANTED!r}, 0).workers
+pool = _Pool(1, {PLANTED!r}, 0)
+(worker,) = pool.workers
 worker.send(Replay("planted", Case("honest", "text.txt", b"wait")))
 while not worker._progress[BEGAN]:
     time.sleep(0.01)
 print(worker._process.pid, flush=True)
 time.sleep(600)
 """
-    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    worker = Path("/proc") / process.stdout.readline().strip()
-    assert worker.is_dir()
-    time.sleep(0.5)
-    process.kill()
-    process.communicate()
+    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        number = process.stdout.readline().strip()
+        worker = Path("/proc") / number
+        time.sleep(0.5)
+        is_running = bool(number) and worker.is_dir()
+        process.kill()
+    assert is_running
     end = time.monotonic() + 60
     while worker.is_dir() and time.monotonic() < end:
         time.sleep(0.1)
