@@ -354,8 +354,8 @@ class RunFolder:
         with ThreadPoolExecutor(_AHEAD) as pool:
             for part in self._parts(table, files):
                 with self._naming_what_is_broken(part):
-                    if all(pool.map(_is_small, part.get_fragments())):
-                        rows.append(part.to_table(wanted, filter=where))  # one scan of many files costs less for each file
+                    if self.is_local and all(pool.map(_is_small, part.get_fragments())):
+                        rows.append(part.to_table(wanted, filter=where))  # of local files, one scan costs less for each
                     else:
                         rows += pool.map(lambda path: self._read(table, path, wanted, where), part.files)
         return pa.concat_tables(rows)
@@ -391,9 +391,10 @@ class RunFolder:
     def num_rows(self, table: str) -> int:
         """Returns the number of rows of a table of the run; see :meth:`dataset`."""
         count = 0
-        for part in self._parts(table):
-            with self._naming_what_is_broken(part):
-                count += int(part.count_rows(cache_metadata=False))
+        with ThreadPoolExecutor(_AHEAD) as pool:
+            for part in self._parts(table):
+                with self._naming_what_is_broken(part):  # a dataset would read one footer after the other
+                    count += sum(pool.map(lambda fragment: int(fragment.metadata.num_rows), part.get_fragments()))
         return count
 
     def _read(self, table: str, path: str, wanted: _Columns, where: pc.Expression | None) -> pa.Table:
