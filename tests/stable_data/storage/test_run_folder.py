@@ -7,6 +7,8 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.faults.s3_server import Application
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.storage import run_folder
@@ -402,3 +405,31 @@ def test_an_object_store_without_the_bucket_is_reported(bucket: str) -> None:
     assert caught.value.code == "output_unwritable"
     with pytest.raises(ConfigError, match="no table scenes"):
         RunFolder(bucket).dataset("scenes")
+
+
+@pytest.mark.parametrize("read", [lambda run: run.num_rows("warnings"), lambda run: run.table("warnings", ["id"]).num_rows])
+def test_files_of_an_object_store_are_read_at_the_same_time(read: Callable[[RunFolder], int]) -> None:
+    now, most, lock = 0, 0, threading.Lock()
+
+    def slowed(application: Application) -> Application:
+        def answer(environ: dict[str, Any], start: Any) -> Any:
+            nonlocal now, most
+            if environ["REQUEST_METHOD"] != "GET":
+                return application(environ, start)
+            with lock:
+                now += 1
+                most = max(most, now)
+            time.sleep(0.1)
+            with lock:
+                now -= 1
+            return application(environ, start)
+
+        return answer
+
+    with object_store(slowed) as uri:
+        run = RunFolder(uri)
+        for k in range(8):
+            run.write_shard("warnings", f"{k:02}", warnings(f"{k}-a", f"{k}-b"))
+        most = 0
+        assert read(run) == 16
+    assert most > 2
