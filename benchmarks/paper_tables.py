@@ -1,6 +1,7 @@
 """All tables of the paper from figures that were measured before, each with the command that measures it.
 
-``python -m benchmarks.paper_tables FOLDER``. FOLDER has the outputs of these commands, under these names:
+``python -m benchmarks.paper_tables [FOLDER]``. Without FOLDER, the tables are of the figures in the repository (benchmarks/results, whose
+README says how they were measured). FOLDER has the outputs of these commands, under these names:
 
 - ``systems``: ``python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems`` (Tables 1 and 3 b);
 - ``correction.json``: ``python -m benchmarks.correction DATA --json FOLDER/correction.json`` (Table 2);
@@ -32,6 +33,9 @@ from pipelines.reports.text_table import align_columns
 from stable_data.rating.criteria import CRITERIA
 
 Rows: TypeAlias = list[list[str]]
+
+RESULTS = Path(__file__).parent / "results"
+"""The figures of the repository."""
 
 _UNKNOWN = "unknown"
 _LABELS = {figure.key: figure for figure in FIGURES}
@@ -240,11 +244,14 @@ TABLES = (
 def main(arguments: Sequence[str] | None = None) -> None:
     """Prints all tables."""
     words = sys.argv[1:] if arguments is None else list(arguments)
-    if len(words) != 1 or words[0].startswith("-"):
+    if len(words) > 1 or any(word.startswith("-") for word in words):
         print(__doc__)
         raise SystemExit(0 if words in (["--help"], ["-h"]) else 2)
+    folder = Path(words[0]) if words else RESULTS
+    if not folder.is_dir():
+        raise SystemExit(f"error: {folder}: no such folder, expected one with measured figures")
     for table in TABLES:
-        print("\n".join(table.lines(Path(words[0]))))
+        print("\n".join(table.lines(folder)))
 
 
 if __name__ == "__main__":

@@ -89,9 +89,14 @@ def test_a_file_with_other_content_is_named_and_the_other_tables_are_printed(
     assert len(found) == 8
 
 
-@pytest.mark.parametrize(("words", "status"), [([], 2), (["--help"], 0), (["a", "b"], 2)])
-def test_without_a_folder_it_says_what_it_needs(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("words", "status"), [(["--all"], 2), (["--help"], 0), (["a", "b"], 2)])
+def test_other_words_are_answered_with_what_it_needs(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(words)
     assert caught.value.code == status
     assert "FOLDER" in capsys.readouterr().out
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="no such folder"):
+        main([str(tmp_path / "none")])
