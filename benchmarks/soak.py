@@ -1,21 +1,23 @@
 """Whether a long run of ``generate`` stays as it is: memory, open files, processes, and the time of a scene.
 
-``python -m benchmarks.soak [LIBRARY ...] --out WORK [--scenes 20000] [--minutes M] [--json FILE]``. The scenes are those of ``make demo``:
-sampled tasks, the embedded reasoner, the real and the embedded assets unless libraries are named; two workers on a local Ray. All
-processes of the job are looked at every ten seconds. The same command continues after ``--minutes``; figures are of all sessions.
+``python -m benchmarks.soak [LIBRARY ...] --out WORK [--scenes 20000] [--seed S] [--minutes M] [--json FILE] [--with FILE ...]``. The
+scenes are those of ``make demo``: sampled tasks, the embedded reasoner, the real and the embedded assets unless libraries are named; two
+workers on a local Ray. All processes of the job are looked at every ten seconds. The same command continues after ``--minutes``; figures
+are of all sessions. Several runs, each with a seed and a folder of its own, may be summed: ``--with`` reads what ``--json`` of another
+one wrote.
 
 The criterion: a quantity is the mean over blocks of 100 scenes (500 for times), without the first scenes of each session, in which
 processes are still growing. A line with one slope and an own height for each session is fitted. The quantity
 
-- is *flat* if the 95 % interval of the slope predicts a change of less than 20 % of its mean over all scenes of the run, and contains 0
+- is *flat* if the 95 % interval of the slope predicts a change of less than 20 % of its mean over all scenes of all runs, and contains 0
   or the slope itself predicts a change of less than 5 %;
 - *grows* or *falls* if it is not flat and the interval does not contain 0;
 - is *unknown* otherwise, and with fewer than eight blocks.
 
 The wall time of a scene is shown too, but not judged: it depends on what else the machine does.
 
-Status 0: complete, whole, and every quantity is flat or falls. 1: something grows or is unknown, or the run is not whole. 3: not complete
-yet.
+Status 0: all runs are complete and whole, and every quantity is flat or falls. 1: something grows or is unknown, or a run is not whole. 3:
+not complete yet.
 """
 
 import argparse
@@ -27,7 +29,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +87,36 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
+class SoakedRun:
+    """The samples of a run.
+
+    Attributes:
+        num_scenes: Scenes that it is to have.
+        is_complete: Whether it has them.
+        is_whole: Whether it was verified then.
+        samples: The samples, in order.
+    """
+
+    num_scenes: int
+    is_complete: bool
+    is_whole: bool
+    samples: Sequence[Sample]
+
+    @classmethod
+    def read(cls, path: Path) -> "SoakedRun":
+        """Reads the output of ``--json``.
+
+        Raises:
+            ConfigError: It cannot be read, or is of something else (``soak_invalid``).
+        """
+        try:
+            found = json.loads(path.read_text("utf-8"))["run"]
+            return cls(**{**found, "samples": [Sample.of(row) for row in found["samples"]]})
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            raise ConfigError(f"{path}: cannot be read ({error}), expected the output of --json", "soak_invalid") from error
+
+
+@dataclass(frozen=True, slots=True)
 class Trend:
     """How a quantity changes while scenes are made.
 
@@ -94,7 +126,7 @@ class Trend:
         slope: Its change per 1,000 scenes.
         low: Lower end of the 95 % interval of the slope; None if it is unknown.
         high: Upper end.
-        change: Change that the slope predicts over all scenes, as a share of the mean.
+        change: Change that the slope predicts over all scenes of all runs, as a share of the mean.
         blocks: Number of blocks.
         verdict: ``flat``, ``grows``, ``falls`` or ``unknown``.
     """
@@ -127,7 +159,7 @@ def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int
     Args:
         name: The quantity.
         blocks: Session, number of scenes and value of each block.
-        num_scenes: Scenes of the whole run.
+        num_scenes: Scenes of all runs.
     """
     values = np.array([value for _, _, value in blocks], dtype=np.float64)
     scenes = np.array([where for _, where, _ in blocks], dtype=np.float64)
@@ -155,15 +187,15 @@ def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int
     return Trend(name, mean, 1000 * slope, 1000 * low, 1000 * high, change, len(blocks), verdict)
 
 
-def trends(samples: Sequence[Sample], num_scenes: int, warm_up: int) -> list[Trend]:
+def trends(runs: Sequence[SoakedRun], warm_up: int) -> list[Trend]:
     """The trends of all quantities.
 
     Args:
-        samples: All samples, in order.
-        num_scenes: Scenes of the whole run.
+        runs: The runs.
         warm_up: First scenes of each session that are left out.
     """
-    kept = list(_warm(samples, num_scenes, warm_up))
+    kept = list(_warm(runs, warm_up))
+    num_scenes = sum(run.num_scenes for run in runs)
     found = []
     for name, value in QUANTITIES.items():
         blocks: dict[tuple[int, int], list[float]] = {}
@@ -176,13 +208,14 @@ def trends(samples: Sequence[Sample], num_scenes: int, warm_up: int) -> list[Tre
     return found
 
 
-def _warm(samples: Sequence[Sample], num_scenes: int, warm_up: int) -> Iterator[Sample]:
-    """The samples of the running job, without those in which its processes still grow."""
-    first: dict[int, int] = {}
-    for sample in samples:
-        begin = first.setdefault(sample.session, sample.scenes)
-        if begin + warm_up <= sample.scenes < num_scenes:
-            yield sample
+def _warm(runs: Sequence[SoakedRun], warm_up: int) -> Iterator[Sample]:
+    """The samples of running jobs, without those in which their processes still grow; sessions of all runs are numbered on."""
+    first: dict[tuple[int, int], tuple[int, int]] = {}  # run and session: number, scenes at its begin
+    for place, run in enumerate(runs):
+        for sample in run.samples:
+            number, begin = first.setdefault((place, sample.session), (len(first), sample.scenes))
+            if begin + warm_up <= sample.scenes < run.num_scenes:
+                yield replace(sample, session=number)
 
 
 def _times(kept: Sequence[Sample], clock: Callable[[Sample], float]) -> Iterator[tuple[int, float, float]]:
@@ -293,10 +326,11 @@ def _end(job: subprocess.Popen[bytes]) -> None:
         job.wait()
 
 
-def show(found: Sequence[Trend], samples: Sequence[Sample]) -> None:
+def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
     """Prints the table."""
-    sessions = len({sample.session for sample in samples})
-    print(f"{samples[-1].scenes if samples else 0:,} scenes in {sessions} sessions, {len(samples)} samples")
+    scenes = sum(run.samples[-1].scenes for run in runs if run.samples)
+    sessions = sum(len({sample.session for sample in run.samples}) for run in runs)
+    print(f"{scenes:,} scenes in {len(runs)} runs and {sessions} sessions, {sum(len(run.samples) for run in runs)} samples")
     print(f"{'':28} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
     for one in found:
         if one.slope is None:
@@ -312,31 +346,39 @@ def main() -> None:
     parser.add_argument("libraries", nargs="*", default=LIBRARIES, metavar="LIBRARY", help="as --assets of generate")
     parser.add_argument("--out", type=Path, required=True, metavar="WORK")
     parser.add_argument("--scenes", type=int, default=20000)
+    parser.add_argument("--seed", type=int, default=0, help="of the tasks")
     parser.add_argument("--per-shard", type=int, default=32)
     parser.add_argument("--warm-up", type=int, default=400, help="first scenes of each session that are left out")
     parser.add_argument("--minutes", type=float, help="the session ends then; the same command continues")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, help="output file of the figures and samples")
+    parser.add_argument(
+        "--with", type=Path, action="append", default=[], dest="others", metavar="FILE", help="output of --json of another run"
+    )
     arguments = parser.parse_args()
     os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}
     until = float("inf") if arguments.minutes is None else time.monotonic() + 60 * arguments.minutes
+    seed = ["--seed", str(arguments.seed)]
     try:
-        soak = Soak(arguments.out.absolute(), arguments.scenes, arguments.per_shard, arguments.libraries)
+        others = [SoakedRun.read(path) for path in arguments.others]
+        soak = Soak(arguments.out.absolute(), arguments.scenes, arguments.per_shard, arguments.libraries, seed)
     except ConfigError as error:
         raise SystemExit(f"error: {error}") from error
     is_complete = soak.go(until)
-    samples = soak.samples
-    found = trends(samples, arguments.scenes, arguments.warm_up)
-    show(found, samples)
-    figures: dict[str, Any] = {"is_complete": is_complete, "trends": [asdict(one) for one in found]}
-    if is_complete:
-        figures |= verified(soak.run.uri)
-        print(*figures["verify"], sep="\n")
+    verdict: dict[str, Any] = verified(soak.run.uri) if is_complete else {"is_whole": False, "verify": []}
+    run = SoakedRun(arguments.scenes, is_complete, verdict["is_whole"], soak.samples)
+    runs = [*others, run]
+    found = trends(runs, arguments.warm_up)
+    show(found, runs)
+    print(*verdict["verify"], sep="\n")
     if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
-    if not is_complete:
+        figures = {"trends": [asdict(one) for one in found], "verify": verdict["verify"], "run": asdict(run)}
+        arguments.json.write_text(json.dumps(figures) + "\n", "utf-8")
+    if not all(one.is_complete for one in runs):
         print("not complete: run the same command again to continue")
         raise SystemExit(NOT_COMPLETE)
-    if not figures["is_whole"] or any(one.verdict in ("grows", "unknown") for one in found if one.name != WALL_TIME):
+    if not all(one.is_whole for one in runs) or any(
+        one.verdict in ("grows", "unknown") for one in found if one.name != WALL_TIME
+    ):
         raise SystemExit(1)
 
 

@@ -1,10 +1,15 @@
 """What a soak says of its samples: flat, growing, falling or unknown."""
 
+import json
+from dataclasses import asdict
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from benchmarks.faults.processes import Usage
-from benchmarks.soak import Sample, trend, trends
+from benchmarks.soak import Sample, SoakedRun, trend, trends
+from stable_data.errors import ConfigError
 
 SCENES = 20000
 
@@ -54,8 +59,32 @@ def test_growth_after_the_start_is_found_and_growth_at_the_start_is_not() -> Non
         used = Usage(starting, 100, 2, 20, 2.0 * scenes)
         leaking = Usage(400.0 + scenes / 10, 50 + scenes // 100, 1, 8, 0.0)
         samples.append(Sample(0, 10.0 * number, scenes, leaking, used, Usage(300.0, 60, 5, 50, 0.0)))
-    found = {one.name: one.verdict for one in trends(samples, 6000, warm_up=400)}
+    runs = [SoakedRun(6000, is_complete=True, is_whole=True, samples=samples)]
+    found = {one.name: one.verdict for one in trends(runs, warm_up=400)}
     assert found["driver memory, MB"] == found["driver open files"] == "grows"
     assert found["workers' memory, MB"] == found["Ray's memory, MB"] == found["processes"] == "flat"
     assert found["processor seconds a scene"] == found["seconds a scene"] == "flat"
-    assert {one.name: one.mean for one in trends(samples, 6000, warm_up=400)}["processor seconds a scene"] == pytest.approx(2.0)
+    assert {one.name: one.mean for one in trends(runs, warm_up=400)}["processor seconds a scene"] == pytest.approx(2.0)
+
+
+def test_runs_are_summed_with_a_height_of_their_own(tmp_path: Path) -> None:
+    runs = []
+    for seed in range(2):
+        of_run = []
+        for number in range(600):
+            driver = Usage(400.0 + 100 * seed + number / 1000, 50, 1, 8, 0.0)
+            of_run.append(Sample(0, 10.0 * number, 5 * number, driver, Usage(500.0, 90, 2, 20, 10.0 * number), driver))
+        path = tmp_path / f"{seed}.json"
+        path.write_text(json.dumps({"run": asdict(SoakedRun(3000, is_complete=True, is_whole=True, samples=of_run))}))
+        runs.append(SoakedRun.read(path))
+        assert runs[-1].samples == of_run
+    found = {one.name: one for one in trends(runs, warm_up=400)}["driver memory, MB"]
+    assert found.verdict == "flat"
+    assert found.slope == pytest.approx(0.2, abs=0.01)
+    assert found.change == pytest.approx(0.2 * 6 / found.mean, abs=0.001)
+
+
+def test_another_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other.json").write_text('{"trends": []}')
+    with pytest.raises(ConfigError, match="expected the output of --json"):
+        SoakedRun.read(tmp_path / "other.json")
