@@ -27,10 +27,11 @@ from statistics import mean
 from typing import Any, TypeAlias
 
 from benchmarks.generalisation import show as generalisation_lines
-from pipelines.evaluate.figures import FIGURES, Estimate
+from pipelines.evaluate.figures import FIGURES, RULES, TABLE_1_COLUMNS, Estimate
 from pipelines.evaluate.published import MANIPULABILITY, REARRANGEMENT, SOURCE, TABLE_1, TABLE_2, TABLE_3A, TABLE_3B
 from pipelines.reports.text_table import align_columns
 from stable_data.rating.criteria import CRITERIA
+from stable_data.scores.intervals import mean_interval
 
 Rows: TypeAlias = list[list[str]]
 
@@ -39,7 +40,6 @@ RESULTS = Path(__file__).parent / "results"
 
 _UNKNOWN = "unknown"
 _LABELS = {figure.key: figure for figure in FIGURES}
-_TABLE_1 = ("frechet", *(c.key for c in CRITERIA), "average", "oc", "awt", "aws")
 _ARMS = {"no support": "without L_sup", "no table": "without L_obj-table", "no objects": "without L_obj-obj", "full": "full"}
 
 
@@ -61,18 +61,22 @@ class PaperTable:
     measured: Callable[[Any], Iterable[str]]
     published: Rows
 
+    def command_for(self, folder: Path) -> str:
+        """What measures the table for a folder."""
+        return self.command.replace("FOLDER", str(folder))
+
     def lines(self, folder: Path) -> Iterable[str]:
         """Yields the table as text."""
         yield f"== {self.title}"
         path = folder / self.file
         if not path.is_file():
-            yield f"not measured; {self.command}"
+            yield f"not measured; {self.command_for(folder)}"
         else:
             try:
                 found = list(self.measured(json.loads(path.read_text("utf-8"))))
             except (ValueError, KeyError, TypeError, AttributeError) as error:
                 found = [
-                    f"{path} has other content than expected ({type(error).__name__}: {error}); measure again: {self.command}"
+                    f"{path} has other content than expected ({type(error).__name__}: {error}); measure again: {self.command_for(folder)}"
                 ]
             yield from found
         if self.published:
@@ -84,12 +88,12 @@ class PaperTable:
 def systems_lines(found: Mapping[str, Any]) -> Iterable[str]:
     """Yields Table 1, with who rated and what the distance of pictures is called."""
     names = found["names"]
-    head = ["system", names["frechet"], *(f"{c.key.upper()}" for c in CRITERIA), "average", "OC %", "AwT %", "AwS %"]
-    rows = [head]
+    rows = [["system", names["frechet"], *TABLE_1_COLUMNS.values()]]
     for label, system in found["systems"].items():
-        rows.append([f"{label} ({system['row']})", *(_estimate(system, key) for key in _TABLE_1)])
+        rows.append([f"{label} ({system['row']})", *(_estimate(system, key) for key in ("frechet", *TABLE_1_COLUMNS))])
     yield from _aligned(rows)
     yield f"{found['num_tasks']} tasks; CWT to average: {names['judge']}, on a scale of 1 to 10; brackets: 95 % intervals"
+    yield RULES
     yield from (f"all: {note}" for note in found["notes"])
     yield from (f"{label}: {note}" for label, system in found["systems"].items() for note in system["notes"])
 
@@ -118,10 +122,11 @@ def collision_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 def ablation_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     """Yields Table 3 (a): raw samples of short trainings without one of the losses."""
-    rows = [["training", "OC %", "float %"]]
+    columns = {"oc_sdf": "OC %", "float_gap": "float %", "oc": "exact OC %", "float_rate": "exact float %"}
+    rows = [["training", *columns.values()]]
     for arm in found:
         if arm["arm"] in _ARMS:
-            cells = [[row["raw"].get(key) for row in arm["card"].values()] for key in ("oc", "float_rate")]
+            cells = [[row["raw"].get(key) for row in arm["card"].values()] for key in columns]
             rows.append([_ARMS[arm["arm"]], *(_mean(values, 100.0, 1) for values in cells)])
     yield from _aligned(rows)
     yield "raw samples of the flow, means over the rows of the validation card"
@@ -129,12 +134,13 @@ def ablation_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 def rearrangement_lines(found: Mapping[str, Any]) -> Iterable[str]:
     """Yields the table of rearrangement, objects of one category matched as in the paper."""
-    rows = [["method", "moved m", "EMD m", "OC", "seeds"]]
+    columns = {"moved_category": "moved m", "emd_category": "EMD m", "oc_sampled": "OC", "oc": "exact OC", "clean": "clean"}
+    rows = [["method", *columns.values(), "seeds"]]
     for method in dict.fromkeys(f["method"] for f in found["figures"]):
         own = [f for f in found["figures"] if f["method"] == method]
-        cells = [_mean([f[key] for f in own], 1.0, 3) for key in ("moved_category", "emd_category", "oc")]
-        rows.append([method, *cells, str(len(own))])
+        rows.append([method, *(_with_interval([f[key] for f in own]) for key in columns), str(len(own))])
     yield from _aligned(rows)
+    yield "means over the seeds with half of the width of their 95 % intervals; OC and exact OC: colliding pairs, as in Table 1"
 
 
 def boxes_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
@@ -162,6 +168,14 @@ def _estimate(system: Mapping[str, Any], key: str) -> str:
 def _mean(values: Sequence[float | None], factor: float, digits: int) -> str:
     known = [value for value in values if value is not None]
     return f"{factor * mean(known):.{digits}f}" if known and len(known) == len(values) else _UNKNOWN
+
+
+def _with_interval(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    if not known or len(known) < len(values):
+        return _UNKNOWN
+    centre, low, high = mean_interval(known)
+    return f"{centre:.3f}" if len(known) < 2 else f"{centre:.3f} ±{(high - low) / 2:.3f}"
 
 
 def _aligned(rows: Rows) -> list[str]:

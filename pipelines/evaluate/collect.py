@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipelines.evaluate.figures import FIGURES, Repetition
-from pipelines.generate.report import core_seconds
+from pipelines.generate.report import TimeSpent
 from stable_data.diversity.comparison import SAMPLE, compare_sets
 from stable_data.diversity.pictures import PictureSet
 from stable_data.diversity.scene_set import SceneSet
@@ -28,7 +28,7 @@ class Reference:
 
     Attributes:
         pictures: The features of its pictures; None if they could not be drawn.
-        table_types: Types of the tables.
+        table_types: Types of the tables of its scenes.
         training: What its scenes of the split train say.
         held_out: Its scenes of the splits validation and test.
     """
@@ -50,30 +50,55 @@ def read_reference(run: str, views: str, where: str) -> Reference:
     types = TableFiles(run, "scenes", ["table_type"], where=where or None)
     names = {name for group in range(len(types.groups)) for name in types.read([group])["table_type"].to_pylist()}
     pictures = PictureSet.read(views) if views else None
-    held_out = tuple(read_scenes(run, ["validation", "test"]))
-    return Reference(pictures, frozenset(names), TrainingScenes(read_scenes(run, ["train"])), held_out)
+    held_out = tuple(read_scenes(run, ["validation", "test"], where))
+    return Reference(pictures, frozenset(names), TrainingScenes(read_scenes(run, ["train"], where)), held_out)
 
 
-def read_repetition(place: str, tasks: Sequence[str], reference: Reference | None) -> tuple[Repetition, list[str]]:
+@dataclass(frozen=True, slots=True)
+class RunsOfSystem:
+    """The runs of a system in one repetition.
+
+    Attributes:
+        scenes: The run of its scenes.
+        views: The run of their pictures; empty if these could not be made as it was asked for.
+        ratings: The run of their ratings; empty likewise.
+        is_priced: Whether what the language model cost is known.
+    """
+
+    scenes: str
+    views: str = ""
+    ratings: str = ""
+    is_priced: bool = True
+
+
+def read_repetition(runs: RunsOfSystem, tasks: Sequence[str], reference: Reference | None) -> tuple[Repetition, list[str]]:
     """Reads a repetition.
 
     Args:
-        place: The folder with its runs ``scenes``, ``views`` and ``ratings``; the last two may be missing.
+        runs: Its runs.
         tasks: Ids of all tasks.
-        reference: What its pictures are compared with; None: nothing.
+        reference: What its scenes are compared with; None: nothing.
 
     Returns:
         The repetition, whose diversity is not known yet, and notes on what is unknown.
     """
-    scenes, ratings = RunFolder(f"{place}/scenes"), RunFolder(f"{place}/ratings")
+    scenes = RunFolder(runs.scenes)
     found = scenes.table("scenes", ["scene_id", "table_type", *_CARD]).to_pylist()
     rated = {}
-    if ratings.shard_ids("ratings"):
-        rated = {row["scene_id"]: row for row in ratings.table("ratings", ["scene_id", *_RATED]).to_pylist()}
-    rows = {row["scene_id"]: _row(row, rated.get(row["scene_id"], {})) for row in found}
-    values, notes = _picture_values(place, {row["table_type"] for row in found}, reference)
-    values |= _taste_values(f"{place}/scenes", reference) | _spent(scenes, len(tasks))
-    return Repetition(tuple(tasks), rows, values), notes
+    if runs.ratings and RunFolder(runs.ratings).shard_ids("ratings"):
+        rows = RunFolder(runs.ratings).table("ratings", ["scene_id", *_RATED]).to_pylist()
+        rated = {row["scene_id"]: row for row in rows}
+    values, notes = _spent(scenes, len(tasks), is_priced=runs.is_priced), list[str]()
+    if reference is not None:
+        if strange := sorted({row["table_type"] for row in found} - reference.table_types):
+            notes.append(
+                f"what is compared with the reference is unknown: it has no {', '.join(strange)}; choose another reference"
+            )
+        else:
+            pictures, notes = _picture_values(runs.views, reference)
+            values |= pictures | _taste_values(runs.scenes, reference)
+    made = {row["scene_id"]: _row(row, rated.get(row["scene_id"], {})) for row in found}
+    return Repetition(tuple(tasks), made, values), notes
 
 
 def _row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str, Any]:
@@ -82,14 +107,12 @@ def _row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str, Any]:
     return {**card, **{key: rating.get(key) for key in _RATED}, "made": True, "ready": ready}
 
 
-def _picture_values(place: str, types: set[str], reference: Reference | None) -> tuple[dict[str, float | None], list[str]]:
+def _picture_values(views: str, reference: Reference) -> tuple[dict[str, float | None], list[str]]:
     """Distances of the pictures from the reference."""
-    if reference is None or reference.pictures is None or not RunFolder(f"{place}/views").shard_ids("views"):
+    if reference.pictures is None or not _has_pictures(views):
         return {}, []
-    if strange := sorted(types - reference.table_types):
-        return {}, [f"distances of pictures are unknown: the reference has no {', '.join(strange)}; choose another one"]
     try:
-        own = PictureSet.read(f"{place}/views")
+        own = PictureSet.read(views)
         if own.fingerprint != reference.pictures.fingerprint:
             return {}, ["distances of pictures are unknown: the features of the reference are others"]
         sets = own.features, reference.pictures.features
@@ -98,39 +121,66 @@ def _picture_values(place: str, types: set[str], reference: Reference | None) ->
         return {}, [f"distances of pictures are unknown: {error}"]
 
 
-def _taste_values(run: str, reference: Reference | None) -> dict[str, float | None]:
+def _has_pictures(views: str) -> bool:
+    run = RunFolder(views) if views else None
+    return run is not None and bool(run.shard_ids("views")) and run.num_rows("views") > 0
+
+
+def _taste_values(run: str, reference: Reference) -> dict[str, float | None]:
     """What occurs together and how it lies, compared with the reference."""
-    if reference is None or not reference.training.num_scenes or not reference.held_out:
+    if not reference.training.num_scenes or not reference.held_out:
         return {}
     found = compare_scenes(list(read_scenes(run, [])), reference.held_out, reference.training)[POOLED]
     return {"pairs_unseen": found["pairs_unseen"].generated, "placement": placement_ratio(found)}
 
 
-def _spent(scenes: RunFolder, num_tasks: int) -> dict[str, float | None]:
-    """Core seconds, tokens and cost for each task, whether it got a scene or not."""
-    spent = core_seconds(scenes)
-    seconds = sum(value for name, value in spent.items() if name != "scenes")
+def _spent(scenes: RunFolder, num_tasks: int, *, is_priced: bool) -> dict[str, float | None]:
+    """Time, tokens and cost for each task, whether it got a scene or not."""
+    spent = TimeSpent.of_run(scenes)
     turns = scenes.table("turns", ["prompt_tokens", "reply_tokens", "cost"]).to_pylist()
     tokens = sum((turn["prompt_tokens"] or 0) + (turn["reply_tokens"] or 0) for turn in turns)
-    n = max(1, num_tasks)
-    return {"core_seconds": seconds / n, "tokens": tokens / n, "cost": sum(turn["cost"] or 0.0 for turn in turns) / n}
+    n, cost = max(1, num_tasks), sum(turn["cost"] or 0.0 for turn in turns)
+    return {
+        "processor_seconds": None if spent.processor is None else spent.processor / n,
+        "seconds": spent.seconds / n,
+        "tokens": tokens / n,
+        "cost": cost / n if is_priced or not tokens else None,
+    }
 
 
-def set_diversity(repetitions: Sequence[tuple[Repetition, str]]) -> list[Repetition]:
+def set_diversity(repetitions: Sequence[tuple[Repetition, RunsOfSystem]]) -> tuple[list[Repetition], list[str]]:
     """Returns repetitions of systems on the same tasks with their Vendi scores, at one number of scenes for all.
 
+    A set that is less than half as large as the largest one has no score, since it would make this number small for all.
+
     Args:
-        repetitions: Each with the folder of its runs.
+        repetitions: Each with its runs.
+
+    Returns:
+        The repetitions in the same order, and notes: the number of scenes, and what is unknown.
     """
-    filled = [k for k, (one, _) in enumerate(repetitions) if len(one.rows) > 1]
     values: list[dict[str, float | None]] = [dict(one.values) for one, _ in repetitions]
-    if filled:
-        sets = [SceneSet.read(f"{repetitions[k][1]}/scenes") for k in filled]
-        for k, found in zip(filled, compare_sets(sets).sets, strict=True):
+    layouts = {k: SceneSet.read(runs.scenes) for k, (_, runs) in enumerate(repetitions)}
+    compared = _of_similar_size({k: len(one) for k, one in layouts.items()})
+    notes = list[str]()
+    if compared:
+        for k, found in zip(compared, compare_sets([layouts[k] for k in compared]).sets, strict=True):
             values[k]["vendi_layouts"] = found.layouts
-    drawn = [k for k in filled if RunFolder(f"{repetitions[k][1]}/views").num_rows("views") > 1]
-    features = {k: PictureSet.read(f"{repetitions[k][1]}/views").features for k in drawn}
-    size = min([SAMPLE, *(len(rows) for rows in features.values())])
-    for k, rows in features.items():
-        values[k]["vendi_pictures"] = vendi_at(rows, size).mean
-    return [Repetition(one.tasks, one.rows, value) for (one, _), value in zip(repetitions, values, strict=True)]
+        notes.append(
+            f"Vendi scores of layouts are of {min(SAMPLE, *(len(layouts[k]) for k in compared))} scenes of each system"
+        )
+    pictures = {k: PictureSet.read(runs.views) for k, (_, runs) in enumerate(repetitions) if _has_pictures(runs.views)}
+    if len({one.fingerprint for one in pictures.values()}) > 1:
+        notes.append("Vendi scores of pictures are unknown: the features of the systems are not the same")
+    elif drawn := _of_similar_size({k: len(one) for k, one in pictures.items()}):
+        size = min(SAMPLE, *(len(pictures[k]) for k in drawn))
+        for k in drawn:
+            values[k]["vendi_pictures"] = vendi_at(pictures[k].features, size).mean
+        notes.append(f"Vendi scores of pictures are of {size} scenes of each system, by {pictures[drawn[0]].extractor}")
+    changed = [Repetition(one.tasks, one.rows, value) for (one, _), value in zip(repetitions, values, strict=True)]
+    return changed, notes
+
+
+def _of_similar_size(sizes: Mapping[int, int]) -> list[int]:
+    """The sets that have at least two scenes, and half as many as the largest one."""
+    return [k for k, size in sizes.items() if size > 1 and 2 * size >= max(sizes.values())]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+from pipelines.evaluate.collect import RunsOfSystem
 from pipelines.evaluate.figures import Estimate, Repetition
 from pipelines.evaluate.systems import EvaluatedSystem
 
@@ -15,14 +16,14 @@ class SystemResult:
         system: The system.
         repetitions: Its repetitions; none if it was not run.
         notes: What is unknown and why, and what to know about its figures.
-        runs: Folders of the runs of each repetition.
+        runs: The runs of each repetition.
         has_failed: Whether something that was asked for could not be done.
     """
 
     system: EvaluatedSystem
     repetitions: list[Repetition] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    runs: list[str] = field(default_factory=list)
+    runs: list[RunsOfSystem] = field(default_factory=list)
     has_failed: bool = False
 
     def note(self, text: str) -> None:

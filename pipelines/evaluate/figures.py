@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Literal
 
 from stable_data.rating.criteria import CRITERIA
@@ -64,11 +65,31 @@ FIGURES = (
     Figure("vendi_layouts", "Vendi score of layouts", "set", better="higher"),
     Figure("pairs_unseen", "pairs of categories unseen in the reference's training, %", "set", better="lower", highest=100.0),
     Figure("placement", "placement, as a multiple of its floor", "set", digits=2, better="lower"),
-    Figure("core_seconds", "core seconds a task", "set", digits=2, better="lower"),
+    Figure("processor_seconds", "core seconds a task", "set", digits=2, better="lower"),
+    Figure("seconds", "seconds of a worker a task", "set", digits=2, better="lower"),
     Figure("tokens", "tokens a task", "set", digits=0, better="lower"),
     Figure("cost", "cost a task", "set", digits=4, better="lower"),
 )
 """All figures, in the order of the table."""
+
+TABLE_1_COLUMNS: Mapping[str, str] = MappingProxyType(
+    {
+        **{c.key: c.key.upper() for c in CRITERIA},
+        "average": "average",
+        "oc_sdf": "OC, %",
+        "awt": "AwT, %",
+        "aws_graph": "AwS, %",
+        "oc": "exact OC, %",
+        "aws": "entailed AwS, %",
+    }
+)
+"""Figures beside the distance of pictures in the paper's Table 1: those by the paper's rules, then those of this project."""
+
+RULES = (
+    "OC: a surface sample inside another object, and AwS: all relations of the task's graph, as in the paper; exact OC: deeper than 0.5 mm "
+    "by the meshes, and entailed AwS: the relations that the instruction states"
+)
+"""What :data:`TABLE_1_COLUMNS` are."""
 
 
 @dataclass(frozen=True, slots=True)

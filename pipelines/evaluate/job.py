@@ -1,17 +1,21 @@
 """The evaluate job: systems on the same tasks, each generated, drawn and rated by the jobs of that name, then compared.
 
 ``OUT/seed_K/LABEL`` has the runs ``scenes``, ``views`` and ``ratings`` of one system in one repetition, and ``OUT/reference`` the pictures
-of the reference. Each of these is a run of its own, with every item exactly once; the same command continues after a stop, and further
-systems or repetitions can be added later.
+of the reference. The ratings of another judge than the symbolic one are in ``ratings_JUDGE``. Each of these is a run of its own, with every
+item exactly once; the same command continues after a stop, and further systems, repetitions or judges can be added later.
 """
 
 import json
+import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, TypeAlias
 
-from pipelines.evaluate.collect import Reference, read_reference, read_repetition, set_diversity
+from models.picture_features.inception import InceptionFeatures
+from models.scene_rating.judge import SYMBOLIC
+from pipelines.evaluate.collect import Reference, RunsOfSystem, read_reference, read_repetition, set_diversity
 from pipelines.evaluate.evaluation import Evaluation, SystemResult, to_json
 from pipelines.evaluate.figures import estimate_figures
 from pipelines.evaluate.report import write_evaluation_report
@@ -60,8 +64,11 @@ def evaluate(
                 place = f"{out.rstrip('/')}/seed_{seed}/{result.system.label}"
                 _run_system(result, place, sources[seed], seed, settings, workers, assets, reference, names)
             done = [result for result in results if _has(result, seed)]
-            for result, one in zip(done, set_diversity([(r.repetitions[-1], r.runs[-1]) for r in done]), strict=True):
+            changed, about = set_diversity([(result.repetitions[-1], result.runs[-1]) for result in done])
+            for result, one in zip(done, changed, strict=True):
                 result.repetitions[-1] = one
+            notes += [note for note in about if note not in notes]
+    notes += _what_more(names)
     estimates = estimate_figures({result.system.label: result.repetitions for result in results})
     evaluation = Evaluation(out, len(sources[seeds[0]].tasks), tuple(results), estimates, names, tuple(notes))
     folder = RunFolder(out)
@@ -95,7 +102,21 @@ def plan(tasks: Tasks, settings: EvaluateSettings, assets: Sequence[str] = ()) -
 
 
 def _has(result: SystemResult, seed: int) -> bool:
-    return bool(result.runs) and result.runs[-1].endswith(f"/seed_{seed}/{result.system.label}")
+    return bool(result.runs) and result.runs[-1].scenes.endswith(f"/seed_{seed}/{result.system.label}/scenes")
+
+
+def _what_more(names: Mapping[str, str]) -> Iterator[str]:
+    """Yields what has to be given for those of the paper's figures that others stand for."""
+    if names["frechet"] != InceptionFeatures.distance_name:
+        yield (
+            f"{names['frechet']} is no FID: it needs Inception's weights, stable-data features --fetch inception, then another --out "
+            "(docs/picture_distances.md)"
+        )
+    if names["judge"] == SYMBOLIC:
+        yield (
+            "the ratings are by rules, and not the paper's GPT-score: that needs a model that sees, --judge openai:MODEL with its key or "
+            "address (docs/scene_rating.md)"
+        )
 
 
 def _reference(out: str, settings: EvaluateSettings, workers: WorkerPool) -> tuple[Reference | None, list[str]]:
@@ -105,11 +126,9 @@ def _reference(out: str, settings: EvaluateSettings, workers: WorkerPool) -> tup
     try:
         manifest = draw_views(settings.reference, place, settings.views, workers, where=settings.reference_where)
         lost = manifest["counts"]["failures"]
-    except ConfigError as error:
-        if error.code != "no_gl":
-            raise
+    except ConfigError as error:  # a reference that is none is refused below
         place = ""
-        notes.append(f"distances of pictures are unknown: {error}")
+        notes.append(f"distances of pictures are unknown, the reference was not drawn: {error}")
     reference = read_reference(settings.reference, place, settings.reference_where)
     if reference.pictures is not None:
         about = f"the reference has {len(reference.pictures)} pictures" + (f"; {lost} could not be drawn" if lost else "")
@@ -144,13 +163,17 @@ def _run_system(
         result.has_failed = True
         result.note(f"seed {seed} was not run: {error}")
         return
+    judge, runs = settings.rate.rating.judge, RunsOfSystem(f"{place}/scenes", is_priced=own.engine.is_priced)
     for verb in ("pictures", "ratings"):
         try:
             if verb == "pictures":
-                manifest = draw_views(f"{place}/scenes", f"{place}/views", settings.views, workers)
+                manifest = draw_views(runs.scenes, f"{place}/views", settings.views, workers)
                 names |= {"frechet": manifest["distance"], "kernel": manifest["kernel_distance"]}
+                runs = replace(runs, views=f"{place}/views")
             else:
-                manifest = rate(f"{place}/scenes", f"{place}/ratings", settings.rate, workers)
+                ratings = "ratings" if judge == SYMBOLIC else f"ratings_{re.sub(r'[^A-Za-z0-9.-]+', '_', judge)}"
+                manifest = rate(runs.scenes, f"{place}/{ratings}", settings.rate, workers)
+                runs = replace(runs, ratings=f"{place}/{ratings}")
         except ConfigError as error:
             if error.code != _EMPTY:  # without a scene there is nothing to draw
                 result.has_failed = True
@@ -163,11 +186,13 @@ def _run_system(
                 result.note(f"seed {seed}: some averages of ratings are unknown: {told} (docs/scene_rating.md)")
     made_of = job.tasks  # drawn tasks get other names where they are limited to what the libraries serve
     ids = [*(task.scene_id for task in made_of.tasks), *(notice.item_id for notice in made_of.lost)]
-    repetition, found = read_repetition(place, ids, reference)
+    repetition, found = read_repetition(runs, ids, reference)
+    if repetition.values["cost"] is None:
+        found.append("the cost is unknown: --set generate.engine.http.prompt_price and reply_price give prices")
     for text in found:
         result.note(text)
     result.repetitions.append(repetition)
-    result.runs.append(place)
+    result.runs.append(runs)
 
 
 def _say(text: str) -> None:

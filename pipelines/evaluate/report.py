@@ -7,7 +7,7 @@ from html import escape
 import pyarrow.compute as pc
 
 from pipelines.evaluate.evaluation import Evaluation, SystemResult
-from pipelines.evaluate.figures import FIGURES, Estimate, Figure
+from pipelines.evaluate.figures import FIGURES, RULES, TABLE_1_COLUMNS, Estimate, Figure
 from pipelines.evaluate.published import SOURCE, TABLE_1, TABLE_3B
 from pipelines.evaluate.settings import EvaluateSettings
 from pipelines.reports.html import page, table
@@ -17,9 +17,6 @@ from stable_data.rating.criteria import CRITERIA
 from stable_data.storage.run_folder import RunFolder
 
 _BY_KEY = {figure.key: figure for figure in FIGURES}
-_PAPER = ("frechet", *(c.key for c in CRITERIA), "average", "oc", "awt", "aws")
-"""Columns of the paper's Table 1."""
-
 _NOT_RUN = "not run"
 
 
@@ -88,9 +85,9 @@ def _text(result: SystemResult, estimate: Estimate, figure: Figure) -> str:
 
 def _paper_table(evaluation: Evaluation) -> Iterable[str]:
     """Measured and published figures in the paper's layout, in columns of their own."""
-    figures = [_BY_KEY[key] for key in _PAPER]
+    figures = [_BY_KEY[key] for key in ("frechet", *TABLE_1_COLUMNS)]
     criteria = [c.key.upper() for c in CRITERIA]
-    head = ["system", evaluation.names["frechet"], *criteria, "average", "OC, %", "AwT, %", "AwS, %"]
+    head = ["system", evaluation.names["frechet"], *TABLE_1_COLUMNS.values()]
     rows = [
         [
             f"{r.system.label} ({r.system.compared.row})",
@@ -98,12 +95,13 @@ def _paper_table(evaluation: Evaluation) -> Iterable[str]:
         ]
         for r in evaluation.results
     ]
-    yield f'<p class="note">Measured here. {escape(", ".join(criteria))}: 1 to 10, by {escape(evaluation.names["judge"])}.</p>'
+    yield f'<p class="note">Measured here. {escape(", ".join(criteria))}: 1 to 10, by {escape(evaluation.names["judge"])}. '
+    yield f"{escape(RULES)}.</p>"
     yield table(head, rows)
     yield (
         f'<p class="note">Published: {escape(SOURCE)}, Table 1, with MesaTask-10K, Qwen3-8B, GPT-4o as judge and the paper\'s renderer. '
         "Nothing in this table was measured here, and none of its figures can be compared with one above that has another judge, other "
-        "features or other assets.</p>"
+        "features, other assets or another rule.</p>"
     )
     head = ["row of the paper", "FID", *criteria, "average", "OC", "AwT", "AwS"]
     yield table(
@@ -154,8 +152,8 @@ def _pictures(evaluation: Evaluation, count: int) -> Iterable[str]:
         return
     tasks = run[0].repetitions[0].tasks
     chosen = tasks[:: max(1, len(tasks) // count)][:count]
-    shown = {result.system.label: _fronts(f"{result.runs[0]}/views", chosen) for result in run}
-    asked = _instructions([f"{result.runs[0]}/scenes" for result in run], chosen)
+    shown = {result.system.label: _fronts(result.runs[0].views, chosen) for result in run}
+    asked = _instructions([result.runs[0].scenes for result in run], chosen)
     for task in chosen:
         yield f'<h3>{escape(task)}</h3><p class="note">{escape(asked.get(task, ""))}</p><div class="grid">'
         for label, pictures in shown.items():
@@ -166,7 +164,9 @@ def _pictures(evaluation: Evaluation, count: int) -> Iterable[str]:
 
 
 def _fronts(views: str, tasks: Sequence[str]) -> dict[str, str]:
-    """Pictures as data URIs by task."""
+    """Pictures as data URIs by task; none if they could not be made."""
+    if not views or not RunFolder(views).shard_ids("views"):
+        return {}
     rows = RunFolder(views).table("views", ["scene_id", "views"], pc.field("scene_id").isin(list(tasks))).to_pylist()
     found = {}
     for row in rows:

@@ -79,8 +79,10 @@ class EvaluatedSystem:
             return ""
         if self.name == "files":
             return "--system files=PLACE: a run, or a folder in the MesaTask-10K format (docs/systems.md)"
-        is_own_model = self.name in ("mesatask", "mesatask_refined", "zero_shot")
-        return f"{self.compared.needs}, or --system {self.name}=ENGINE" if is_own_model and not shared.chats else ""
+        if self.name in ("mesatask", "mesatask_refined"):  # another model that answers its questions would not be MesaTask
+            return f"MesaTask's model, --system {self.name}=ENGINE (docs/systems.md)"
+        is_lacking = self.name == "zero_shot" and not shared.chats
+        return f"{self.compared.needs}, or --system {self.name}=ENGINE" if is_lacking else ""
 
 
 def parse_systems(texts: Iterable[str]) -> list[EvaluatedSystem]:

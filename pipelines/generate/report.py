@@ -2,10 +2,11 @@
 
 import io
 import json
+import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from html import escape
 from typing import Any
@@ -79,7 +80,7 @@ def write_generate_report(
     ]
     scenes, rejected = (_frame(folder, name, columns) for name in ("scenes", "rejected"))
     spent, turns = (
-        core_seconds(folder),
+        TimeSpent.of_run(folder),
         _frame(folder, "turns", ["stage", "tries", "prompt_tokens", "reply_tokens", "cost", "code"]),
     )
     store = AssetStore(RunAssets(folder, mesh_cache())) if sources is None else sources.store
@@ -117,23 +118,48 @@ def _frame(folder: RunFolder, name: str, columns: Sequence[str]) -> pl.DataFrame
     return frame
 
 
-def core_seconds(folder: RunFolder) -> Counter[str]:
-    """Returns the process seconds of a run by kind of work, and as ``scenes`` the number of its scenes."""
-    spent: Counter[str] = Counter()
-    files = [f"{TIMING_FOLDER}/{shard_id}.json" for shard_id in folder.shard_ids("scenes")]
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        for content in pool.map(folder.read_bytes, files):
-            spent.update(json.loads(content) if content is not None else {})
-    return spent
+@dataclass(frozen=True, slots=True)
+class TimeSpent:
+    """What a run took, summed over its worker processes, without what starts them.
+
+    Attributes:
+        steps: Kind of work -> seconds on the clock, waits for a language model and for other processes included.
+        processor: Seconds of the processor, without those of engines and correctors that workers share; None if a shard of an older
+            release does not say.
+        num_scenes: Scenes that it was spent on.
+    """
+
+    steps: Mapping[str, float]
+    processor: float | None
+    num_scenes: int
+
+    @classmethod
+    def of_run(cls, folder: RunFolder) -> "TimeSpent":
+        """Reads what the shards of a run say."""
+        steps, processor, num_scenes = Counter[str](), 0.0, 0
+        files = [f"{TIMING_FOLDER}/{shard_id}.json" for shard_id in folder.shard_ids("scenes")]
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            for content in pool.map(folder.read_bytes, files):
+                found = json.loads(content) if content is not None else {}
+                num_scenes += found.pop("scenes", 0)
+                processor += found.pop("processor", math.nan)
+                steps.update(found)
+        return cls(dict(steps), None if math.isnan(processor) else processor, num_scenes)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds on the clock of all steps."""
+        return sum(self.steps.values())
 
 
 def _tiles(
-    manifest: dict[str, Any], scenes: pl.DataFrame, turns: pl.DataFrame, spent: Counter[str], settings: GenerateSettings
+    manifest: dict[str, Any], scenes: pl.DataFrame, turns: pl.DataFrame, spent: TimeSpent, settings: GenerateSettings
 ) -> str:
-    counts, num_scenes = manifest["counts"], max(1, spent["scenes"])
+    counts, num_scenes = manifest["counts"], max(1, spent.num_scenes)
     at_work = sum(work["seconds"] for work in manifest["work"])
     pace = f"{60 * sum(work['scenes'] for work in manifest['work']) / at_work:.0f}" if at_work else "unknown"
-    seconds = sum(spent.values()) - spent["scenes"]
+    seconds = spent.seconds if spent.processor is None else spent.processor
+    unit = "worker" if spent.processor is None else "core"
     accepted = max(1, scenes.height)
     asked = float(turns["cost"].sum() or 0.0) / accepted
     machine = seconds / 3600 / accepted * settings.core_hour_price
@@ -144,8 +170,8 @@ def _tiles(
             (f"{counts['rejected']}", "scenes rejected"),
             (f"{counts['failed_scenes'] - counts['rejected']}", "tasks without a scene"),
             (pace, "scenes per minute"),
-            (f"{seconds / num_scenes:.2f}", "core seconds per scene"),
-            (f"{1000 * seconds / 3600 / accepted:.2f}", "core hours per 1,000 accepted scenes"),
+            (f"{seconds / num_scenes:.2f}", f"{unit} seconds per scene"),
+            (f"{1000 * seconds / 3600 / accepted:.2f}", f"{unit} hours per 1,000 accepted scenes"),
             (cost, "cost per 1,000 accepted scenes"),
             (f"{int((turns['prompt_tokens'] + turns['reply_tokens']).sum() or 0):,}", "prompt and reply tokens"),
             (str(counts["assets"]), "used assets"),
@@ -237,10 +263,9 @@ def _cards(folder: RunFolder, column: str) -> pl.DataFrame:
     return frame.filter(pl.col("num_objects").is_not_null())  # always known if there is a card
 
 
-def _time(spent: Counter[str]) -> Iterable[str]:
-    scenes = spent["scenes"]
-    if scenes:
-        steps = [(name, f"{seconds / scenes:.3f}") for name, seconds in spent.items() if name != "scenes"]
+def _time(spent: TimeSpent) -> Iterable[str]:
+    if spent.num_scenes:
+        steps = [(name, f"{seconds / spent.num_scenes:.3f}") for name, seconds in spent.steps.items()]
         yield "<h2>Time</h2>" + table(("step", "seconds of one process per scene"), steps)
 
 

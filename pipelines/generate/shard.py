@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import ClassVar
 
 import ray
@@ -214,7 +214,7 @@ class GenerateWork(ShardStep[Task]):
             return self._made(shard, apart if isolated else None, tell)
 
     def _made(self, shard: Shard[Task], process: IsolatedProcess | None, tell: ProgressReporter) -> ShardResult:
-        began, opened = perf_counter(), _opened(self)
+        began, processor, opened = perf_counter(), process_time(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, process=process)
@@ -228,7 +228,8 @@ class GenerateWork(ShardStep[Task]):
                 raise engine_stopped(f"{made.task.scene_id}: {off.failure}")
             for table, found in self._rows(made).items():
                 rows[table] += found
-        spent = {**seconds, "judge": perf_counter() - began - sum(seconds.values()), "scenes": len(shard)}
+        judge = perf_counter() - began - sum(seconds.values())
+        spent = {**seconds, "judge": judge, "processor": process_time() - processor, "scenes": len(shard)}
         return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
 
     def _tasks(self, shard: Shard[Task], rows: Rows, opened: GenerateWorkerState) -> Iterator[LayoutTask]:

@@ -37,7 +37,9 @@ from scipy.stats import wasserstein_distance
 
 from stable_data.scene import FloatArray, RelationKind, Scene, SceneObject
 from stable_data.scene_graph.relations import CELLS, cell_of, yawed_rectangle
+from stable_data.storage.filter_expression import parse_filter
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.table_rows import scene_from_row
 
 LEAST = 10
@@ -320,8 +322,20 @@ def placement_ratio(comparisons: Mapping[str, StatisticComparison]) -> float | N
     return float(np.mean(known)) if len(known) == len(ratios) else None
 
 
-def read_scenes(run: str, splits: Sequence[str]) -> Iterable[Scene]:
-    """Yields the scenes of some splits of a run, or all scenes if no split is named."""
-    where = pc.field("split").isin(list(splits)) if splits else None
-    for batch in RunFolder(run).batches("scenes", _COLUMNS, where):
+def read_scenes(run: str, splits: Sequence[str], where: str = "") -> Iterable[Scene]:
+    """Yields the scenes of some splits of a run, or all scenes if no split is named.
+
+    Args:
+        run: The run.
+        splits: Names of splits.
+        where: A further condition on the scenes (:mod:`stable_data.storage.filter_expression`).
+
+    Raises:
+        ConfigError: The run or the condition cannot be read.
+    """
+    chosen = pc.field("split").isin(list(splits)) if splits else None
+    if where:
+        asked = parse_filter(where, SCHEMAS["scenes"]).expression
+        chosen = asked if chosen is None else chosen & asked
+    for batch in RunFolder(run).batches("scenes", _COLUMNS, chosen):
         yield from map(scene_from_row, batch.to_pylist())

@@ -28,6 +28,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.relations_kept import DIRECTIONAL
+from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.metrics.verdicts import TOLERANCE
 from stable_data.rotations import YAW_ARM
 from stable_data.scene import FloatArray, Relation, RelationKind, Scene
@@ -46,11 +47,13 @@ PROPOSED = "proposed"
 _SUPPORTED = (RelationKind.ON, RelationKind.IN)
 _CARD_FIGURES = (
     "oc",
+    "oc_sdf",
     "oc_1mm",
     "oc_10mm",
     "max_penetration_mm",
     "table_penetration_mm",
     "float_rate",
+    "float_gap",
     "out_of_bounds_rate",
     "max_gap_mm",
 )
@@ -207,7 +210,8 @@ def _relations(scene: Scene, shapes: Sequence[Shape]) -> frozenset[Relation]:
 
 
 def _card_figures(scene: Scene, shapes: Sequence[Shape]) -> dict[str, float | None]:
-    card = audit_posed_scene(PosedScene(scene, shapes)).card()
+    audit = audit_posed_scene(PosedScene(scene, shapes))
+    card = add_sampled_collisions(audit.card(), scene, shapes, audit)
     figures: dict[str, float | None] = {name: getattr(card, name) for name in _CARD_FIGURES}
     figures["clean"] = None if card.clean is None else float(card.clean)
     return figures

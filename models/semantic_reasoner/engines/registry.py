@@ -67,6 +67,11 @@ class EngineSettings(Settings):
         return self.engine.partition(":")[0]
 
     @property
+    def is_priced(self) -> bool:
+        """Whether the cost of replies is known: an endpoint without prices may cost anything."""
+        return self.kind != "openai" or self.http.prompt_price > 0 or self.http.reply_price > 0
+
+    @property
     def num_at_once(self) -> int:
         """Number of requests that are completed at a time, at most."""
         return self.http.concurrency if self.kind == "openai" else self.num_slots
