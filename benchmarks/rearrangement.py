@@ -1,12 +1,13 @@
 """The paper's rearrangement table: perturbed held-out scenes, put in order by the corrector's parts and by two learned rearrangers.
 
 ``python -m benchmarks.rearrangement RUN [--count 500] [--noise 0.1] [--seeds 3] [--method NAME ...] [--lego-net FILE]
-[--struct-diffusion FILE] [--flow FILE] [--split test ...] [--out FOLDER [--share K/N]] [--json FILE]``. RUN is a preprocess run. Its
-clean scenes of the split ``test``, or of the named splits, are perturbed: Gaussian noise of one standard deviation on x, y and z in metres
-and on yaw in radians, for every object by itself. FILE are weights of ``train-rearranger`` and ``train-corrector``; a method without
-weights is not measured. ``--lego-steps`` and ``--diffusion-steps`` change the largest number of their steps. With ``--out``, results
-are kept in FOLDER as they come, and a run that was stopped goes on; N processes with ``--share 1/N`` to ``N/N`` share the scenes, and the
-table is printed by the one that ends last, or by any later run.
+[--struct-diffusion FILE] [--equal-flow FILE] [--flow FILE] [--split test ...] [--out FOLDER [--share K/N]] [--json FILE]``. RUN is a
+preprocess run. Its clean scenes of the split ``test``, or of the named splits, are perturbed: Gaussian noise of one standard deviation
+on x, y and z in metres and on yaw in radians, for every object by itself. FILE are weights of ``train-rearranger`` and
+``train-corrector``; by default those of equal trainings in benchmarks/weights, and for ``flow`` those of the repository, which had a
+longer training. A method without weights is not measured. ``--lego-steps`` and ``--diffusion-steps`` change the largest number of their
+steps. With ``--out``, results are kept in FOLDER as they come, and a run that was stopped goes on; N processes with ``--share 1/N`` to
+``N/N`` share the scenes, and the table is printed by the one that ends last, or by any later run.
 
 The paper leaves open: the unit of the noise, taken as metres and radians; whether heights are perturbed too, which "translation" says
 (``--plane`` leaves them); whether what carries what is known, which all methods are told here (``--infer``: they infer it from the
@@ -30,9 +31,10 @@ The figures under *paper* are published, not measured here: on other scenes, wit
 """
 
 import json
+import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from statistics import mean
@@ -68,7 +70,13 @@ PARTS = ("flow", "flow + refine", "flow + refine + certify", "certify")
 REPAIR = " + refine + certify"
 """Ending of the name of a rearranger whose layouts the other parts of the corrector repair."""
 
-METHODS = (*(name + end for name in REARRANGERS for end in ("", REPAIR)), *PARTS)
+EQUAL = "equal flow"
+"""The flow after a training as long as those of the rearrangers."""
+
+METHODS = (*(name + end for name in REARRANGERS for end in ("", REPAIR)), EQUAL, *PARTS)
+
+WEIGHTS = Path(__file__).parent / "weights"
+"""Weights of equal trainings."""
 
 PUBLISHED: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
@@ -187,7 +195,7 @@ def open_methods(
     Args:
         wanted: Names of METHODS; empty takes all that have weights.
         terms: What the methods are told, and the weights of the flow.
-        weights: Rearranger -> its file.
+        weights: Rearranger or EQUAL -> its file.
         steps: Rearranger -> largest number of its steps; 0, or none, is that of its weights.
 
     Returns:
@@ -201,22 +209,34 @@ def open_methods(
     chosen = [name for name in METHODS if not wanted or name in wanted]
     parts, found = corrector_parts(terms), dict[str, Baseline]()
     movers, left_out = dict[str, Rearranger](), list[str]()
-    for mover in REARRANGERS:
+    for mover in (*REARRANGERS, EQUAL):
         named, file = [name for name in chosen if name.removesuffix(REPAIR) == mover], weights.get(mover)
-        if named and file is not None:
+        if named and file is not None and mover == EQUAL:
+            parts[EQUAL] = corrector_parts(replace(terms, weights=str(file)))["flow"]
+        elif named and file is not None:
             movers[mover] = open_rearranger(file, steps.get(mover, 0), terms.error)
         elif named and wanted:
-            option = f"--{mover.replace('_', '-')}"
+            option = _option(mover)
             raise ConfigError(f"--method {named[0]} has no weights, expected {option} FILE of train-rearranger", "usage")
         elif named:
             left_out.append(mover)
     for name in chosen:
         own, repairs = movers.get(name.removesuffix(REPAIR)), name.endswith(REPAIR)
-        if name in PARTS:
+        if name in parts:
             found[name] = parts[name]
         elif own is not None:
             found[name] = CorrectorParts(terms, flows=True, refines=repairs, certifies=repairs, mover=own)
     return found, left_out
+
+
+def _option(mover: str) -> str:
+    return "--" + re.sub("[_ ]", "-", mover)
+
+
+def _own(name: str) -> Path | None:
+    """The weights of this name in WEIGHTS, if there are any."""
+    path = WEIGHTS / f"{name}.safetensors"
+    return path if path.is_file() else None
 
 
 def trained_on(files: Mapping[str, Path | None]) -> dict[str, dict[str, str | None]]:
@@ -284,8 +304,9 @@ def main(
     noise: Annotated[float, typer.Option(min=0.0, help="Standard deviation, metres and radians.")] = 0.1,
     seeds: Annotated[int, typer.Option(min=1, help="Repetitions with other noise.")] = 3,
     method: Annotated[list[str] | None, typer.Option(help=f"Of {', '.join(METHODS)}; all by default.")] = None,
-    lego_net: Annotated[Path | None, typer.Option(help="Weights of lego_net.")] = None,
-    struct_diffusion: Annotated[Path | None, typer.Option(help="Weights of struct_diffusion.")] = None,
+    lego_net: Annotated[Path | None, typer.Option(help="Weights of lego_net; default: benchmarks/weights.")] = None,
+    struct_diffusion: Annotated[Path | None, typer.Option(help="Weights of struct_diffusion; likewise.")] = None,
+    equal_flow: Annotated[Path | None, typer.Option(help="Weights of the flow of an equal training; likewise.")] = None,
     lego_steps: Annotated[int, typer.Option(min=0, help="Largest number of steps of lego_net; 0: that of the weights.")] = 0,
     diffusion_steps: Annotated[int, typer.Option(min=0, help="The same of struct_diffusion.")] = 0,
     flow: Annotated[str, typer.Option(help="Weights of the flow; auto: those of the repository.")] = AUTO,
@@ -303,11 +324,16 @@ def main(
     error = UNKNOWN_ERROR if is_untold or not noise else ExpectedError(noise, noise)
     terms = CorrectorTerms(flow, is_told=not infers, purpose="rearrange", error=error, keeps_all=True)
     try:
-        weights = {"lego_net": lego_net, "struct_diffusion": struct_diffusion}
+        weights = {
+            "lego_net": lego_net or _own("lego_net"),
+            "struct_diffusion": struct_diffusion or _own("struct_diffusion"),
+            EQUAL: equal_flow or _own("flow"),
+        }
         steps = {"lego_net": lego_steps, "struct_diffusion": diffusion_steps}
         methods, left_out = open_methods(method or (), terms, weights, steps)
         has_flow = flow != NONE and any(name.startswith("flow") for name in methods)
-        networks = trained_on(weights | ({"flow": CORRECTOR if flow == AUTO else Path(flow)} if has_flow else {}))
+        used = {name: file for name, file in weights.items() if any(method.startswith(name) for method in methods)}
+        networks = trained_on(used | ({"flow": CORRECTOR if flow == AUTO else Path(flow)} if has_flow else {}))
         asked: dict[str, Any] = {"noise": noise, "splits": split or _SPLITS[:1], "plane": is_plane, "infer": infers}
         asked |= {"untold": is_untold, "flow": flow, "steps": steps, "networks": networks}
         log = ResultLog(out, {"run": place, **asked}, Share.of(share))
@@ -332,7 +358,7 @@ def main(
         steps_done, data = (notes[key] or "unknown" for key in ("steps", "data_fingerprint"))
         print(f"{name}: {steps_done} training steps, data {data}, {notes['file']}")
     for name in left_out:
-        print(f"{name}: not measured, no weights (--{name.replace('_', '-')} FILE)")
+        print(f"{name}: not measured, no weights ({_option(name)} FILE)")
     print("", table(figures, method or METHODS), sep="\n")
     if file is not None:
         document = _document(place, {"count": count, "seeds": seeds, **asked}, figures, results)

@@ -161,7 +161,7 @@ def set_diversity(repetitions: Sequence[tuple[Repetition, RunsOfSystem]]) -> tup
     """
     values: list[dict[str, float | None]] = [dict(one.values) for one, _ in repetitions]
     layouts = {k: SceneSet.read(runs.scenes) for k, (_, runs) in enumerate(repetitions)}
-    compared = _of_similar_size({k: len(one) for k, one in layouts.items()})
+    compared = of_similar_size({k: len(one) for k, one in layouts.items()})
     notes = list[str]()
     if compared:
         for k, found in zip(compared, compare_sets([layouts[k] for k in compared]).sets, strict=True):
@@ -172,7 +172,7 @@ def set_diversity(repetitions: Sequence[tuple[Repetition, RunsOfSystem]]) -> tup
     pictures = {k: PictureSet.read(runs.views) for k, (_, runs) in enumerate(repetitions) if _has_pictures(runs.views)}
     if len({one.fingerprint for one in pictures.values()}) > 1:
         notes.append("Vendi scores of pictures are unknown: the features of the systems are not the same")
-    elif drawn := _of_similar_size({k: len(one) for k, one in pictures.items()}):
+    elif drawn := of_similar_size({k: len(one) for k, one in pictures.items()}):
         size = min(SAMPLE, *(len(pictures[k]) for k in drawn))
         for k in drawn:
             values[k]["vendi_pictures"] = vendi_at(pictures[k].features, size).mean
@@ -181,6 +181,10 @@ def set_diversity(repetitions: Sequence[tuple[Repetition, RunsOfSystem]]) -> tup
     return changed, notes
 
 
-def _of_similar_size(sizes: Mapping[int, int]) -> list[int]:
-    """The sets that have at least two scenes, and half as many as the largest one."""
+def of_similar_size(sizes: Mapping[int, int]) -> list[int]:
+    """Returns the keys of the sets that have at least two scenes, and half as many as the largest one.
+
+    Args:
+        sizes: Key -> number of scenes.
+    """
     return [k for k, size in sizes.items() if size > 1 and 2 * size >= max(sizes.values())]

@@ -43,7 +43,8 @@ def test_what_is_missing_is_named_with_its_command_beside_what_is_published(
     assert len(found) == len(TABLES) == 8
     for table in TABLES:
         text = found[table.title]
-        assert f"not measured; {table.command}" in text
+        assert f"not measured; {table.command_for(tmp_path)}" in text
+        assert "FOLDER" not in text
         assert bool(table.published) == ("not measured here:" in text)
     assert "99.4" in found["Table 1: systems"]
 
@@ -55,9 +56,10 @@ def test_measured_figures_stand_before_published_ones(tmp_path: Path, capsys: py
     (tmp_path / "correction.json").write_text(json.dumps(layouts))
     scores = [asdict(DetectionScore("mug", 4, 4, {0.5: 1.0, 0.75: 0.5}, {0.5: 1.0, 0.75: 0.5}))]
     (tmp_path / "boxes.json").write_text(json.dumps(scores))
-    card = {"jitter": {"raw": {"oc": 0.1, "float_rate": None}}}
+    card = {"jitter": {"raw": {"oc_sdf": 0.2, "float_gap": 0.3, "oc": 0.1, "float_rate": None}}}
     (tmp_path / "corrector_ablation.json").write_text(json.dumps([{"arm": "no support", "card": card}]))
-    figures = [{"method": "lego_net", "moved_category": 0.2, "emd_category": 0.3, "oc": oc} for oc in (0.1, 0.3)]
+    fixed = {"method": "lego_net", "moved_category": 0.2, "emd_category": 0.3, "clean": None}
+    figures = [{**fixed, "oc_sampled": oc, "oc": oc / 2} for oc in (0.1, 0.3)]
     (tmp_path / "rearrangement.json").write_text(json.dumps({"figures": figures}))
     summary = {"right": 1, "edits": 2, "right_by_kind": {"add": 1, "move": 0}, "edits_by_kind": {"add": 1, "move": 1}}
     (tmp_path / "edits.json").write_text(json.dumps({"engine": "embedded", "summary": summary}))
@@ -71,9 +73,10 @@ def test_measured_figures_stand_before_published_ones(tmp_path: Path, capsys: py
     assert "1/2" in found["Table 2: layouts without collisions, by collisions at the start"]
     text = found["Table 3 (a): the losses of the Physics Corrector"]
     arm = next(line for line in text.splitlines() if line.startswith("without L_sup"))
-    assert arm.split()[-2:] == ["10.0", "unknown"]
+    assert arm.split()[-4:] == ["20.0", "30.0", "10.0", "unknown"]
     assert "not run" in found["Table 3 (b): one request or stages"]
-    assert "0.200" in found["Rearrangement"]
+    row = next(line for line in found["Rearrangement"].splitlines() if line.startswith("lego_net"))
+    assert row.split()[1:] == ["0.200", "±0.000", "0.300", "±0.000", "0.200", "±1.271", "0.100", "±0.635", "unknown", "2"]
     assert "0.50" in found["Manipulability"]
     assert "1/2" in found["Editing (the paper shows pictures)"]
 

@@ -18,12 +18,25 @@ from typer.testing import CliRunner
 from benchmarks.correction import judged
 from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms
 from benchmarks.layouts import StartLayout, noisy_layouts
-from benchmarks.rearrangement import METHODS, PUBLISHED, figures_of, layouts_of, main, measure, open_methods, table, trained_on
+from benchmarks.rearrangement import (
+    EQUAL,
+    METHODS,
+    PUBLISHED,
+    WEIGHTS,
+    figures_of,
+    layouts_of,
+    main,
+    measure,
+    open_methods,
+    table,
+    trained_on,
+)
 from benchmarks.result_log import MeasuredLayout, ResultLog, Share
 from models.baselines.outcome import Baseline, BaselineResult
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS
 from models.rearrangement.rearranger import open_rearranger
 from models.rearrangement.settings import METHODS as REARRANGERS
+from models.training.weights_file import read_notes
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape
@@ -183,8 +196,13 @@ def test_published_figures_are_never_measured_ones(results: list[MeasuredLayout]
 def test_methods_without_weights_are_named(tmp_path: Path) -> None:
     files = {"lego_net": weights_of("lego_net", tmp_path), "struct_diffusion": None}
     methods, left_out = open_methods((), TERMS, files)
-    known = [m for m in METHODS if not m.startswith("struct_diffusion")]
-    assert (list(methods), left_out) == (known, ["struct_diffusion"])
+    known = [m for m in METHODS if not m.startswith(("struct_diffusion", EQUAL))]
+    assert (list(methods), left_out) == (known, ["struct_diffusion", EQUAL])
+    flow = open_methods((EQUAL,), TERMS, {EQUAL: DEFAULT_WEIGHTS})[0][EQUAL]
+    assert isinstance(flow, CorrectorParts)
+    assert (flow.terms.weights, flow.flows, flow.refines, flow.certifies) == (str(DEFAULT_WEIGHTS), True, False, False)
+    with pytest.raises(ConfigError, match="equal flow has no weights, expected --equal-flow FILE"):
+        open_methods((EQUAL,), TERMS, {})
     alone, repaired = methods["lego_net"], methods["lego_net + refine + certify"]
     assert isinstance(alone, CorrectorParts)
     assert isinstance(repaired, CorrectorParts)
@@ -195,6 +213,17 @@ def test_methods_without_weights_are_named(tmp_path: Path) -> None:
         open_methods(("struct_diffusion",), TERMS, files)
     with pytest.raises(ConfigError, match="--method lego, expected of lego_net"):
         open_methods(("lego",), TERMS, files)
+
+
+def test_the_weights_beside_the_benchmark_are_of_equal_trainings() -> None:
+    files = {path.stem: path for path in WEIGHTS.glob("*.safetensors")}
+    assert files.keys() == {*REARRANGERS, "flow"}
+    notes = [read_notes(path) for path in files.values()]
+    assert len({(one["steps"], one["data_fingerprint"], one["seed"], one["features"]) for one in notes}) == 1
+    assert all(json.loads(one["training"])["batch_size"] == json.loads(notes[0]["training"])["batch_size"] for one in notes)
+    methods, left_out = open_methods((), TERMS, {**{name: files[name] for name in REARRANGERS}, EQUAL: files["flow"]})
+    assert (list(methods), left_out) == (list(METHODS), [])
+    assert sum(path.stat().st_size for path in files.values()) < 12e6
 
 
 def of_split(run_folder: Path, to: Path, split: str) -> Path:

@@ -10,10 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 from models.baselines.layout.prompts import OBJECTS_WANTED, RELATIONS_WANTED
+from models.scene_rating.settings import RatingSettings
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.__main__ import app
+from pipelines.evaluate.collect import of_similar_size
 from pipelines.evaluate.job import evaluate
 from pipelines.evaluate.report import evaluation_text
 from pipelines.evaluate.settings import EvaluateSettings
@@ -115,7 +117,9 @@ def test_all_systems_are_judged_on_all_tasks(evaluated: tuple[Path, dict[str, An
         assert (figures["num_objects"]["value"], figures["num_objects"]["known"]) == (2.0, 2)
         assert figures["average"]["value"] is not None
         assert figures["vendi_pictures"]["value"] >= 1.0
-        assert figures["core_seconds"]["value"] > 0
+        assert figures["processor_seconds"]["value"] > 0
+        assert figures["seconds"]["value"] > 0
+        assert figures["cost"]["value"] == 0.0
     assert found["systems"]["one_shot"]["figures"]["ready"]["value"] == pytest.approx(200 / 3)
 
 
@@ -126,7 +130,8 @@ def test_what_is_missing_is_unknown_with_what_to_do(evaluated: tuple[Path, dict[
         assert all(figure["value"] is None for figure in systems[label]["figures"].values())
         assert any(says in note for note in systems[label]["notes"]), systems[label]["notes"]
     assert systems["holodeck"]["figures"]["frechet"]["value"] is None
-    assert any("--reference RUN" in note for note in found["notes"])
+    for says in ("--reference RUN", "features --fetch inception", "--judge openai:MODEL"):
+        assert any(says in note for note in found["notes"])
     text = (out / "text.txt").read_text()
     assert "zero_shot: seed 0 was not run" in text
     assert "tasks with a scene, %" in text
@@ -169,7 +174,52 @@ def test_pictures_are_compared_with_those_of_a_reference(
     others = replace(alone, reference=_with_other_tables(scenes, tmp_path / "others"))
     found = evaluate(lambda _: tasks, str(tmp_path / "out"), others, ALONE, [str(dataset)], report=False)
     assert found.estimates["same"]["frechet"].value is None
-    assert any("the reference has no office_table" in note for note in found.results[0].notes)
+    assert found.estimates["same"]["pairs_unseen"].value is None
+    assert any("it has no office_table" in note for note in found.results[0].notes)
+
+
+def test_what_one_system_lacks_is_unknown_and_the_page_is_written(
+    tasks: TaskSource, settings: EvaluateSettings, dataset: Path, evaluated: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    scenes = f"{evaluated[0]}/seed_0/holodeck/scenes"
+    strange = TaskSource("tasks", [replace(task, scene_id=f"other_{task.scene_id}") for task in tasks.tasks])
+    views = replace(settings.views, features="inception:/nowhere.pth")
+    alone = replace(settings, systems=(f"mine:files={scenes}",), reference=scenes, views=views)
+    found = evaluate(lambda _: strange, str(tmp_path), alone, ALONE, [str(dataset)])
+    assert found.estimates["mine"]["made"].value == 0.0
+    assert found.estimates["mine"]["frechet"].value is None
+    assert any("the reference was not drawn" in note and "/nowhere.pth" in note for note in found.notes)
+    assert "no scene, or no picture of it" in (tmp_path / "report" / "index.html").read_text()
+
+
+def test_old_ratings_do_not_stand_for_those_of_another_judge(
+    tasks: TaskSource, settings: EvaluateSettings, dataset: Path, evaluated: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    out = Path(shutil.copytree(evaluated[0], tmp_path / "copy"))
+    (tmp_path / "silent.json").write_text("{}")
+    rate = RateSettings(rating=RatingSettings(judge=f"scripted:{tmp_path / 'silent.json'}"))
+    found = evaluate(lambda _: tasks, str(out), replace(settings, systems=("one_shot",), rate=rate), ALONE, [str(dataset)])
+    assert found.estimates["one_shot"]["made"].value == pytest.approx(200 / 3)
+    assert found.estimates["one_shot"]["average"].value is None
+    assert found.estimates["one_shot"]["quality_pass"].value is None
+    assert any("ratings" in note for note in found.results[0].notes)
+    again = evaluate(lambda _: tasks, str(out), replace(settings, systems=("one_shot",)), ALONE, [str(dataset)])
+    assert again.estimates["one_shot"]["average"].value == evaluated[1]["systems"]["one_shot"]["figures"]["average"]["value"]
+
+
+def test_sets_that_are_much_smaller_do_not_make_the_number_of_scenes_small_for_all() -> None:
+    assert of_similar_size({0: 200, 1: 100, 2: 99, 3: 0}) == [0, 1]
+    assert of_similar_size({0: 1, 1: 0}) == of_similar_size({}) == []
+
+
+def test_mesatask_needs_a_model_of_its_own() -> None:
+    shared = GenerateSettings(engine=EngineSettings("openai:gpt-4o"))
+    assert "MesaTask's model" in EvaluatedSystem.parse("mesatask").lacks(shared)
+    assert not EvaluatedSystem.parse("mesatask=transformers:/model").lacks(shared)
+    assert not EvaluatedSystem.parse("zero_shot").lacks(shared)
+    assert not shared.engine.is_priced
+    assert replace(shared.engine, http=replace(shared.engine.http, prompt_price=2.5)).is_priced
+    assert GenerateSettings().engine.is_priced
 
 
 def _with_other_tables(run: str, to: Path) -> str:
