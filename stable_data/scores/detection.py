@@ -385,9 +385,10 @@ def _size(item: Mapping[str, Any], where: str) -> Size | None:
     if not {"width", "height"} & item.keys():
         return None
     found = [item.get("width"), item.get("height")]
-    if not all(isinstance(side, int) and not isinstance(side, bool) and 0 < side < 1 << 31 for side in found):
+    sides = [side for side in found if isinstance(side, int) and not isinstance(side, bool) and 0 < side < 1 << 31]
+    if len(sides) < 2:
         raise ConfigError(f"{where} has width and height {quote_value(found)}, expected pixels", "file_invalid")
-    return int(found[0]), int(found[1])  # type: ignore[arg-type]
+    return sides[0], sides[1]
 
 
 def _shares(box: Box, size: Size | None, where: str) -> Box:

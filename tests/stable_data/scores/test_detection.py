@@ -334,14 +334,6 @@ def test_a_long_question_is_read_to_a_limited_length(tmp_path: Path) -> None:
     assert len(str(caught.value)) < 1000
 
 
-def test_many_pictures_are_matched_in_time_that_grows_with_the_boxes(tmp_path: Path) -> None:
-    known = [LabelledBox(f"images/{k}.png", "fork", UNIT) for k in range(20_000)]
-    said = [{"image_id": k + 1, "category_id": 1, "bbox": [0, 0, 1, 1]} for k in range(20_000)]
-    with soon(10.0):
-        found = read(tmp_path, said, known)
-    assert [box.image for box in found.boxes] == [label.image for label in known]
-
-
 def test_hostile_labels_are_one_line_soon(tmp_path: Path) -> None:
     for answer in ("9" * 400 + " 0 1 1", "-" * 10**6, "0" * 10**6):
         with soon(2.0), pytest.raises(ConfigError):
