@@ -74,11 +74,12 @@ def compare_diversity(
     whose features point in nearly the same direction.
     """
     import json
+    from dataclasses import replace
 
     import polars as pl
 
     from stable_data.diversity.comparison import compare_sets
-    from stable_data.diversity.scene_set import SceneSet
+    from stable_data.diversity.scene_set import SceneSet, whole_library
     from stable_data.mesatask.dataset_split import split_of
     from stable_data.mesatask.lint import prepare_place
 
@@ -101,7 +102,8 @@ def compare_diversity(
         return
     if alike is not None:
         raise ConfigError("--alike is a limit for pictures, expected --pictures", "usage")
-    found = compare_sets([SceneSet.read(run, where=where, limit=limit, seed=seed) for run in runs], sample=sample, seed=seed)
+    read = [replace(SceneSet.read(run, where=where, limit=limit, seed=seed), library=whole_library(run)) for run in runs]
+    found = compare_sets(read, sample=sample, seed=seed)
     echo(str(found))
     if table is not None:
         groups = [row | {"group_split": split_of(row["group"], row["table_type"])} for row in found.groups]
