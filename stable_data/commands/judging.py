@@ -207,9 +207,7 @@ def score_boxes(
         Path,
         typer.Argument(
             metavar="BOXES",
-            help="JSON list: image, category or question, box (left, top, right, bottom; shares of the picture, or pixels), score. Or "
-            "results in COCO's format: image_id (a file name, or the number of the picture in the order of LABELS, from 1), category_id "
-            "(the number of the category in alphabetical order, from 1) or category, bbox (left, top, width, height), score.",
+            help="JSON list: image, category or question, box, score; or COCO results.",
         ),
     ],
     category: Annotated[
@@ -219,7 +217,10 @@ def score_boxes(
 ) -> None:
     """Score the boxes of a detector by their average precision at overlaps of 0.5 and 0.75, by category.
 
-    What ManipVQA writes is read too. Boxes of pictures and categories that LABELS does not have are left out and told.
+    A box has left, top, right and bottom, as shares of the picture or as pixels. What ManipVQA writes is read too, and results in COCO's
+    format: image_id, a file name or the number of the picture in the order of LABELS, from 1; category_id, the number of the category
+    in alphabetical order, from 1, or category; bbox, left, top, width and height in pixels; and score. Boxes of pictures and categories
+    that LABELS does not have are left out and told.
 
     Status 0: done. 2: a file cannot be used, or no box belongs to a question, from which no score follows.
     """

@@ -348,8 +348,9 @@ def _stated_image(item: Mapping[str, Any], where: str) -> str | int:
 
 def _stated_category(item: Mapping[str, Any], where: str) -> str | int:
     found = item.get("category_id")
-    is_number = isinstance(found, int) and not isinstance(found, bool)
-    return int(found) if is_number and "category" not in item else _category(item, where)
+    if "category" not in item and isinstance(found, int) and not isinstance(found, bool):
+        return found
+    return _category(item, where)
 
 
 def _stated_box(item: Mapping[str, Any], where: str) -> Box | None:

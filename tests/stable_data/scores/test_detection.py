@@ -266,7 +266,15 @@ def test_sizes_and_boxes_of_labels(tmp_path: Path) -> None:
 
 
 def test_an_answer_that_is_no_box_is_a_miss(tmp_path: Path) -> None:
-    values = ([], [1, 2, 3], None, "I cannot see one", "[0.3, 0.2, 0.1, 0.4]", "[1e999, 0, 1e999, 1]", [0, 0, 10**400, 1])
+    values: tuple[Any, ...] = (
+        [],
+        [1, 2, 3],
+        None,
+        "I cannot see one",
+        "[0.3, 0.2, 0.1, 0.4]",
+        "[1e999, 0, 1e999, 1]",
+        [0, 0, 10**400, 1],
+    )
     found = read(tmp_path, [RIGHT, *(RIGHT | {"box": value} for value in values)])
     assert (len(found.boxes), found.warnings) == (1, ("answers that are no box: 7",))
 
