@@ -212,7 +212,8 @@ class GenerateJob(ShardJob):
         sources = None
         if self._asked.varies and self._asked.supports is not None:
             sources = TableSource(self._asked.supports, self._libraries)
-        write_generate_report(folder, manifest, self.settings, sources)
+        library = self._libraries.usable(self.settings.retrieval)
+        write_generate_report(folder, manifest, self.settings, library, sources)
 
 
 def _num_rejected(place: str) -> int:

@@ -56,7 +56,11 @@ _MEASURES = (
 
 
 def write_generate_report(
-    folder: RunFolder, manifest: dict[str, Any], settings: GenerateSettings, sources: TableSource | None = None
+    folder: RunFolder,
+    manifest: dict[str, Any],
+    settings: GenerateSettings,
+    library: Mapping[str, str],
+    sources: TableSource | None = None,
 ) -> None:
     """Writes ``report/index.html`` and the contact sheet.
 
@@ -64,6 +68,7 @@ def write_generate_report(
         folder: The run, with complete tables.
         manifest: Its manifest, with counts.
         settings: The job's settings.
+        library: Category of each asset that the job may use, by its id.
         sources: The scenes that are varied, with the assets of all libraries, which are drawn beside their variants; None without
             variants.
     """
@@ -92,7 +97,7 @@ def write_generate_report(
         *_variants(scenes, rejected),
         *_quality(scenes, rejected),
         *judge_agreement(folder, ("scenes", "rejected"), settings.judge_names),
-        *_diversity(folder),
+        *_diversity(folder, library),
         *reach_figures(folder, ("scenes", "rejected")),
         *_stages(folder, turns),
         *_time(spent),
@@ -221,9 +226,9 @@ def _quality(scenes: pl.DataFrame, rejected: pl.DataFrame) -> Iterable[str]:
     yield "</div>"
 
 
-def _diversity(folder: RunFolder) -> Iterable[str]:
-    """How different the accepted scenes are from each other."""
-    scenes = SceneSet.read(folder.uri, limit=_COMPARED)
+def _diversity(folder: RunFolder, library: Mapping[str, str]) -> Iterable[str]:
+    """How different the accepted scenes are from each other, and how much of the library they use."""
+    scenes = replace(SceneSet.read(folder.uri, limit=_COMPARED), library=library)
     if len(scenes):
         [found] = compare_sets([scenes]).sets
         drawn = f", drawn of {found.num_all}" if found.num_all > len(scenes) else ""

@@ -155,6 +155,10 @@ class AssetLibraries:
                 known.update(a.category for a in assets if may_be_used(a, settings))
         return cache(lambda wanted: any(noun_fit(category, wanted) >= NounFit.KIND for category in known))
 
+    def usable(self, settings: RetrievalSettings) -> dict[str, str]:
+        """Returns the category, possibly empty, of each asset that may be used, by its id."""
+        return {a.asset_id: a.category for library in self.libraries for a in library.assets if may_be_used(a, settings)}
+
     def by_category(self, settings: RetrievalSettings) -> dict[str, list[Asset]]:
         """Returns the assets that may be used, by category, sorted by id."""
         found: dict[str, list[Asset]] = {}

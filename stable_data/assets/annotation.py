@@ -50,6 +50,11 @@ class AssetAnnotation:
         return self.description or self.caption
 
     @property
+    def is_offered(self) -> bool:
+        """Whether the asset may be used on a table."""
+        return self.on_table and not self.mark_deletion and not self.is_composite
+
+    @property
     def licence(self) -> str | None:
         """The licence, if the file gives one."""
         return str(self.raw.get("licence") or self.raw.get("license") or "").strip() or None

@@ -118,6 +118,8 @@ def export_scenes(run: "RunFolder", out: Path, format_name: str, choice: "SceneS
         result = export_run(run, out, format_name, choice, show, is_cached=is_cached)
     for line in result.failures:
         echo(f"not exported: {line}", err=True)
+    if result.warning is not None:
+        echo(f"warning: {result.warning}", err=True)
     echo(
         f"{out}: {result.num_written + result.num_existing} of {result.total} scenes as {format_name}, "
         f"{result.num_existing} of them existed already; "

@@ -74,11 +74,12 @@ def compare_diversity(
     whose features point in nearly the same direction.
     """
     import json
+    from dataclasses import replace
 
     import polars as pl
 
     from stable_data.diversity.comparison import compare_sets
-    from stable_data.diversity.scene_set import SceneSet
+    from stable_data.diversity.scene_set import SceneSet, whole_library
     from stable_data.mesatask.dataset_split import split_of
     from stable_data.mesatask.lint import prepare_place
 
@@ -101,7 +102,8 @@ def compare_diversity(
         return
     if alike is not None:
         raise ConfigError("--alike is a limit for pictures, expected --pictures", "usage")
-    found = compare_sets([SceneSet.read(run, where=where, limit=limit, seed=seed) for run in runs], sample=sample, seed=seed)
+    read = [replace(SceneSet.read(run, where=where, limit=limit, seed=seed), library=whole_library(run)) for run in runs]
+    found = compare_sets(read, sample=sample, seed=seed)
     echo(str(found))
     if table is not None:
         groups = [row | {"group_split": split_of(row["group"], row["table_type"])} for row in found.groups]
@@ -205,7 +207,7 @@ def score_boxes(
         Path,
         typer.Argument(
             metavar="BOXES",
-            help="JSON list: image, category or question, box (shares of the picture), score.",
+            help="JSON list: image, category or question, box, score; or COCO results.",
         ),
     ],
     category: Annotated[
@@ -215,7 +217,12 @@ def score_boxes(
 ) -> None:
     """Score the boxes of a detector by their average precision at overlaps of 0.5 and 0.75, by category.
 
-    What ManipVQA writes is read too.
+    A box has left, top, right and bottom, as shares of the picture or as pixels. What ManipVQA writes is read too, and results in COCO's
+    format: image_id, a file name or the number of the picture in the order of LABELS, from 1; category_id, the number of the category
+    in alphabetical order, from 1, or category; bbox, left, top, width and height in pixels; and score. Boxes of pictures and categories
+    that LABELS does not have are left out and told.
+
+    Status 0: done. 2: a file cannot be used, or no box belongs to a question, from which no score follows.
     """
     import json
     from dataclasses import asdict
@@ -225,10 +232,13 @@ def score_boxes(
 
     if figures is not None:
         prepare_place(figures)
-    known, found = read_labels(labels), read_detections(boxes)
+    known = read_labels(labels)
+    found = read_detections(boxes, known)
+    for line in found.warnings:
+        echo(f"warning: {line}", err=True)
     if category and (strange := sorted(set(category) - {label.category for label in known})):
         raise ConfigError(f"{labels} has no {', '.join(strange)}, expected some of its categories", "usage")
-    scores = [s for s in score_detections(known, found) if not category or s.category in category]
+    scores = [s for s in score_detections(known, found.boxes) if not category or s.category in category]
     head = [*(f"AP@{at}" for at in OVERLAPS), *(f"running@{at}" for at in OVERLAPS)]
     echo(f"{'object':<20} {'labels':>6} {'boxes':>6} {'  '.join(head)}")
     for one in scores:

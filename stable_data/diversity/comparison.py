@@ -5,7 +5,7 @@ A near-duplicate in another split makes a test easier than it looks: a model is 
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any
@@ -38,6 +38,37 @@ def effective_number(counts: Iterable[int]) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class Coverage:
+    """How much of a library the scenes of a set use.
+
+    Attributes:
+        assets: Assets of the library that are in a scene.
+        of_assets: Assets of the library that scenes may use.
+        categories: Categories of the former.
+        of_categories: Categories of the latter.
+    """
+
+    assets: int
+    of_assets: int
+    categories: int
+    of_categories: int
+
+    @classmethod
+    def of(cls, used: Collection[str], library: Mapping[str, str] | None) -> "Coverage | None":
+        """The coverage of a library, or None if it is not known.
+
+        Args:
+            used: The assets in the scenes; those that are not of the library do not count.
+            library: Category of each asset, empty for none, by its id.
+        """
+        if library is None:
+            return None
+        own = library.keys() & set(used)
+        categories = [{library[name] for name in some} - {""} for some in (own, library)]
+        return cls(len(own), len(library), *map(len, categories))
+
+
+@dataclass(frozen=True, slots=True)
 class SetDiversity:
     """The diversity of one set.
 
@@ -51,6 +82,7 @@ class SetDiversity:
         effective_categories: How many equally frequent categories would be as diverse.
         assets: Number of assets.
         effective_assets: The same for assets.
+        coverage: How much of the library is used; None if the library is not known.
         sample: Scenes of which the next two were computed.
         layouts: Effective number of layouts among so many scenes (Vendi score), mean over the draws; None without scenes.
         contents: The same for what is on the tables, wherever it is.
@@ -69,6 +101,7 @@ class SetDiversity:
     effective_categories: float
     assets: int
     effective_assets: float
+    coverage: Coverage | None
     sample: int
     layouts: float | None
     contents: float | None
@@ -83,6 +116,10 @@ class SetDiversity:
         yield _line("objects a scene, mean", f"{self.num_objects:.1f}")
         yield _line("categories, effective number", f"{self.categories}, {self.effective_categories:.1f}")
         yield _line("assets, effective number", f"{self.assets}, {self.effective_assets:.1f}")
+        cover = self.coverage
+        parts = (None, None) if cover is None else ((cover.assets, cover.of_assets), (cover.categories, cover.of_categories))
+        for what, part in zip(("assets", "categories"), parts, strict=True):
+            yield _line(f"{what} of the library that are used", _share(part))
         for what, value in (("layouts", self.layouts), ("sets of objects", self.contents)):
             said = "unknown" if value is None else f"{value:.1f} of {self.sample}"
             yield _line(f"effective number of {what} (Vendi score)", said)
@@ -199,6 +236,7 @@ def compare_sets(sets: Sequence[SceneSet], *, sample: int = SAMPLE, draws: int =
                 effective_number(categories.values()),
                 len(assets),
                 effective_number(assets.values()),
+                Coverage.of(assets, one.library),
                 sample if scores else 0,
                 layout_score,
                 content_score,
@@ -260,6 +298,11 @@ def _groups(sets: Sequence[SceneSet], pairs: IntArray) -> Iterable[dict[str, Any
 def _content(scene: ComparedScene) -> list[Any]:
     """What names a scene, without the run in which it is."""
     return [scene.scene_id, scene.table_type, list(scene.categories), scene.positions.tolist()]
+
+
+def _share(part: tuple[int, int] | None) -> str:
+    """A part of a number; unknown if either is, or if it would be a part of nothing."""
+    return "unknown" if part is None or not part[1] else f"{part[0]} of {part[1]} ({100 * part[0] / part[1]:.1f} %)"
 
 
 def _line(label: str, value: str) -> str:

@@ -1,14 +1,18 @@
 """What is compared of the scenes of a run: table, categories, assets, places and split."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
 
+from stable_data.assets.catalog import library_of_run
 from stable_data.diversity.layout_similarity import SceneLayouts
+from stable_data.errors import ConfigError
 from stable_data.scene import FloatArray, Scene
+from stable_data.storage.manifest import read_manifest
 from stable_data.storage.row_groups import TableFiles
+from stable_data.storage.run_folder import RunFolder
 
 _OBJECT = "objects.list.element"
 _LEAVES = (
@@ -60,11 +64,13 @@ class SceneSet:
         name: The run.
         scenes: The scenes.
         num_all: Number of scenes from which these were drawn.
+        library: Category of each asset that scenes may use, by its id; empty if it has none. None if the library is not known.
     """
 
     name: str
     scenes: tuple[ComparedScene, ...]
     num_all: int
+    library: Mapping[str, str] | None = None
 
     @classmethod
     def read(cls, uri: str, *, where: str | None = None, limit: int = 0, seed: int = 0) -> "SceneSet":
@@ -94,6 +100,26 @@ class SceneSet:
     def __len__(self) -> int:
         """Number of scenes that were read."""
         return len(self.scenes)
+
+
+def whole_library(uri: str) -> dict[str, str] | None:
+    """Category of each asset that scenes may use, if a run holds all assets of its library; else None.
+
+    A run of ``preprocess`` does, unless its setting ``all_assets`` is false. Other runs hold copies of the assets in use.
+
+    Raises:
+        ConfigError: The manifest or the table ``assets`` cannot be read.
+    """
+    run = RunFolder(uri)
+    manifest = read_manifest(run)
+    if manifest is None or manifest["settings"].get("all_assets") is not True or not run.files("assets"):
+        return None
+    try:
+        return {asset.asset_id: asset.category for asset in library_of_run(run).assets if asset.is_offered}
+    except ConfigError as error:
+        if error.code != "library_empty":
+            raise
+        return {}
 
 
 def layouts_of(scenes: Sequence[ComparedScene]) -> SceneLayouts:

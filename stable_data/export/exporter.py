@@ -48,6 +48,7 @@ class ExportResult:
         num_boxes: Objects of the written scenes without a mesh, exported as boxes.
         failures: A line for each scene that could not be exported.
         num_cached: Written scenes whose files an earlier export had made.
+        warning: What is odd about the export as a whole, or None.
     """
 
     num_written: int
@@ -55,6 +56,7 @@ class ExportResult:
     num_boxes: int
     failures: tuple[str, ...]
     num_cached: int = 0
+    warning: str | None = None
 
     @property
     def total(self) -> int:
@@ -161,13 +163,13 @@ def _export(
             failures.append(_line(name, f"unexpected {type(error).__name__}: {error}; please report it"))
         if progress is not None:
             progress(written + existing + len(failures), total, len(failures))
-    if (finish := getattr(chosen, "finish", None)) is not None:
-        finish(out)
+    finish: Callable[[Path], str | None] | None = getattr(chosen, "finish", None)
+    warning = None if finish is None else finish(out)
     write_annotations(out, {asset_id: annotations[asset_id] for asset_id in used})
     assets = [annotations[asset_id] for asset_id in sorted(used)]
     write_file_atomically(out / "README.md", _readme(chosen, written + existing, assets).encode())
     write_file_atomically(out / ATTRIBUTION_FILE, attribution_text(assets).encode())
-    return ExportResult(written, existing, boxes, tuple(failures), cached)
+    return ExportResult(written, existing, boxes, tuple(failures), cached, warning)
 
 
 def _write_scene(

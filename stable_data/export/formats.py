@@ -50,7 +50,7 @@ FORMATS: dict[str, ExportFormat] = {
 }
 """Name -> format; ``NAME:FLAVOUR`` is a variant for one consumer. A program adds its own format here before it calls
 ``export_run``, see ``examples/own_exporter.py``. A format that imports an optional package when it exports a scene names the
-package in ``NEEDS``; one with files about all scenes has a function ``finish(out)``.
+package in ``NEEDS``; one with files about all scenes has a function ``finish(out)``, which returns a warning or None.
 """
 
 

@@ -94,12 +94,21 @@ def export_scene(geometry: SceneGeometry, out: Path) -> None:
     write_file_atomically(scene_path(scene, out), (json.dumps(content, indent=1) + "\n").encode())
 
 
-def finish(out: Path) -> None:
-    """Writes the questions of all scenes."""
-    questions = [
-        asked for path in sorted((out / "boxes").glob("*.json")) for asked in _questions(json.loads(path.read_text("utf-8")))
-    ]
+def finish(out: Path) -> str | None:
+    """Writes the questions of all scenes; returns a warning if there are none."""
+    contents = [json.loads(path.read_text("utf-8")) for path in sorted((out / "boxes").glob("*.json"))]
+    questions = [asked for content in contents for asked in _questions(content)]
     write_file_atomically(out / QUESTIONS_FILE, (json.dumps(questions, indent=1) + "\n").encode())
+    if questions:
+        return None
+    count = sum(len(content["handles"]) for content in contents)
+    why = (
+        f"of the {count} handles that are seen, none is the only one of its category in its picture, {MIN_VISIBLE:.0%} visible and of "
+        f"{MIN_PIXELS} pixels"
+        if count
+        else "no handle is seen; handles are known of assets of the embedded world alone, such as mugs, kettles and forks"
+    )
+    return f"{QUESTIONS_FILE} has 0 questions about {len(contents)} pictures: {why}"
 
 
 def handle_boxes(geometry: SceneGeometry, size: int = SIZE) -> Iterator[HandleBox]:
@@ -154,7 +163,8 @@ def _questions(content: dict[str, Any]) -> Iterator[dict[str, Any]]:
         if found.is_clear and count[found.category] == 1:
             answer = ", ".join(f"{value / SIZE:.3f}" for value in found.box)
             said = ({"from": "human", "value": question_about(found.category)}, {"from": "gpt", "value": f"[{answer}]"})
-            yield {"image": content["image"], "category": found.category, "conversations": list(said)}
+            size = {"width": SIZE, "height": SIZE}  # by which boxes in pixels are read
+            yield {"image": content["image"], **size, "category": found.category, "conversations": list(said)}
 
 
 def _box_of(is_seen: npt.NDArray[np.bool_]) -> PixelBox:

@@ -2,6 +2,7 @@
 
 import errno
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -17,6 +18,7 @@ from stable_data.diversity.scene_set import ComparedScene, SceneSet
 from stable_data.errors import Notice, StableDataError, cannot_write
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.convention_detection import position_convention
+from stable_data.mesatask.library import stem_of
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.summary import AuditSummary, summarise
@@ -34,6 +36,7 @@ class LintResult:
         failures: Scenes that could not be read or judged.
         warnings: Notices about the other scenes.
         scenes: What is compared of the scenes of the rows.
+        library: Category of each asset that scenes may use, by its id; None if it is not known.
     """
 
     root: Path
@@ -41,6 +44,7 @@ class LintResult:
     failures: tuple[Notice, ...]
     warnings: tuple[Notice, ...]
     scenes: tuple[ComparedScene, ...] = ()
+    library: Mapping[str, str] | None = None
 
     def frame(self) -> pl.DataFrame:
         """The rows as a table."""
@@ -70,7 +74,7 @@ class LintResult:
         for n in self.warnings:
             counted[n.code] = counted.get(n.code, 0) + 1
         warned = [f"warning {code:<36} {count:>6}" for code, count in sorted(counted.items())]
-        [diversity] = compare_sets([SceneSet(str(self.root), self.scenes, len(self.scenes))]).sets
+        [diversity] = compare_sets([SceneSet(str(self.root), self.scenes, len(self.scenes), self.library)]).sets
         page = [head, "", str(self.summary()), "", *diversity.lines()]
         return "\n".join([*page, *([""] if warned or failed else []), *warned, *failed])
 
@@ -115,7 +119,22 @@ def lint_folder(root: Path, *, progress: bool = False) -> LintResult:
             rows.append(found[0])
             scenes.append(ComparedScene.of(found[1]))
             warnings += notices
-    return LintResult(root, tuple(rows), tuple(failures), tuple(warnings), tuple(scenes))
+    return LintResult(root, tuple(rows), tuple(failures), tuple(warnings), tuple(scenes), _library(dataset, scenes))
+
+
+def _library(dataset: MesaTaskDataset, scenes: Sequence[ComparedScene]) -> dict[str, str]:
+    """Category of each asset with a mesh that the annotations offer, by the id that scenes give it."""
+    found = {
+        uid: annotation.category
+        for uid, annotation in ((uid, dataset.annotation(uid)) for uid in dataset.asset_ids)
+        if annotation.is_offered and dataset.asset_path(uid) is not None
+    }
+    used = {name for scene in scenes for name in scene.assets if name is not None}
+    for name in sorted(used - found.keys()):
+        stem = stem_of(name)
+        if stem in found and stem not in used:  # a rotated variant is the asset
+            found[name] = found.pop(stem)
+    return found
 
 
 def _lint_scene(

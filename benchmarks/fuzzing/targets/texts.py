@@ -407,7 +407,9 @@ def _read_goal(folder: Path, base: str) -> bool:
 def _detections() -> list[Base]:
     labels = [
         {
-            "image": "a.png",
+            "image": "images/a.png",
+            "width": 640,
+            "height": 640,
             "category": "mug",
             "conversations": [{"value": "Where is the handle of the mug?"}, {"value": "[0.1, 0.2, 0.3, 0.4]"}],
         }
@@ -416,12 +418,15 @@ def _detections() -> list[Base]:
         {"image": "a.png", "category": "mug", "box": [0.1, 0.2, 0.3, 0.4], "score": 0.9},
         {"image": "a.png", "category": "mug", "format_answer": "no"},
     ]
-    files = {"labels.json": json.dumps(labels).encode(), "found.json": json.dumps(found).encode()}
-    return [Base("boxes", files)]
+    results = [{"image_id": 1, "category_id": 1, "bbox": [64, 128, 128, 128], "score": 0.9}]
+    asked = json.dumps(labels).encode()
+    answers = {"boxes": found, "coco": results}
+    return [Base(name, {"labels.json": asked, "found.json": json.dumps(said).encode()}) for name, said in answers.items()]
 
 
 def _read_detections(folder: Path, base: str) -> bool:
-    for score in score_detections(read_labels(folder / "labels.json"), read_detections(folder / "found.json")):
+    labels = read_labels(folder / "labels.json")
+    for score in score_detections(labels, read_detections(folder / "found.json", labels).boxes):
         check_finite("score", list(score.precision.values()), list(score.running_precision.values()))
     return True
 
@@ -511,7 +516,7 @@ TARGETS = (
         40,
         _detections,
         _read_detections,
-        ("image", "box", "score", "format_answer", "category", "question", "a.png"),
+        ("image", "box", "score", "format_answer", "category", "question", "a.png", "image_id", "category_id", "bbox", "width"),
     ),
     Target("stored", 35, _stored, _read_stored, ("version", "categories", "tables", "words", "count", "key", "sum", "text")),
 )

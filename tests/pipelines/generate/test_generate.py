@@ -1,6 +1,7 @@
 """The generate job: each task is one accepted scene or one failure, the same wherever it is made."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -512,8 +513,8 @@ def test_the_run_holds_the_assets_that_it_uses(made: Path, shelf: AssetLibraries
         assert settle(bodies_of(resolved, shapes, store), resolved.table).stable
 
 
-def test_the_report_tells_of_scenes_time_and_cost(
-    dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
+def test_the_report_tells_of_scenes_time_cost_and_coverage(
+    dataset: Path, settings: GenerateSettings, made: Path, shelf: AssetLibraries, tmp_path: Path
 ) -> None:
     out = Path(shutil.copytree(made, tmp_path / "out"))
     shown = replace(settings, num_pictures=3, core_hour_price=0.05)
@@ -528,6 +529,12 @@ def test_the_report_tells_of_scenes_time_and_cost(
         "certify",
     ):
         assert said in page
+    used = {o["asset_id"] for row in rows_of(made, "scenes") for o in row["objects"]}
+    library = shelf.usable(settings.retrieval)
+    assert used < library.keys()
+    assert re.search(rf"assets of the library that are used +{len(used)} of {len(library)} \(", page)
+    kinds = {library[name] for name in used}, set(library.values())
+    assert re.search(rf"categories of the library that are used +{len(kinds[0])} of {len(kinds[1])} \(", page)
     assert page.count("<img") == 3
     with Image.open(out / "report" / "contact_sheet.png") as sheet:
         assert sheet.width > 3 * 384

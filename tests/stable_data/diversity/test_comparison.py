@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from stable_data.cli import app
-from stable_data.diversity.comparison import compare_sets, effective_number
+from stable_data.diversity.comparison import Coverage, compare_sets, effective_number
 from stable_data.diversity.scene_set import ComparedScene, SceneSet
 from stable_data.errors import ConfigError
 from stable_data.metrics.card import MetricCard
@@ -59,6 +59,35 @@ def test_equally_frequent_kinds_count_as_many(kinds: int, each: int) -> None:
 def test_an_effective_number_is_one_where_all_are_equal_and_zero_without_any() -> None:
     assert effective_number([5]) == 1.0
     assert effective_number([]) == effective_number([0]) == 0.0
+
+
+def test_coverage_counts_what_the_library_has() -> None:
+    scenes = compared("run", [scene("a", 1), scene("b", 2), scene("c", 7)])
+    library = {f"asset{k}": f"kind{k // 2}" for k in range(6)} | {"nameless": ""}  # asset7 is of another library
+    [known], [unknown], [none] = (compare_sets([replace(scenes, library=one)]).sets for one in (library, None, {}))
+    assert known.coverage == Coverage(2, 7, 2, 3)
+    said = [
+        [line.split("used")[1].strip() for line in one.lines() if "of the library" in line] for one in (known, unknown, none)
+    ]
+    assert said == [["2 of 7 (28.6 %)", "2 of 3 (66.7 %)"], ["unknown", "unknown"], ["unknown", "unknown"]]
+    assert unknown.coverage is None
+
+
+def test_the_command_knows_the_library_of_a_run_with_all_assets(tmp_path: Path) -> None:
+    run = RunFolder(written(tmp_path, [scene("a", 1), scene("b", 2)]))
+    blank = dict.fromkeys(SCHEMAS["assets"].names) | {"extents": [0.1, 0.1, 0.1], "resting_tilts": [], "description": "a thing"}
+    rows = [blank | {"asset_id": f"asset{k}", "category": f"kind{k}", "on_table": k < 4} for k in range(6)]
+    run.write_shard("assets", "0" * 16, rows)
+
+    def coverage(settings: dict[str, object]) -> object:
+        (tmp_path / "manifest.json").write_text(json.dumps({"settings": settings}))
+        figures = tmp_path.with_suffix(".json")
+        done = CliRunner().invoke(app, ["diversity", str(tmp_path), "--json", str(figures)])
+        assert done.exit_code == 0, done.output
+        return json.loads(figures.read_text())["sets"][0]["coverage"]
+
+    assert coverage({"all_assets": True}) == {"assets": 2, "of_assets": 4, "categories": 2, "of_categories": 4}
+    assert coverage({"all_assets": False}) == coverage({}) is None
 
 
 def test_a_set_of_equal_layouts_has_one_and_one_of_unlike_layouts_has_all() -> None:

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from typer.testing import CliRunner
 
 from stable_data.assets.store import AssetStore
+from stable_data.cli import app
 from stable_data.export.exporter import export_run
 from stable_data.export.manipvqa import QUESTIONS_FILE, SIZE, handle_boxes, question_about
 from stable_data.scene import Scene
@@ -17,7 +19,7 @@ from stable_data.simulation.offscreen import can_render
 from stable_data.simulation.run_reader import SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
-from tests.stable_data.export.runs import TABLE, falling, thing
+from tests.stable_data.export.runs import EMPTY, TABLE, falling, thing
 
 pytestmark = pytest.mark.skipif(not can_render(), reason="this machine cannot render")
 
@@ -51,7 +53,7 @@ def test_scenes_without_a_handle_have_no_box(store: AssetStore) -> None:
 
 def test_the_export_has_pictures_boxes_and_questions_that_can_be_scored(run: RunFolder, tmp_path: Path) -> None:
     result = export_run(run, tmp_path, "manipvqa", SceneSelection())
-    assert (result.num_written, result.failures) == (3, ())
+    assert (result.num_written, result.failures, result.warning) == (3, (), None)
     contents = [json.loads(path.read_text()) for path in sorted((tmp_path / "boxes").iterdir())]
     assert [len(found["handles"]) for found in contents if found["scene_id"] == falling().scene_id] == [1]
     for content in contents:
@@ -61,6 +63,7 @@ def test_the_export_has_pictures_boxes_and_questions_that_can_be_scored(run: Run
     assert questions
     assert {asked["conversations"][0]["value"] for asked in questions} == {question_about("mug")}
     labels = read_labels(tmp_path / QUESTIONS_FILE)
+    assert {label.size for label in labels} == {(SIZE, SIZE)}
     right = [DetectedBox(label.image, label.category, label.box) for label in labels]
     assert [score.precision for score in score_detections(labels, right)] == [{0.5: 1.0, 0.75: 1.0}]
     wrong = [replace(box, box=(0.0, 0.0, 0.01, 0.01)) for box in right]
@@ -82,6 +85,15 @@ def test_two_of_a_category_in_a_picture_are_not_asked_for(store: AssetStore, tmp
 
     two = geometry(store, ("mug/0", 0.4, 0.2, np.pi), ("mug/0", 0.8, 0.2, np.pi))
     manipvqa.export_scene(two, tmp_path)
-    manipvqa.finish(tmp_path)
+    warning = manipvqa.finish(tmp_path)
+    assert warning is not None
+    assert "0 questions about 1 pictures: of the 2 handles that are seen, none is the only one of its category" in warning
     assert json.loads((tmp_path / QUESTIONS_FILE).read_text()) == []
     assert len(json.loads((tmp_path / "boxes" / "s.json").read_text())["handles"]) == 2
+
+
+def test_an_export_without_handles_warns_that_it_asks_nothing(run: RunFolder, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["export", run.uri, str(tmp_path), "--format", "manipvqa", "--scene", EMPTY.scene_id])
+    assert done.exit_code == 0, done.output
+    assert "warning: manipvqa.json has 0 questions about 1 pictures: no handle is seen" in done.output
+    assert json.loads((tmp_path / QUESTIONS_FILE).read_text()) == []

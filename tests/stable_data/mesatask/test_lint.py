@@ -12,6 +12,7 @@ import pytest
 
 import stable_data.mesatask.lint
 from stable_data.assets.store import AssetStore
+from stable_data.diversity.comparison import Coverage
 from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
@@ -66,6 +67,31 @@ def test_the_page_counts_scenes_failures_and_warnings(few: LintResult) -> None:
     assert "warning glb_missing" in page
     assert "not usable: office_table_9999" in page
     assert re.search(r"scenes with a near-duplicate +0\n", page)
+
+
+def test_the_page_tells_how_much_of_the_library_is_used(few: LintResult) -> None:
+    """The folder has the meshes of two scenes alone, and those of the third are not of the library."""
+    assert few.library is not None
+    offered = {uid for uid, a in MesaTaskDataset(few.root).annotations.items() if a.is_offered}
+    on_disk = {path.stem for path in (few.root / "Assets_library").iterdir()}
+    used = {a for s in few.scenes if s.scene_id != FEW[2] for a in s.assets}
+    assert few.library.keys() == offered & on_disk
+    assert re.search(
+        rf"assets of the library that are used +{len(used & offered & on_disk)} of {len(few.library)} \(", str(few)
+    )
+
+
+def test_a_rotated_variant_is_the_asset_of_the_library(tmp_path: Path) -> None:
+    write_world(tmp_path, 1, EmbeddedWorld(pictures=False))
+    [path] = tmp_path.glob("Layout_info/*/*/layout.json")
+    before = lint_folder(tmp_path)
+    uid = before.scenes[0].assets[0]
+    assert uid is not None
+    path.write_text(path.read_text("utf-8").replace(f'"{uid}"', f'"{uid}_x_90_y_0"'), "utf-8")
+    after = lint_folder(tmp_path)
+    assert f"{uid}_x_90_y_0" in after.scenes[0].assets
+    covered = [Coverage.of({a for a in one.scenes[0].assets if a}, one.library) for one in (before, after)]
+    assert covered[0] == covered[1]
 
 
 def test_scenes_that_hardly_differ_are_named(tmp_path: Path) -> None:

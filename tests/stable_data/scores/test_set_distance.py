@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from stable_data.errors import ConfigError
 from stable_data.scene import FloatArray
@@ -125,6 +126,28 @@ def test_frechet_distance_is_biased_for_few_samples_and_kernel_distance_is_not()
     assert all(a > 2 * b for a, b in pairwise(frechet))
     far = abs(kernel_distance(rows[:20], rows[20:40] + 1))
     assert max(abs(kernel_distance(*pair)) for pair in halves) < 0.05 * far
+
+
+def frozen_features() -> tuple[FloatArray, FloatArray]:
+    random = np.random.RandomState(11)  # whose stream is the same with every version of NumPy
+    mixed = random.normal(size=(8, 8)) / np.sqrt(8)
+    first, second = (np.abs(random.normal(size=(number, 8)) @ mixed) for number in (60, 45))
+    return first, second + 0.3
+
+
+def test_distances_of_fixed_features_are_those_of_other_formulas() -> None:
+    """The square root of C1 C2 as a matrix, and the mean of the kernel by loops, which once gave the numbers that are written here."""
+    first, second = frozen_features()
+    one, other = (np.cov(rows, rowvar=False) for rows in (first, second))
+    apart = first.mean(axis=0) - second.mean(axis=0)
+    root = np.trace(scipy.linalg.sqrtm(one @ other)).real
+    expected = apart @ apart + np.trace(one) + np.trace(other) - 2 * root
+    frechet = frechet_distance(FeatureStatistics.of(first), FeatureStatistics.of(second))
+    assert frechet == pytest.approx(expected, rel=1e-9)
+    assert frechet == pytest.approx(1.0446893997130706, rel=1e-9)
+    kernel = kernel_distance(first, second)
+    assert kernel == pytest.approx(kernel_distance_by_pairs(first, second), rel=1e-9)
+    assert kernel == pytest.approx(1.495607728332324, rel=1e-9)
 
 
 def test_draws_of_kernel_distances() -> None:
