@@ -182,7 +182,9 @@ def test_what_one_system_lacks_is_unknown_and_the_page_is_written(
     tasks: TaskSource, settings: EvaluateSettings, dataset: Path, evaluated: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     scenes = f"{evaluated[0]}/seed_0/holodeck/scenes"
-    strange = TaskSource("tasks", [replace(task, scene_id=f"other_{task.scene_id}") for task in tasks.tasks])
+    strange = TaskSource(
+        "tasks", [replace(t, scene_id=f"other_{t.scene_id}") for t in tasks.tasks if isinstance(t, LayoutTask)]
+    )
     views = replace(settings.views, features="inception:/nowhere.pth")
     alone = replace(settings, systems=(f"mine:files={scenes}",), reference=scenes, views=views)
     found = evaluate(lambda _: strange, str(tmp_path), alone, ALONE, [str(dataset)])
