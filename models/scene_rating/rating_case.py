@@ -1,16 +1,16 @@
 """A scene as judges get it: with its two pictures, and with its geometry for judges by rules."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stable_data.errors import SceneError
-from stable_data.metrics.alignment import Alignment, AlignmentReference, align, broken_relations
+from stable_data.metrics.alignment import Alignment, AlignmentReference, align
 from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.related_scene import RelatedScene, relate_scene
 from stable_data.metrics.verdicts import Audit
-from stable_data.scene import Relation, Scene
+from stable_data.scene import Scene
 from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.tasks.geometry import known_containers
@@ -49,11 +49,6 @@ class AuditedScene:
         """Compares the scene with what a task requires, by its contacts."""
         r = self.related
         return align(r.scene, reference, contacts=r.contacts, footprints=r.footprints, containers=self.containers)
-
-    def broken(self, relations: Iterable[Relation]) -> tuple[Relation, ...]:
-        """Returns the relations that do not hold, by its contacts."""
-        r = self.related
-        return broken_relations(r.scene, relations, contacts=r.contacts, footprints=r.footprints, containers=self.containers)
 
 
 @dataclass(frozen=True, eq=False)

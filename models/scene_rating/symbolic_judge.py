@@ -15,6 +15,7 @@ from models.scene_rating.layout_rules import LayoutRules
 from models.scene_rating.placement_rules import PlacementRules
 from models.scene_rating.rating_case import AuditedScene, RatingCase
 from models.scene_rating.size_rules import SizeRules
+from models.scene_rating.task_reading import TaskReading
 from models.scene_rating.task_rules import TaskRules, further_categories, interpreter_for
 from models.scene_rating.usual_layouts import DEFAULT, UsualLayouts
 from models.scene_rating.visibility_rules import VisibilityRules
@@ -24,7 +25,7 @@ from stable_data.content_id import content_id
 from stable_data.rating.criteria import CONSISTENCY, CRITERIA, LAYOUT, PLACEMENT, SIZES, VISIBILITY
 from stable_data.rating.rating import CriterionScore, Rating
 
-RULES_VERSION = 2
+RULES_VERSION = 3
 """Raised whenever a rule or a constant of a rule changes, so that ratings of different rules are told apart."""
 
 Rules = Callable[[AuditedScene], CriterionScore]
@@ -69,12 +70,13 @@ class SymbolicJudge:
     def __init__(self, categories: Iterable[str] = ()) -> None:
         named = frozenset(categories)
         self.name, self.version = SYMBOLIC, rules_version(named)
+        reading = TaskReading(interpreter_for(named))
         self._rules: Mapping[str, Rules] = {
-            CONSISTENCY.key: TaskRules(interpreter_for(named)),
+            CONSISTENCY.key: TaskRules(reading),
             SIZES.key: SizeRules(),
             PLACEMENT.key: PlacementRules(),
-            LAYOUT.key: LayoutRules(UsualLayouts.load()),
-            VISIBILITY.key: VisibilityRules(),
+            LAYOUT.key: LayoutRules(UsualLayouts.load(), reading),
+            VISIBILITY.key: VisibilityRules(reading),
         }
 
     def rate(self, cases: Sequence[RatingCase]) -> list[Rating]:

@@ -1,9 +1,11 @@
 """The rules of the criterion "Consistency with Task": required objects, stated relations, stated looks."""
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 
 from models.scene_rating.fault import Fault, listed, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
+from models.scene_rating.task_reading import TaskReading
 from models.semantic_reasoner.edit_planning.candidates import adjectives_of
 from models.semantic_reasoner.engines.registry import EMBEDDED
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
@@ -45,35 +47,29 @@ class TaskRules:
     """Judges whether a scene is one in which its task can begin.
 
     The required objects are those that the instruction names, as it is read; task objects that the task info names and that the
-    scene lacks count too. The stated relations are those of the task info, or of the reading if that has none. A look is a word
-    for a colour, material, pattern or shape before a noun.
+    scene lacks count too. The stated relations are those of the reading too, between the objects for which the most of them hold. A
+    look is a word for a colour, material, pattern or shape before a noun.
 
     Args:
-        interpret: Interprets instructions.
+        reading: Reads the tasks of scenes.
     """
 
-    def __init__(self, interpret: InstructionInterpreter) -> None:
-        self._interpret = interpret
+    def __init__(self, reading: TaskReading) -> None:
+        self._reading = reading
 
     def __call__(self, case: AuditedScene) -> CriterionScore:
         """Returns the score; unknown without an instruction, or if it names no known object."""
-        scene = case.scene
-        if scene.task is None or not scene.task.task.strip():
+        meant = self._reading.meaning(case)
+        if meant is None:
             return unknown("the scene has no instruction")
-        meant, named = self._interpret(scene.task.task), scene.task.task_objects
-        if meant.reference is None and not named:
+        found = self._reading.alignment(case)
+        if found is None:
             return unknown("no object that the instruction names is known")
-        found = None if meant.reference is None else case.align(meant.reference)
-        there = {o.instance for o in scene.objects}
-        absent = [name for name in named if name not in there]
-        faults, checked = list(_missing_objects(found, absent, len(named))), [_count_objects(found, named, absent)]
-        relations = scene.task.relations
-        if relations:
-            broken: Sequence[Relation] | None = case.broken(relations)
-            total = len(relations)
-        else:
-            broken = () if found is None else found.broken
-            total = 0 if found is None else len(found.reference.entailed)
+        named = () if case.scene.task is None else case.scene.task.task_objects
+        there = {o.instance for o in case.scene.objects}
+        faults = list(_missing_objects(found, [name for name in named if name not in there], len(named)))
+        checked = [f"{len(found.matches)} of {len(found.reference.required)} required objects are there"]
+        broken, total = found.broken, len(found.reference.entailed)
         if broken is None:
             return unknown("too many objects are alike to tell whether the stated relations hold")
         if total:
@@ -105,22 +101,14 @@ class TaskRules:
                         yield one.words, True if True in shown else None if None in shown else False
 
 
-def _missing_objects(found: Alignment | None, absent: Sequence[str], num_named: int) -> Iterator[Fault]:
-    share = 1.0 if found is None else found.awt
-    missing = [] if found is None else [str(r) for r in found.missing]
+def _missing_objects(found: Alignment, absent: Sequence[str], num_named: int) -> Iterator[Fault]:
+    share, missing = found.awt, [str(r) for r in found.missing]
     if absent and 1 - len(absent) / num_named <= share:
         share, missing = 1 - len(absent) / num_named, [category_of(name).replace("_", " ") for name in absent]
     if missing:
         yield Fault(1 - share, f"missing: {listed(missing)}")
 
 
-def _count_objects(found: Alignment | None, named: Sequence[str], absent: Sequence[str]) -> str:
-    if found is None:
-        return f"{len(named) - len(absent)} of {len(named)} task objects are there"
-    return f"{len(found.matches)} of {len(found.reference.required)} required objects are there"
-
-
-def _relations_in_words(broken: Sequence[Relation], found: Alignment | None) -> str:
-    names = {} if found is None else {r.instance: str(r) for r in found.reference.required}
-    shown = [" ".join(names.get(word, word) for word in str(relation).split(" ")) for relation in broken]
-    return listed(shown)
+def _relations_in_words(broken: Sequence[Relation], found: Alignment) -> str:
+    names = {r.instance: str(r) for r in found.reference.required}
+    return listed([re.sub(r"[^\s,]+", lambda word: names.get(word[0], word[0]), str(relation)) for relation in broken])

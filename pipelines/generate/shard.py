@@ -501,7 +501,7 @@ def _with_alignment(
     task: LayoutTask,
     interpret: InstructionInterpreter | None,
 ) -> tuple[MetricCard, tuple[str, ...]]:
-    """Adds AwT and AwS to a card, by the labels of the task and as it was read; also returns what is not as the task says."""
+    """Adds AwT, AwS and the distractor rate to a card, by the task's labels and as it was read; also returns what is not as it says."""
 
     def compared(reference: AlignmentReference) -> Alignment:
         return align(seen.scene, reference, contacts=seen.contacts, footprints=seen.footprints, containers=containers)
@@ -510,7 +510,12 @@ def _with_alignment(
         found = compared(task.reference)
         is_annotated = task.reference.graph is not None
         card = replace(
-            card, awt=found.awt, aws=found.aws, aws_graph=found.aws_graph, awt_annotated=found.awt if is_annotated else None
+            card,
+            awt=found.awt,
+            aws=found.aws,
+            aws_graph=found.aws_graph,
+            awt_annotated=found.awt if is_annotated else None,
+            distractor_rate=found.distractor_rate,
         )
     reference = None if interpret is None or not task.instruction else interpret(task.instruction).stated
     if reference is None:

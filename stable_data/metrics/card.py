@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from stable_data.scene import RelationKind, Scene, Stage
+from stable_data.scene import RelationKind, Scene
 
 
 def _about(meaning: str, unit: str = "") -> dict[str, str]:
@@ -121,7 +121,10 @@ class MetricCard:
         ),
     )
     distractor_rate: float | None = field(
-        default=None, metadata=_about("share of objects that are not task objects; null without a task")
+        default=None,
+        metadata=_about(
+            "share of the objects that match no object required by the instruction, by its labels; null where it has no labels"
+        ),
     )
     engine_penetration_mm: float | None = field(
         default=None, metadata=_about("deepest contact at the start of the physics simulation; null where not simulated", "mm")
@@ -159,14 +162,10 @@ class MetricCard:
 
 
 def add_counts(card: MetricCard, scene: Scene) -> MetricCard:
-    """Adds the figures that need relations and stages: stacked and contained objects, and the share of distractors.
-
-    The scene needs its ``on`` and ``in`` relations and its stages.
-    """
-    names, stages = {o.instance for o in scene.movable}, [o.stage for o in scene.movable]
+    """Adds the numbers of stacked and contained objects; the scene needs its ``on`` and ``in`` relations."""
+    names = {o.instance for o in scene.movable}
     contained, stacked = (
         {r.subject for r in scene.relations if r.kind is kind and r.target in names}
         for kind in (RelationKind.IN, RelationKind.ON)
     )
-    rate = None if not stages or None in stages else sum(stage is not Stage.TASK for stage in stages) / len(stages)
-    return replace(card, num_stacked=len(stacked - contained), num_contained=len(contained), distractor_rate=rate)
+    return replace(card, num_stacked=len(stacked - contained), num_contained=len(contained))

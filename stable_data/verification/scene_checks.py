@@ -31,14 +31,14 @@ _LIMITS = {"settle_move_max_mm": 10.0, "settle_turn_max_deg": 5.0, "drift_mm": 5
 _DERIVED = (
     *("num_objects", "num_stacked", "num_contained", "num_tilted", "num_without_mesh", "num_unknown_pairs", "num_collisions"),
     *("oc", "oc_0mm", "oc_1mm", "oc_10mm", "max_penetration_mm", "table_penetration_mm", "float_rate", "float_gap"),
-    *("max_gap_mm", "out_of_bounds_rate", "clean", "distractor_rate"),
+    *("max_gap_mm", "out_of_bounds_rate", "clean"),
 )
-"""Columns that follow from the verdicts on objects and pairs, the relations and the stages."""
+"""Columns that follow from the verdicts on objects and pairs, and from the relations."""
 
-_OF_POSES = tuple(name for name in _DERIVED if name not in ("num_stacked", "num_contained", "distractor_rate"))
+_OF_POSES = tuple(name for name in _DERIVED if name not in ("num_stacked", "num_contained"))
 """Those of them that follow from the poses of the objects alone."""
 
-_LATER = frozenset({"float_gap", "distractor_rate"})
+_LATER = frozenset({"float_gap"})
 """Those of them that are younger than the oldest runs: null, unknown, where the rows come from such a run."""
 
 _NO_INSTANCES = frozenset({RelationKind.FACE_TO, RelationKind.IS_AT, RelationKind.EQUALLY_SPACED})
@@ -203,7 +203,7 @@ def names_faults(row: Row, scene: Scene) -> Iterator[str]:
 
 
 def derived_faults(row: Row, scene: Scene, *, may_be_older: bool = False) -> Iterator[str]:
-    """Yields columns that do not follow from the verdicts, relations and stages of a row."""
+    """Yields columns that do not follow from the verdicts and relations of a row."""
     audit = audit_of_row(row, scene)
     card = add_counts(audit.card(), scene)
     for name in _DERIVED:
@@ -217,7 +217,7 @@ def derived_faults(row: Row, scene: Scene, *, may_be_older: bool = False) -> Ite
         if name == "clean" and scene.fixed and expected and found is None:
             continue  # a fixed object without mesh leaves it open
         if not is_close(found, expected):
-            yield f"{name} is {found}, expected {expected} by its verdicts, relations and stages"
+            yield f"{name} is {found}, expected {expected} by its verdicts and relations"
 
 
 def rest_faults(row: Mapping[str, Any]) -> Iterator[str]:

@@ -26,6 +26,7 @@ from stable_data.instructions.wording.vocabulary import nouns_of
 from stable_data.instructions.wording.words import is_plural, plural, singular, singular_noun, type_words
 from stable_data.metrics.alignment import Alignment, AlignmentReference, align, members
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Tabletop
+from stable_data.scene_graph.relations import contacts_of
 
 TextEncoder: TypeAlias = Callable[[Sequence[str]], npt.NDArray[np.float32]]
 """Maps texts to rows of unit length, (N, D)."""
@@ -238,10 +239,10 @@ class InstructionInterpreter:
 def compare_with_instruction(
     layout: Sequence[SceneObject], table: Tabletop, meant: InterpretedInstruction
 ) -> tuple[Alignment | None, tuple[Relation, ...]]:
-    """Compares a layout with what an instruction requires of the scene that it starts from, by boxes.
+    """Compares a layout with what an instruction requires of the scene that it starts from, in the way in which the most of it holds.
 
     Args:
-        layout: The objects.
+        layout: The objects; what carries one is its support, or by boxes if it states none.
         table: The table.
         meant: The interpreted instruction.
 
@@ -251,7 +252,8 @@ def compare_with_instruction(
     """
     if meant.reference is None:
         return None, ()
-    found = align(Scene("layout", table, tuple(layout)), meant.reference)
+    scene = Scene("layout", table, tuple(layout))
+    found = align(scene, meant.reference, contacts=contacts_of(scene))
     return found, tuple(_renamed(found, found.broken or ()))
 
 

@@ -15,6 +15,7 @@ from models.semantic_reasoner.text.reply_json import LayoutReply
 from stable_data.condition import GoalCondition
 from stable_data.metrics.alignment import AlignmentReference, align, members
 from stable_data.scene import TABLE, Relation, Scene, SceneObject, Stage, Tabletop, TaskInfo
+from stable_data.scene_graph.relations import contacts_of
 from stable_data.scene_graph.staging import stage_scene
 from stable_data.scene_graph.support_from_boxes import carriers_of
 from stable_data.tasks.goal import rename_conditions
@@ -60,7 +61,7 @@ def attach_task_info(
     Args:
         scene: The scene, staged.
         instruction: The task instruction.
-        proposed: The objects as they were proposed; the relations are inferred from their boxes.
+        proposed: The objects as they were proposed; the relations are inferred from their supports and boxes.
         interpret: Interprets the instruction; None gives no relations and no conditions.
         reference: What the scene must have by labels that no reader made; None without labels.
         labels: What holds when the task is done, in the names of ``reference``. They have priority over the reading.
@@ -78,7 +79,8 @@ def attach_task_info(
             names = {int(number): name for number, name in found.matches if number.isdigit() and name in there}
             conditions = conditions_of_reading(meant.reading, instruction, names)
     if reference is not None and labels:
-        labelled = align(Scene("layout", scene.table, tuple(proposed)), reference)
+        layout = Scene("layout", scene.table, tuple(proposed))
+        labelled = align(layout, reference, contacts=contacts_of(layout))
         counterparts = {one: other for one, other in labelled.matches if other in {o.instance for o in scene.objects}}
         known = {name for c in labels for name in (*c.subjects, *c.targets)} - {TABLE} - REGIONS
         sizes = {o.instance: o.size for o in scene.objects}

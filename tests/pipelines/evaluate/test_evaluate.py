@@ -16,6 +16,7 @@ from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.__main__ import app
 from pipelines.evaluate.collect import of_similar_size
+from pipelines.evaluate.figures import FIGURES
 from pipelines.evaluate.job import evaluate
 from pipelines.evaluate.report import evaluation_text
 from pipelines.evaluate.settings import EvaluateSettings
@@ -31,7 +32,8 @@ from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.errors import ConfigError
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject
-from stable_data.scene import Tabletop
+from stable_data.rating.criteria import KEYS
+from stable_data.scene import Stage, Tabletop
 from stable_data.simulation.offscreen import can_render
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content
@@ -45,7 +47,7 @@ DESK = Tabletop("office_table", (1.2, 0.6))
 
 @pytest.fixture(scope="module")
 def engine(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """An engine that answers Holodeck's questions and those for a whole layout, but for one task."""
+    """An engine that answers Holodeck's questions, those for a whole layout and those by stages, but for one task."""
     assets = AssetLibraries([str(dataset)]).libraries[0].assets[1:3]
     listed = [{"category": a.category, "description": a.words, "size": entry(a, 0.0)["size"], "number": 1} for a in assets]
     script: dict[str, Any] = {
@@ -54,6 +56,9 @@ def engine(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
         OBJECTS_WANTED: {"objects": listed},
         RELATIONS_WANTED: {"relations": []},
         WANTED["whole"]: {"objects": [entry(a, 30.0 + 40.0 * k) for k, a in enumerate(assets)]},
+        WANTED[Stage.TASK]: {"objects": [entry(a, 30.0 + 40.0 * k) for k, a in enumerate(assets)]},
+        WANTED[Stage.IMPORTANT]: {"objects": []},
+        WANTED[Stage.SECONDARY]: {"objects": []},
     }
     path = tmp_path_factory.mktemp("engine") / "script.json"
     path.write_text(json.dumps(script))
@@ -65,7 +70,8 @@ def tasks(dataset: Path) -> TaskSource:
     """Three tasks with labels, of which the last one has no scene."""
     category = AssetLibraries([str(dataset)]).libraries[0].assets[1].category
     required = AlignmentReference("task", (RequiredObject("it", (category,)),))
-    said = ("Lift it.", "Turn it.", "Say nonsense")
+    it = category.replace("_", " ")
+    said = (f"Lift the {it}.", f"Turn the {it}.", "Say nonsense")
     return TaskSource("tasks", [LayoutTask(f"task_{n}", s, DESK, reference=required) for n, s in enumerate(said)])
 
 
@@ -159,8 +165,28 @@ def test_the_same_again_changes_nothing_and_systems_can_be_added(
     for label in ("holodeck", "one_shot"):
         same = {k: v for k, v in first["systems"][label]["figures"].items() if not k.startswith("vendi")}
         assert {k: v for k, v in found[label]["figures"].items() if k in same} == same
-    for key in ("oc", "num_objects", "awt", "made"):  # the scenes of another system are judged as they were there
-        assert found["mine"]["figures"][key] == found["holodeck"]["figures"][key]
+    _assert_same_figures(found["mine"], found["holodeck"])
+
+
+def _assert_same_figures(one: dict[str, Any], other: dict[str, Any]) -> None:
+    """The scenes of another system are judged as they were there; core seconds and such are of the system."""
+    for figure in FIGURES:
+        if figure.per != "set":
+            assert one["figures"][figure.key] == other["figures"][figure.key], figure.key
+
+
+def test_what_a_reasoner_takes_for_task_objects_does_not_count(
+    tasks: TaskSource, settings: EvaluateSettings, dataset: Path, tmp_path: Path
+) -> None:
+    """Its first stage has both objects, of which the task requires one; a reader of files knows nothing of stages."""
+    for systems in (("stable",), ("stable", f"mine:files={tmp_path}/seed_0/stable/scenes")):
+        evaluate(lambda _: tasks, str(tmp_path), replace(settings, systems=systems), ALONE, [str(dataset)], report=False)
+    found = json.loads((tmp_path / "evaluation.json").read_text())["systems"]
+    rows = RunFolder(f"{tmp_path}/seed_0/stable/scenes").table("scenes").to_pylist()
+    assert [[o["stage"] for o in row["objects"]] for row in rows] == [[str(Stage.TASK)] * 2] * 2
+    assert found["stable"]["figures"]["distractor_rate"]["value"] == pytest.approx(50.0)
+    assert all(found["stable"]["figures"][key]["value"] is not None for key in ("oc", "awt", *KEYS))
+    _assert_same_figures(found["mine"], found["stable"])
 
 
 def test_pictures_are_compared_with_those_of_a_reference(

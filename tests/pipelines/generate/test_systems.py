@@ -114,6 +114,8 @@ def test_placed_layouts_are_judged_like_all_others(placed: Callable[[str], Path]
     assert [row["scene_id"] for row in rows] == ["task_0", "task_1"]
     for row in rows:
         assert (row["num_objects"], row["awt"]) == (3, 1.0)
+        assert row["distractor_rate"] == pytest.approx(2 / 3)  # by labels: "Lift it." makes all three O^t
+        assert [o["stage"] for o in row["objects"]] == ["task"] * 3
         assert row["move_mean_mm"] == 0.0  # nothing corrected them
         assert None not in (row["oc"], row["float_rate"], row["out_of_bounds_rate"], row["stable"])
     (failure,) = rows_of(out, "failures")

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import pytest
 
-from models.semantic_reasoner.replies.to_scene import attach_task_info, objects_of_reply
+from models.semantic_reasoner.replies.to_scene import attach_task_info, objects_of_reply, staged_by_instruction
 from models.semantic_reasoner.text.prompt import Wanted
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.condition import ConditionKind, GoalCondition
@@ -100,3 +100,27 @@ def test_a_task_info_has_the_goal_that_was_read_or_labelled() -> None:
     lost = attach_task_info(scene, wanted.instruction, layout, interpreter(), reference, of_another)
     assert lost.task is not None
     assert lost.task.conditions == read.task.conditions
+
+
+def test_of_like_objects_a_task_info_names_those_for_which_its_relations_hold() -> None:
+    """A bow or a rim reaches above the surface that carries: by boxes alone, the second mug is in the plate and not on it."""
+    wanted = ask("Lift the mug that is on the plate.")
+    apart, on = thing("mug_0", 80, 30), thing("mug_1", 30, 30, bottom=8.0)
+    deep = thing("plate_0", 30, 30, size=(20.0, 20.0, 10.0))
+    free, carried, plate = (o.to_scene_object(Stage.TASK) for o in (apart, on, deep))
+    layout = (free, replace(carried, support="plate_0"), plate)
+    expected = Relation("mug_1", RelationKind.ON, "plate_0")
+    scene = attach_task_info(Scene("scene", wanted.table, layout), wanted.instruction, layout, interpreter())
+    assert scene.task is not None
+    assert scene.task.relations == (expected,)
+    staged = staged_by_instruction(layout, wanted.table, wanted.instruction, interpreter())
+    assert [o.stage for o in staged] == [Stage.SECONDARY, Stage.TASK, Stage.TASK]
+    reference = AlignmentReference(
+        "labels",
+        (RequiredObject("the_mug", ("mug",)), RequiredObject("the_plate", ("plate",))),
+        (Relation("the_mug", RelationKind.ON, "the_plate"),),
+    )
+    labels = (GoalCondition("the_mug", ConditionKind.HELD),)
+    labelled = attach_task_info(Scene("scene", wanted.table, layout), wanted.instruction, layout, None, reference, labels)
+    assert labelled.task is not None
+    assert labelled.task.conditions == (GoalCondition("mug_1", ConditionKind.HELD),)
