@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.paper_tables import TABLES, main
+from benchmarks.paper_tables import RESULTS, TABLES, main
 from pipelines.evaluate.figures import FIGURES, Repetition, estimate_figures
 from stable_data.scores.detection import DetectionScore
 
@@ -103,3 +103,14 @@ def test_other_words_are_answered_with_what_it_needs(words: list[str], status: i
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="no such folder"):
         main([str(tmp_path / "none")])
+
+
+def test_the_figures_of_the_repository_can_be_read(capsys: pytest.CaptureFixture[str]) -> None:
+    main([])
+    printed_text = capsys.readouterr().out
+    assert "other content than expected" not in printed_text
+    described = (RESULTS / "README.md").read_text("utf-8")
+    for path in RESULTS.rglob("*.json"):
+        assert f"`{path.relative_to(RESULTS).as_posix()}`" in described
+    for table in TABLES:
+        assert (RESULTS / table.file).is_file() == (f"not measured; {table.command_for(RESULTS)}" not in printed_text)
