@@ -203,6 +203,12 @@ def test_the_head_names_a_licence_only_if_all_content_has_it(run: Path, folder: 
         ("CC0-1.0", "CC BY-NC 4.0", None),
         (None, "CC BY 4.0", "CC-BY-4.0"),
         ("for research only", "CC BY 4.0", None),
+        ("MIT", "Code: MIT License. Meshes: CC BY-SA 4.0", None),
+        ("CC0-1.0", "CC BY 3.0 and CC BY 4.0", None),
+        ("CC0-1.0", "the licence of the store", None),
+        ("CC-BY", "CC BY 3.0 and CC BY 4.0", None),
+        ("MIT", "MIT License", "MIT"),
+        ("Apache-2.0", "made by a limited company in a permitted place", "Apache-2.0"),
         ("CC-BY-4.0", "https://creativecommons.org/licenses/by/4.0/", "CC-BY-4.0"),
     ],
 )
