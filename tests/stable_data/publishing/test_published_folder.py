@@ -24,7 +24,7 @@ from stable_data.publishing.asset_licences import asset_licences
 from stable_data.publishing.croissant import croissant_document, missing_entries
 from stable_data.publishing.dataset_card import UNSPLIT, SplitNames
 from stable_data.publishing.previews import FOLDER, SHEET, previews
-from stable_data.publishing.private_paths import rows_without_folders, without_folder, without_folders
+from stable_data.publishing.private_paths import rows_without_folders
 from stable_data.storage.checksums import CHECKSUMS
 from stable_data.storage.manifest import read_manifest, write_manifest
 from stable_data.storage.run_folder import RunFolder
@@ -221,38 +221,6 @@ def test_a_licence_is_known_only_if_its_text_agrees(
 
 
 # --- what is private ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("see /home/alice", "see ~"),
-        ("/root/x and /rooted/x/y", "x and y"),
-        ("file:///home/alice/x.glb", "x.glb"),
-        (
-            "https://example.org/home/alice/x, https://example.org:80/a/b",
-            "https://example.org/home/alice/x, https://example.org:80/a/b",
-        ),
-        ("D:/Users/alice/x.glb", "x.glb"),
-        (r"D:\data\set\x.glb", "x.glb"),
-        (r"\\server\alice\x.glb", "x.glb"),
-        ("transformers:/home/alice/models/qwen", "transformers:qwen"),
-        ('{"file": "/home/alice/layouts/a.json"}', '{"file": "a.json"}'),
-        (r'{"file": "C:\\Users\\alice\\a\\b.json"}', r'{"file": "b.json"}'),
-        (r'{"plan": "B:\n\nPut\nThen", "a": "[\n\t{x"}', r'{"plan": "B:\n\nPut\nThen", "a": "[\n\t{x"}'),
-        ("it is 1/2 /m2 or a / b", "it is 1/2 /m2 or a / b"),
-    ],
-)
-def test_absolute_paths_are_taken_out(text: str, expected: str) -> None:
-    assert without_folders(text) == expected
-    assert without_folders(expected) == expected
-
-
-def test_a_path_with_spaces_is_one() -> None:
-    assert without_folder("/home/alice/secret project/data/cup.glb") == "cup.glb"
-    assert without_folder("generated") == "generated"
-    for home in ("/home/alice", "/home/alice/", "/root", r"C:\Users\alice", "file:///home/alice"):
-        assert without_folder(home) == "~"
 
 
 def test_texts_in_structs_and_lists_are_changed_too() -> None:
