@@ -73,6 +73,17 @@ def test_what_the_threat_model_names_is_there() -> None:
     assert all(tests.startswith("tests/") and not code.startswith("tests/") for code, tests in rows)
 
 
+def test_attacks_that_once_worked_are_tried_again() -> None:
+    section = THREATS.partition("## Attacks that once worked\n")[2].partition("\n## ")[0]
+    rows = [line for line in section.splitlines() if line.startswith("| ") and not line.startswith("| attack ")]
+    assert len(rows) >= 24
+    for row in rows:
+        named = re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", row)
+        assert named, row
+        for file, test in named:
+            assert re.search(rf"^def {test}\(", (ROOT / file).read_text("utf-8"), re.MULTILINE), f"{file}::{test}"
+
+
 def test_actions_are_pinned_to_commits_and_keep_no_credentials() -> None:
     used = [(name, step) for name, _, step in STEPS if "uses" in step]
     assert len(used) > 8

@@ -1,6 +1,5 @@
 """Pictures as the network of a policy sees them: small, those of all cameras behind each other."""
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -28,10 +27,14 @@ def observed_pictures(pixels: Mapping[str, Picture], cameras: Sequence[str], siz
 
 
 def episode_pictures(episode: Episode, cameras: Sequence[str], size: int) -> SmallPictures:
-    """Returns what the network sees before each action of an episode, (T, 3 C, S, S) uint8; see :func:`observed_pictures`."""
+    """Returns what the network sees before each action of an episode, (T, 3 C, S, S) uint8; see :func:`observed_pictures`.
+
+    Raises:
+        EpisodeError: A picture cannot be decoded (``episode_invalid``).
+    """
     found = np.zeros((episode.num_steps, 3 * len(cameras), size, size), np.uint8)
     for k in range(episode.num_steps if cameras else 0):
-        pixels = {name: np.asarray(Image.open(io.BytesIO(episode.pictures[name][k])).convert("RGB")) for name in cameras}
+        pixels = {name: episode.decoded_picture(name, k) for name in cameras}
         found[k] = observed_pictures(pixels, cameras, size)
     return found
 

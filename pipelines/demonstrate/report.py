@@ -1,6 +1,5 @@
 """The report page of a demonstrate run: success by kind of task, why episodes failed, and pictures."""
 
-import io
 from collections import Counter
 from collections.abc import Iterable
 from html import escape
@@ -9,9 +8,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pyarrow.compute as pc
-from PIL import Image
 
 from pipelines.reports.html import bars, head, histogram, image_uri, notices, page, table, tiles
+from stable_data.geometry.images import decode_png
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 
@@ -89,7 +88,7 @@ def _strip(row: Row) -> Any:
     for camera in row["pictures"]:
         files = camera["images"]
         moments = np.linspace(0, len(files) - 1, _MOMENTS).round().astype(int)
-        lines.append(np.concatenate([np.asarray(Image.open(io.BytesIO(files[k]))) for k in moments], axis=1))
+        lines.append(np.concatenate([decode_png(files[k]) for k in moments], axis=1))
     return np.concatenate(lines)
 
 

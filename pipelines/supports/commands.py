@@ -25,6 +25,7 @@ def supports(
     surface: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="A surface, such as top or shelf_1; may be repeated. Default: all.")
     ] = None,
+    seconds_per_item: Annotated[float, typer.Option(min=0.001, help="Time limit of one asset, seconds.")] = 300.0,
 ) -> None:
     """Find the surfaces of furniture on which scenes can stand: table tops, boards of shelves, counters with sinks.
 
@@ -40,7 +41,7 @@ def supports(
     from stable_data.supports.picture import draw_surfaces
 
     options = SupportOptions(table, tuple(surface or ()))
-    counts = prepare_supports(library, asset or (), out, options, progress=True)
+    counts = prepare_supports(library, asset or (), out, options, seconds_per_item=seconds_per_item, progress=True)
     folder = RunFolder(out)
     for support in counts.supports:
         for one in support.scenes:

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pyarrow.compute as pc
 from tqdm import tqdm
 
 from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure
 from pipelines.execution.resume import check_resume, new_manifest
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.preprocess.plan import file_digest
@@ -19,7 +21,7 @@ from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
-from stable_data.errors import ConfigError, Notice, SceneError, StableDataError
+from stable_data.errors import ConfigError, Notice, SceneError, StableDataError, short_line
 from stable_data.geometry.mesh import Mesh
 from stable_data.importers.scenes.layouts import ImportedScene, fixed_scene
 from stable_data.importers.scenes.scene_assets import SceneAssets
@@ -61,7 +63,11 @@ class SupportOptions:
 OBSTACLES = "supports"
 """The source of assets that are bodies in the way on a support, made of its mesh."""
 
+SECONDS_PER_ITEM = 300.0
+"""Time limit of an asset, if no other one is given."""
+
 _DEFAULT = SupportOptions()
+_TABLES = ("warnings", "textures", "meshes", "assets", "scenes")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,12 +79,16 @@ class PreparedSupport:
         mesh: Its mesh, metres, z up.
         surfaces: Its surfaces that were taken.
         scenes: An empty scene on each surface, with what is in the way there.
+        rows: Table -> its rows of this support, without those of what is in the way.
+        obstacles: What is in the way -> its rows of ``assets`` and ``meshes``.
     """
 
     asset_id: str
     mesh: Mesh
     surfaces: tuple[SupportSurface, ...]
     scenes: tuple[ImportedScene, ...]
+    rows: Mapping[str, Sequence[Row]]
+    obstacles: Mapping[str, tuple[Row, Row]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +107,15 @@ class SupportCounts:
 
 
 def prepare_supports(
-    library: str, asset_ids: Sequence[str], out: str, options: SupportOptions = _DEFAULT, *, progress: bool = False
+    library: str,
+    asset_ids: Sequence[str],
+    out: str,
+    options: SupportOptions = _DEFAULT,
+    *,
+    seconds_per_item: float = SECONDS_PER_ITEM,
+    progress: bool = False,
 ) -> SupportCounts:
-    """Finds the surfaces of assets and writes a run.
+    """Finds the surfaces of assets and writes a run; each asset is read in a separate process, because it may be hostile.
 
     Its table ``scenes`` has an empty scene for each surface, ``assets``, ``meshes`` and ``textures`` the supports and what is in the
     way on them.
@@ -109,6 +125,7 @@ def prepare_supports(
         asset_ids: Its assets; empty: all that are fixed furniture, or all if none is.
         out: Folder or URI of the run.
         options: What the user says about them.
+        seconds_per_item: Time limit of an asset, seconds.
         progress: Whether to show a progress bar.
 
     Raises:
@@ -123,15 +140,20 @@ def prepare_supports(
     chosen = list(dict.fromkeys(asset_ids)) or _fixed_furniture(place) or list(known)
     if not chosen:
         raise ConfigError(f"{library}: has no asset, expected furniture; make it with stable-data import", "no_surface")
-    store, found, failures = AssetStore(shelf), list[PreparedSupport](), list[Notice]()
-    for asset_id in tqdm(chosen, desc="supports", unit="support", disable=not progress):
-        try:
-            found.append(_prepared(asset_id, shelf, store, options))
-        except StableDataError as error:
-            failures.append(Notice(asset_id, "supports", error.code, str(error)))
+    found, failures = list[PreparedSupport](), list[Notice]()
+    with IsolatedProcess() as process:
+        for asset_id in tqdm(chosen, desc="supports", unit="support", disable=not progress):
+            made = process.call(_guarded, asset_id, library, place, options, seconds=seconds_per_item)
+            if isinstance(made, ProcessFailure):
+                message = f"{asset_id}: it {made.told(seconds_per_item)}; is it hostile?"
+                failures.append(Notice(asset_id, "isolate", str(made), message))
+            elif isinstance(made, Notice):
+                failures.append(made)
+            else:
+                found.append(made)
     if not found:
         raise ConfigError(f"{library}: no asset has a surface, expected at least one; {failures[0].message}", "no_surface")
-    _write_run(RunFolder(out), library, place, shelf, options, found, failures)
+    _write_run(RunFolder(out), library, shelf, options, found, failures)
     return SupportCounts(tuple(found), tuple(failures), len(known) - len(chosen))
 
 
@@ -156,7 +178,27 @@ def table_type_of(category: str) -> str:
     return _KINDS.get(category.rpartition("_")[2], category or "table")
 
 
-def _prepared(asset_id: str, shelf: AssetLibraries, store: AssetStore, options: SupportOptions) -> PreparedSupport:
+def _guarded(asset_id: str, library: str, place: str, options: SupportOptions) -> PreparedSupport | Notice:
+    """A support, or why it is none, which loses less on its way through a pipe than a raised error."""
+    try:
+        return _prepared(asset_id, library, place, options)
+    except StableDataError as error:
+        return Notice(asset_id, "supports", error.code, str(error))
+    except MemoryError:
+        raise
+    except Exception as error:  # noqa: BLE001 - an unexpected error costs one asset
+        message = f"{asset_id}: unexpected {type(error).__name__}: {error}; please report it with the asset"
+        return Notice(asset_id, "supports", "unexpected", short_line(message))
+
+
+@lru_cache(maxsize=1)
+def _opened(place: str) -> tuple[AssetLibraries, AssetStore]:
+    shelf = AssetLibraries((), scenes=place)
+    return shelf, AssetStore(shelf)
+
+
+def _prepared(asset_id: str, library: str, place: str, options: SupportOptions) -> PreparedSupport:
+    shelf, store = _opened(place)
     asset, _ = shelf.rows(asset_id) or ({}, {})
     scale = asset.get("typical_scale")
     if scale is None or not np.allclose(scale, 1.0, rtol=0, atol=1e-9):
@@ -185,13 +227,29 @@ def _prepared(asset_id: str, shelf: AssetLibraries, store: AssetStore, options: 
             f"{asset_id}: has no level surface with room for a disc of {100 * options.limits.width:g} cm, expected one; look at its mesh",
             "no_surface",
         )
-    return PreparedSupport(asset_id, mesh, taken, tuple(scenes))
+    rows, obstacles = _rows_of(asset_id, scenes, library, place)
+    return PreparedSupport(asset_id, mesh, taken, tuple(scenes), rows, obstacles)
+
+
+def _rows_of(
+    asset_id: str, scenes: Sequence[ImportedScene], library: str, place: str
+) -> tuple[Mapping[str, Sequence[Row]], Mapping[str, tuple[Row, Row]]]:
+    """The rows of a support, and those of what is in the way on it."""
+    copied = CopyAssets((), "", float("inf"), scenes=place, decomposes=False)
+    use = AssetUse(asset_id, "", (1.0, 1.0, 1.0), (), ((UPRIGHT, 1),))
+    rows = dict(copied.item_rows(use, ItemProgress("mesh")))
+    # Furniture is no object of a scene: it is not offered where things for a table are asked for.
+    rows["assets"] = [{**row, "on_table": False, "is_static": True} for row in rows.get("assets", [])]
+    obstacles = SceneAssets()
+    obstacles.add(scenes)
+    store = AssetStore(obstacles)
+    rows["scenes"] = [_scene_row(scene, store, library) for scene in scenes]
+    return rows, {name: _obstacle_rows(name, obstacles, store) for name in sorted(obstacles.assets)}
 
 
 def _write_run(
     folder: RunFolder,
     library: str,
-    place: str,
     shelf: AssetLibraries,
     options: SupportOptions,
     found: Sequence[PreparedSupport],
@@ -202,32 +260,19 @@ def _write_run(
         "meshes": content_id([(s.asset_id, _hash_of(s.mesh)) for s in found])
     }
     shard = content_id("supports", settings, inputs)
-    obstacles = SceneAssets()
-    obstacles.add(scene for support in found for scene in support.scenes)
-    store = AssetStore(obstacles)
-    copied = CopyAssets((), "", float("inf"), scenes=place, decomposes=False)
-    rows: dict[str, list[Row]] = {name: [] for name in ("warnings", "textures", "meshes", "assets")}
+    rows = {name: [row for support in found for row in support.rows.get(name, ())] for name in _TABLES}
+    obstacles = {name: both for support in reversed(found) for name, both in support.obstacles.items()}
+    for _, (asset, mesh) in sorted(obstacles.items()):
+        rows["assets"].append(asset)
+        rows["meshes"].append(mesh)
     with folder.locked():
         manifest = new_manifest("supports", library, inputs, settings=settings, work=[])
         check_resume(folder, manifest, settings)
         write_manifest(folder, manifest)
-        for support in found:
-            use = AssetUse(support.asset_id, "", (1.0, 1.0, 1.0), (), ((UPRIGHT, 1),))
-            made = copied.item_rows(use, ItemProgress("mesh"))
-            for name in rows:
-                rows[name] += made.get(name, [])
-        # Furniture is no object of a scene: it is not offered where things for a table are asked for.
-        rows["assets"] = [{**row, "on_table": False, "is_static": True} for row in rows["assets"]]
-        for asset_id in sorted(obstacles.assets):
-            asset, mesh = _obstacle_rows(asset_id, obstacles, store)
-            rows["assets"].append(asset)
-            rows["meshes"].append(mesh)
-        scenes = [_scene_row(scene, store, library) for support in found for scene in support.scenes]
         folder.write_shard("failures", shard, [notice_row(n) for n in failures])
         for name, content in rows.items():
             folder.write_shard(name, shard, content)
-        folder.write_shard("scenes", shard, scenes)
-        counts = {"scenes": len(scenes), **{name: len(content) for name, content in rows.items()}, "failures": len(failures)}
+        counts = {name: len(content) for name, content in rows.items()} | {"failures": len(failures)}
         items = [support.asset_id for support in found] + [notice.item_id for notice in failures]
         planned = [asdict(PlannedItems.of("scenes", "surface.support", items))]
         write_manifest(folder, manifest | {"status": COMPLETE, "counts": counts, PLANNED: planned})

@@ -116,6 +116,8 @@ _UNKNOWN = re.compile(
     r"odbl|eula|prohibited|forbidden|unless|without permission|required)\b"
 )
 
+_SPEAKS_OF_ONE = re.compile(r"licen[cs]|public domain|copyleft|creative ?commons|\bcc[ -]?by")
+
 
 @dataclass(frozen=True, slots=True)
 class LicenceTerms:
@@ -163,6 +165,14 @@ def normalise_licence(text: str | None) -> str | None:
     if len(found) != 1 or (not name and (_NON_COMMERCIAL.search(left) or _NO_DERIVATIVES.search(left))):
         return None
     return found.pop()
+
+
+def names_licence(text: str) -> bool:
+    """Whether a text speaks of a licence, known or not, or of several; also if it is too long to be read."""
+    left = _plain(text)
+    if left is None:
+        return True
+    return any(pattern.search(left) for pattern in (_CREATIVE_COMMONS, _SPEAKS_OF_ONE, *(pattern for pattern, _ in _OTHERS)))
 
 
 def is_restricted(text: str) -> bool:

@@ -139,6 +139,28 @@ def decode_images(images: Mapping[K, bytes], name: str, *, side: int, has_alpha:
     return decoded
 
 
+def decode_png(content: bytes) -> npt.NDArray[np.uint8]:
+    """Decodes a PNG file of a run, (H, W, 3) uint8; not trusted.
+
+    Raises:
+        ValueError: It is no PNG, is damaged or is too large; the message, without the name of the file, says which.
+    """
+    from PIL import Image, UnidentifiedImageError  # imported here, as above
+
+    if len(content) > LIMITS.image.max_bytes:
+        raise ValueError(f"has {len(content)} bytes, expected {at_most(LIMITS.image, 'max_bytes')}")
+    try:
+        with open_image(io.BytesIO(content), ("PNG",)) as picture:
+            return np.asarray(picture.convert("RGB"))
+    except Image.DecompressionBombError as error:
+        raise ValueError(f"is too large ({error!s:.200}), expected {at_most(LIMITS.image, 'max_pixels', 'pixels')}") from error
+    except MemoryError:
+        raise
+    except Exception as error:  # each decoder of Pillow raises its own exceptions
+        found = "another format" if isinstance(error, UnidentifiedImageError) else f"{type(error).__name__}: {error}"
+        raise ValueError(f"cannot be decoded ({found:.200}), expected a PNG file") from error
+
+
 def open_image(file: Path | IO[bytes], formats: tuple[str, ...]) -> "Image.Image":
     """Opens an image file; only its header is read.
 

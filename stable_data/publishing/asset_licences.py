@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 import pyarrow as pa
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.assets.licences import is_restricted, licence_terms, normalise_licence
+from stable_data.assets.licences import is_restricted, licence_terms, names_licence, normalise_licence
 from stable_data.errors import ConfigError
 from stable_data.publishing.private_paths import rows_without_folders
 from stable_data.storage.run_folder import RunFolder
@@ -89,13 +89,13 @@ def _licences(run: RunFolder) -> Iterator[AssetLicence]:
 
 
 def _licence_of(licence: str | None, text: str | None) -> str | None:
-    """The licence of an asset; None if it is not known, or if its text names another one or a restriction."""
+    """The licence of an asset; None if it is not known, or if its text names another one, several or a restriction."""
     stated, by_text = normalise_licence(licence), normalise_licence(text)
     if not text or stated == by_text:
         return stated
     if by_text is not None:
         return by_text if stated is None and not is_restricted(licence or "") else None
-    return None if is_restricted(text) else stated
+    return None if names_licence(text) or is_restricted(text) else stated
 
 
 def licence_table(licences: Sequence[AssetLicence]) -> pa.Table:

@@ -150,6 +150,12 @@ class CardContent:
         return next((by_name[name] for name in first if name in by_name), self.tables[0])
 
 
+def _without_verdicts(tables: Sequence[PublishedTable]) -> str:
+    """The option for a run whose verdicts cannot be computed again: its meshes were in a dataset beside it."""
+    names = {table.name for table in tables}
+    return " --verdicts none" if "scenes" in names and "meshes" not in names else ""
+
+
 def card_text(content: CardContent) -> str:
     """Returns the content of ``README.md``."""
     return f"---\n{_yaml(_head(content))}---\n\n{_body(content)}"
@@ -231,8 +237,9 @@ def _body(content: CardContent) -> str:
         f'rows = load_dataset("this folder or its name on the hub", "{main.name}")',
         "```",
         "",
-        "The folder is also a run of stable-data: its tables load with `pyarrow`, `polars` and `duckdb`, and `stable-data verify` checks "
-        "it. `SHA256SUMS` has the checksum of every file of the tables (`sha256sum -c SHA256SUMS`).",
+        "The folder is also a run of stable-data: its tables load with `pyarrow`, `polars` and `duckdb`, and "
+        f"`stable-data verify{_without_verdicts(content.tables)}` checks it. `SHA256SUMS` has the checksum of every file "
+        "(`sha256sum -c SHA256SUMS`).",
         "",
         "## How it was made",
         "",

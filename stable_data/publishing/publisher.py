@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from glob import escape
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,12 @@ from stable_data.publishing.dataset_card import (
     card_text,
     list_licences,
 )
-from stable_data.publishing.previews import previews
+from stable_data.publishing.previews import SHEET, previews
 from stable_data.publishing.private_paths import public_value, rows_without_folders, without_folders
-from stable_data.storage.checksums import checksum_of
+from stable_data.storage.checksums import CHECKSUMS, checksum_of
 from stable_data.storage.id_hashes import IdSet
 from stable_data.storage.json_schemas import write_contracts
-from stable_data.storage.manifest import CHECKED, COMPLETE, DIGEST, PLANNED, read_manifest, write_manifest
+from stable_data.storage.manifest import CHECKED, COMPLETE, DIGEST, MANIFEST, PLANNED, read_manifest, write_manifest
 from stable_data.storage.run_folder import LOCK, RunFolder, Uri
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.verification.findings import Finding
@@ -119,7 +120,8 @@ def publish(
 
     Raises:
         ConfigError: The run is not known to be whole (``not_whole``), a licence is unknown (``licence_unknown``) or forbids it
-            (``licence_forbids``), the stated licence is none (``licence_invalid``), or the folder is no local one
+            (``licence_forbids``), the stated licence is none (``licence_invalid``), a file of the run is a link to a place outside of
+            it (``link_leaves``), or the folder is no local one
             (``output_invalid``), is written by another process (``locked``) or cannot be written.
     """
     if options.licence and normalise_licence(options.licence) is None:
@@ -134,6 +136,7 @@ def publish(
     target = Path(out).expanduser().absolute()
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise ConfigError(f"{out}: is not empty, expected a new folder; choose another one", "output_not_empty")
+    _refuse_links(run)
     licences = asset_licences(run)
     refuse_licences(licences, allow_unknown=options.allow_unknown_licences, allow_no_derivatives=options.allow_no_derivatives)
     verification = verify_run(run, tell, options.verify, progress)
@@ -142,6 +145,22 @@ def publish(
     manifest = read_manifest(run) or {}
     with _new_folder(target) as folder:
         return _write(run, RunFolder(str(folder)), folder, manifest, licences, verification, options, progress)
+
+
+def _refuse_links(run: RunFolder) -> None:
+    """Refuses a run with links: what lies behind them may be private, and is this machine's, not the run's.
+
+    Raises:
+        ConfigError: A file that is read for the dataset lies outside of the run (``link_leaves``).
+    """
+    shards = (f"{table}/{Path(path).name}" for table in SCHEMAS for path in run.files(table))
+    for name in chain((MANIFEST, CHECKSUMS, SHEET), shards):
+        if run.leads_out(name):
+            raise ConfigError(
+                f"{run.uri}/{name}: is a link out of the run, expected a file in its folder; copy the run with cp -rL if you trust it, "
+                "and publish the copy",
+                "link_leaves",
+            )
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stable_data.errors import StableDataError
+from stable_data.geometry.images import decode_png
 from stable_data.json_text import json_value, quote_value
 from stable_data.storage.row_groups import SPLITS, TableFiles, row_slices, rows_from_table
 from stable_data.storage.run_folder import Uri
@@ -190,6 +191,19 @@ class Episode:
             tuple(self.pictures),
             self.image_size,
         )
+
+    def decoded_picture(self, camera: str, number: int) -> npt.NDArray[np.uint8]:
+        """Returns a picture, (H, W, 3) uint8.
+
+        Raises:
+            EpisodeError: It cannot be decoded (``episode_invalid``).
+        """
+        try:
+            return decode_png(self.pictures[camera][number])
+        except ValueError as error:
+            raise EpisodeError(
+                f"{self.episode_id}: picture {number} of camera {camera} {error}; record it again", "episode_invalid"
+            ) from error
 
     def _check_texts(self) -> None:
         for name in ("scene_id", "robot", "task_kind", "instruction", "control"):

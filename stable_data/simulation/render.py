@@ -6,7 +6,6 @@ it is nearer, by the ratio of width to height.
 """
 
 import hashlib
-import io
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -20,6 +19,7 @@ from PIL import Image, ImageDraw, ImageFilter, ImageFont
 from scipy.spatial.transform import Rotation
 
 from stable_data.errors import ConfigError
+from stable_data.geometry.images import decode_png
 from stable_data.geometry.mesh import Mesh, area_vectors
 from stable_data.geometry.mesh_colors import Paint
 from stable_data.geometry.shading import CREASE
@@ -249,10 +249,7 @@ def add_room(spec: mujoco.MjSpec, parts: Sequence[RoomPart], visual: mujoco.MjsD
         geom.contype = geom.conaffinity = 0
 
 
-@lru_cache(maxsize=64)
-def _pixels(content: bytes) -> Picture:
-    with Image.open(io.BytesIO(content)) as image:
-        return np.asarray(image.convert("RGB"))
+_pixels = lru_cache(maxsize=64)(decode_png)
 
 
 def _add_box(spec: mujoco.MjSpec, centre: Vec3, half: Vec3, rgba: list[float], yaw: float = 0.0) -> None:

@@ -101,6 +101,14 @@ class RunFolder:
         """Whether the folder is on a local file system."""
         return isinstance(self.filesystem, pafs.LocalFileSystem)
 
+    def leads_out(self, name: str) -> bool:
+        """Whether a file of a local folder is a link, or lies behind one, to a place outside of the folder.
+
+        Such files are read: programs of dataset hubs keep the files of a dataset elsewhere, and links to them in its folder. But what
+        they are on this machine is no part of a run that is passed on. The folder itself may be a link.
+        """
+        return self.is_local and not Path(os.path.realpath(self._path(name))).is_relative_to(os.path.realpath(self.root))
+
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Locks a local folder for one run; the lock ends with the process, also if the process is killed.
@@ -252,9 +260,19 @@ class RunFolder:
     def files_below(self) -> list[tuple[str, str]]:
         """Returns the files of the folder and of all folders in it: name in the folder, and path as the file system names it.
 
+        A link to a folder counts as a file: what is behind it may be very much, or the folder itself.
+
         Raises:
             ConfigError: The folder cannot be read.
         """
+        if self.is_local:
+            here = Path(self.root)
+            below = (Path(at, name) for at, folders, files in os.walk(here) for name in (*files, *folders))
+            return [
+                (path.relative_to(here).as_posix(), str(path))
+                for path in below
+                if path.is_file() or (path.is_symlink() and path.is_dir())
+            ]
         try:
             infos = self.filesystem.get_file_info(pafs.FileSelector(self.root, recursive=True))
         except OSError as error:

@@ -41,9 +41,9 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
 
     Rows are written as they are read: the memory does not grow with the number of scenes, but for 16 bytes a selected scene, and about
     200 bytes for one that is in several runs. Columns that the run lacks are null in the target; a warning names those of ``scenes``.
-    The table ``failures`` is not copied. A scene that is in several runs is taken once, from the first of them, and so are assets and
-    textures; ``doubles`` in the manifest counts those that were left out. A repeated call writes only missing shards, and leaves a
-    complete selection of another code version unchanged.
+    The table ``failures`` is not copied. A scene that is in several runs is taken once, from the first of them, and so are textures and
+    the rows of an asset in each table, from the first run that has some; ``doubles`` in the manifest counts the scenes that were left
+    out. A repeated call writes only missing shards, and leaves a complete selection of another code version unchanged.
 
     Args:
         run: The run.
@@ -97,9 +97,9 @@ def _rows_of_chosen(run: RunFolder, table: str, chosen: "_Chosen") -> Iterator[p
     if not run.files(table):
         return
     if table in ASSET_TABLES:
-        yield from _rows(run, table, pc.field("asset_id").isin(_texts(chosen.asset_ids)))
+        yield from _rows(run, table, pc.field("asset_id").isin(_texts(chosen.given[table])))
     elif table == "textures":
-        yield from _rows(run, table, pc.field("sha256").isin(_texts(images_of(run, chosen.asset_ids))))
+        yield from _rows(run, table, pc.field("sha256").isin(_texts(images_of(run, chosen.given["meshes"]))))
     else:
         name = "scene_id" if "scene_id" in SCHEMAS[table].names else "id"
         yield from (part.filter(chosen.has(part[name])) for part in _rows(run, table))
@@ -116,12 +116,11 @@ def _without_doubles(parts: Iterable[pa.Table], column: str) -> Iterator[pa.Tabl
 
 
 def _share_assets(runs: Sequence[RunFolder], chosen: Sequence["_Chosen"]) -> None:
-    """Makes the scenes known, and lets each asset be given by one run: the first one that uses it and has its mesh.
+    """Makes the scenes known, and lets the rows of each asset in each table be given by one run: the first one that has some.
 
     Raises:
         ConfigError: An asset has different meshes in two runs (``asset_differs``).
     """
-    giving: dict[str, _Chosen] = {}
     meshes: dict[str, tuple[str | None, str]] = {}
     for run, one in zip(runs, chosen, strict=True) if len(runs) > 1 else ():
         for batch in run.batches("meshes", ["asset_id", "sha256"]) if run.files("meshes") else ():
@@ -134,10 +133,22 @@ def _share_assets(runs: Sequence[RunFolder], chosen: Sequence["_Chosen"]) -> Non
                             "of one run again with the library of the other",
                             "asset_differs",
                         )
-                    giving.setdefault(name, one)
+    for table in ASSET_TABLES:
+        given = set[str]()
+        for run, one in zip(runs, chosen, strict=True):
+            there_are = one.asset_ids if len(runs) == 1 else one.asset_ids & _assets_of(run, table)
+            one.given[table] = there_are - given
+            given |= there_are
+    given = set[str]().union(*(one.given["assets"] for one in chosen))
     for one in chosen:
-        one.asset_ids = {name for name in one.asset_ids if giving.setdefault(name, one) is one}
-        one.close()
+        one.close(one.given["assets"] | (one.asset_ids - given))
+        given |= one.asset_ids
+
+
+def _assets_of(run: RunFolder, table: str) -> set[str]:
+    """The ids of the assets that have rows in a table of a run; none without the table."""
+    parts = run.batches(table, ["asset_id"]) if run.files(table) else ()
+    return {name for part in parts for name in pc.unique(part["asset_id"]).to_pylist()}
 
 
 class _Doubles:
@@ -174,10 +185,15 @@ class _Doubles:
 
 
 class _Chosen:
-    """The ids of the selected scenes and of their assets; scenes and assets may be very many, and 16 bytes stand for a scene."""
+    """The ids of the selected scenes of a run and of their assets; scenes may be very many, and 16 bytes stand for one.
+
+    Attributes:
+        asset_ids: The assets of the scenes.
+        given: Table of :data:`ASSET_TABLES` -> assets whose rows are taken from this run.
+    """
 
     def __init__(self) -> None:
-        self.asset_ids, self._names = set[str](), IdSet()
+        self.asset_ids, self.given, self._names = set[str](), dict[str, set[str]](), IdSet()
 
     def noted(self, part: pa.Table) -> pa.Table:
         """Notes the scenes of a part of the table ``scenes``, and returns the part."""
@@ -185,9 +201,9 @@ class _Chosen:
         self.asset_ids |= used_assets(part)
         return part
 
-    def close(self) -> None:
-        """Makes the assets known too: their ids are ids of rows in tables such as ``warnings``."""
-        self._names.add(_texts(self.asset_ids))
+    def close(self, asset_ids: set[str]) -> None:
+        """Makes assets known too: their ids are ids of rows in tables such as ``warnings``."""
+        self._names.add(_texts(asset_ids))
 
     def has(self, names: pa.ChunkedArray) -> pa.Array:
         """Whether each name is that of a selected scene or of an asset in use, booleans."""

@@ -7,7 +7,7 @@ from stable_data.storage.checksums import CHECKSUMS, is_shard_file
 from stable_data.storage.manifest import MANIFEST
 from stable_data.storage.run_folder import RunFolder
 from stable_data.verification.findings import Findings
-from stable_data.verification.shard_files import checksum_in_chunks
+from stable_data.verification.shard_files import checksum_in_chunks, tell_of_link
 
 _STATED_ELSEWHERE = frozenset({MANIFEST, CHECKSUMS})
 """Files that no checksum is stored of: the manifest has a digest of itself, and the hash of the checksums."""
@@ -39,6 +39,7 @@ def check_other_files(folder: RunFolder, checksums: Mapping[str, str], findings:
         if name not in there:
             findings.damage(name, f"is missing, expected the file of {CHECKSUMS}")
             continue
+        tell_of_link(folder, name, findings)
         try:
             found = checksum_in_chunks(folder, there[name])
         except OSError as error:

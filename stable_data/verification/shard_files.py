@@ -52,10 +52,20 @@ def list_files(folder: RunFolder, findings: Findings) -> list[ShardFile]:
             if info.base_name in names:
                 match = PART.fullmatch(info.base_name)
                 assert match is not None  # RunFolder.files lists no others
-                found.append(ShardFile(f"{table}/{info.base_name}", table, match[1], info.path, int(info.size or 0)))
+                name = f"{table}/{info.base_name}"
+                tell_of_link(folder, name, findings)
+                found.append(ShardFile(name, table, match[1], info.path, int(info.size or 0)))
             elif not info.base_name.startswith("."):  # temporary files of a killed run are hidden, and no reader sees them
                 findings.damage(f"{table}/{info.base_name}", "is no file of a complete shard, but readers of *.parquet see it")
     return found
+
+
+def tell_of_link(folder: RunFolder, name: str, findings: Findings) -> None:
+    """Notes damage if a file of a run is a link out of it: the run is not whole without what lies there."""
+    if folder.leads_out(name):
+        findings.damage(
+            name, "is a link out of the run, expected a file in its folder; copy the run with cp -rL if you trust it"
+        )
 
 
 def compare_with_checksums(files: list[ShardFile], checksums: Mapping[str, str], findings: Findings) -> None:

@@ -174,7 +174,8 @@ def _opened(folder: RunFolder) -> tuple[AssetStore, "_Containers"]:
     root = Path(folder.root) / "dataset"  # what a correction of a folder writes beside the tables
     if not (folder.is_local and root.is_dir()):
         raise ConfigError(
-            f"{folder.uri}: has no meshes, expected the table meshes; its verdicts cannot be checked", "table_missing"
+            f"{folder.uri}: has no meshes, expected the table meshes; its verdicts cannot be checked, --verdicts none leaves them out",
+            "table_missing",
         )
     dataset = MesaTaskDataset(root)
     return AssetStore(dataset), _Containers({name: dataset.annotation(name).is_container for name in dataset.annotations})

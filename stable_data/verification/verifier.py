@@ -14,8 +14,9 @@ import pyarrow.compute as pc
 
 from stable_data.errors import ConfigError
 from stable_data.extras import install_hint
+from stable_data.storage.checksums import CHECKSUMS
 from stable_data.storage.id_hashes import IdSet, id_hashes
-from stable_data.storage.manifest import COMPLETE
+from stable_data.storage.manifest import COMPLETE, MANIFEST
 from stable_data.storage.row_groups import row_slices, rows_from_table
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
@@ -39,7 +40,14 @@ from stable_data.verification.manifest_checks import (
 from stable_data.verification.other_files import check_other_files
 from stable_data.verification.row_checks import OwnCheck
 from stable_data.verification.scene_checks import UNRESOLVED, SceneCheck
-from stable_data.verification.shard_files import ShardFile, compare_with_checksums, list_files, open_file, row_groups
+from stable_data.verification.shard_files import (
+    ShardFile,
+    compare_with_checksums,
+    list_files,
+    open_file,
+    row_groups,
+    tell_of_link,
+)
 
 if TYPE_CHECKING:
     from stable_data.verification.verdict_checks import VerdictCheck
@@ -180,6 +188,8 @@ class _Verifier:
 
     def __init__(self, folder: RunFolder, findings: Findings, options: VerifyOptions, progress: Progress) -> None:
         self._folder, self._findings, self._options, self._progress = folder, findings, options, progress
+        for name in (MANIFEST, CHECKSUMS):
+            tell_of_link(folder, name, findings)
         manifest = read_raw_manifest(folder, findings)
         self._manifest: dict[str, Any] = manifest or {}
         if manifest is not None:

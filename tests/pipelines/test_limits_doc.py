@@ -5,6 +5,7 @@ from itertools import groupby
 from pathlib import Path
 
 from pipelines.settings import JOBS
+from pipelines.supports.preparing import SECONDS_PER_ITEM
 from stable_data.limits import list_limits
 
 PAGE = Path(__file__).parents[2] / "docs" / "limits.md"
@@ -32,6 +33,7 @@ def limit_tables() -> str:
 
 def job_rows() -> list[str]:
     seconds = {verb: getattr(place.defaults(), "seconds_per_item", None) for verb, place in JOBS.items()}
+    seconds["supports"] = SECONDS_PER_ITEM  # a job without a file of settings
     return [f"| {verb} | {value:g} |" for verb, value in seconds.items() if value is not None]
 
 

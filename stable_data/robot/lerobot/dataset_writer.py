@@ -1,6 +1,5 @@
 """Writes episodes of a run as a LeRobotDataset v3.0, one episode at a time."""
 
-import io
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -9,12 +8,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 
 from stable_data.atomic_files import temporary_path
 from stable_data.errors import ConfigError, cannot_write
-from stable_data.robot.episodes import Episode, EpisodeError, EpisodeFeatures, read_episodes
+from stable_data.robot.episodes import Episode, EpisodeFeatures, read_episodes
 from stable_data.robot.lerobot.chunked_files import CHUNK_FILES, ParquetFiles
 from stable_data.robot.lerobot.frames import PICTURE, describe_features, frame_arrays, frame_schema, frame_table
 from stable_data.robot.lerobot.metadata import (
@@ -295,10 +293,10 @@ class LeRobotWriter:
         """Returns the statistics of the pictures of a camera, and writes them to its video if there is one."""
         sampled, found = set(sampled_frames(episode.num_steps)), PictureStatistics()
         video = self._videos.get(PICTURE + camera)
-        for k, content in enumerate(episode.pictures[camera]):
+        for k in range(episode.num_steps):
             if video is None and k not in sampled:
                 continue
-            picture = _decoded(content, f"{episode.episode_id}: picture {k} of camera {camera}")
+            picture = episode.decoded_picture(camera, k)
             if k in sampled:
                 found.add(picture)
             if video is not None:
@@ -318,14 +316,3 @@ class LeRobotWriter:
             table = table.set_column(schema.get_field_index(name), schema.field(name), values)
         self._rows.write(table)
         self._waiting.clear()
-
-
-def _decoded(content: bytes, name: str) -> npt.NDArray[np.uint8]:
-    """Decodes a PNG file, (H, W, 3) uint8."""
-    from PIL import Image  # imported here: states need no Pillow
-
-    try:
-        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
-            return np.asarray(picture.convert("RGB"))
-    except (OSError, SyntaxError, ValueError) as error:
-        raise EpisodeError(f"{name} cannot be decoded ({error}), expected a PNG file", "episode_invalid") from error

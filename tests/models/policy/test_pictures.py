@@ -1,6 +1,7 @@
 """A policy that sees pictures: small ones, and without objects nothing of their states."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from models.policy.task_frame import check_clonable
 from models.policy.weights import PolicyWeights, check_environment
 from stable_data.errors import ConfigError
 from stable_data.robot.env import AGENT, ENVIRONMENT, PIXELS
+from stable_data.robot.episodes import EpisodeError
 from stable_data.robot.observation import ENVIRONMENT_STATE_NAMES
 from tests.stable_data.robot.synthetic_episodes import episode
 
@@ -36,6 +38,16 @@ def test_pictures_of_an_episode_are_those_that_were_observed() -> None:
     for k, file in enumerate(one.pictures["front"]):
         picture = np.asarray(Image.open(io.BytesIO(file)))
         assert np.array_equal(found[k], observed_pictures({"front": picture}, ("front",), 16))
+
+
+@pytest.mark.parametrize("share", [0.5, 0.98])
+def test_a_broken_picture_names_its_episode(share: float) -> None:
+    one = episode(steps=2, cameras=("front",))
+    first, second = one.pictures["front"]
+    broken = replace(one, pictures={"front": (first, second[: int(share * len(second))])})
+    with pytest.raises(EpisodeError, match=f"{one.episode_id}: picture 1 of camera front cannot be decoded") as caught:
+        episode_pictures(broken, ("front",), 16)
+    assert caught.value.code == "episode_invalid"
 
 
 def test_a_policy_without_objects_sees_pictures_alone() -> None:

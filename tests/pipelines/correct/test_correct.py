@@ -21,6 +21,7 @@ from pipelines.correct.shard import CorrectWork
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_step import Shard, ShardTask, ShardWriter
 from stable_data.assets.store import AssetStore
+from stable_data.cli import app as stable_data
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset, write_scene
 from stable_data.mesatask.lint import lint_folder
@@ -88,6 +89,22 @@ def test_a_broken_set_comes_out_clean(broken: Path, corrected: Path) -> None:
 def test_a_corrected_folder_is_whole(corrected: Path) -> None:
     """Its meshes are those of the dataset that is written beside the tables."""
     assert check_whole(corrected).num_audited == 4
+
+
+def test_a_corrected_folder_is_published_without_its_meshes(corrected: Path, tmp_path: Path) -> None:
+    """They stay in the dataset, so that nobody can judge the published scenes again; all else is verified."""
+    out = tmp_path / "out"
+    done = CliRunner().invoke(stable_data, ["publish", str(corrected), str(out), "--quiet", "--verdicts", "audit"])
+    assert done.exit_code == 0, done.output
+    assert "verdicts of 4 of 4 scenes by audit" in (out / "README.md").read_text("utf-8")
+    assert "`stable-data verify --verdicts none`" in (out / "README.md").read_text("utf-8")
+    assert not (out / "meshes").exists()
+    assert not (out / "dataset").exists()
+    done = CliRunner().invoke(stable_data, ["verify", str(out), "--quiet"])
+    assert done.exit_code == 1
+    assert "not known to be whole" in done.stdout
+    assert "--verdicts none leaves them out" in done.stdout
+    check_whole(out, verdicts="none")
 
 
 def test_a_page_shows_a_scene_before_and_after(broken: Path, corrected: Path, tmp_path: Path) -> None:

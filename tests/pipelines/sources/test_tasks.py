@@ -53,6 +53,32 @@ def test_each_row_is_a_task_or_says_why_not(tmp_path: Path) -> None:
     }
 
 
+_START = '{"instruction": "Lift it.", "table_type": "office_table", "table_size_cm": '
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        r'{"instruction": "\ud800 Lift it.", "table_type": "office_table", "table_size_cm": [120, 60]}',
+        r'{"instruction": "Lift it.", "table_type": "\udfff", "table_size_cm": [120, 60]}',
+        f"{_START}[{10**400}, 5]}}",
+        f"{_START}[{'9' * 5000}, 5]}}",
+        f'{_START}[120, 60], "restricted_zone_cm": [0, {10**400}, 0, 1]}}',
+        f"{_START}[NaN, 1e999]}}",
+        f'{_START}[120, 60], "scene_id": {10**400}}}',
+        "[" * 100_000,
+    ],
+    ids=range(8),
+)
+def test_a_hostile_row_is_a_failure_of_its_own(row: str, tmp_path: Path) -> None:
+    first, lost, last = read_tasks(task_file(tmp_path, [GOOD, row, GOOD]))
+    assert isinstance(lost, Notice)
+    assert lost.item_id == "row 000002"
+    assert len(lost.message.encode()) < 2000
+    assert isinstance(first, LayoutTask)
+    assert isinstance(last, LayoutTask)
+
+
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_a_file_of_another_kind_says_the_same(ending: str, tmp_path: Path) -> None:
     rows = [{"scene_id": "a", **GOOD, "restricted_zone_cm": [0.0, 40.0, 10.5, 20.0]}, GOOD, {**GOOD, "instruction": ""}]

@@ -37,12 +37,13 @@ from pipelines.sources.generation_tasks import (
     tasks_of_scenes,
     tasks_on_supports,
 )
+from pipelines.supports import preparing
 from pipelines.supports.preparing import SupportOptions, _fixed_furniture, prepare_supports, table_type_of
 from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.cli import app as stable_data
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, Notice
 from stable_data.export.exporter import export_run
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf.exact import SignedDistance
@@ -330,6 +331,22 @@ def test_the_command_says_what_it_found_and_what_is_wrong(library: str, supports
 def test_an_asset_of_unknown_size_is_no_support(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="does not state its size"):
         prepare_supports(str(dataset), [], str(tmp_path / "out"))
+
+
+def test_an_asset_that_takes_too_long_is_a_failure(library: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"took over 0\.001 s \(seconds_per_item\)"):
+        prepare_supports(library, [COFFEE], str(tmp_path / "out"), seconds_per_item=0.001)
+
+
+def test_an_unexpected_error_costs_one_asset(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise KeyError("odd")
+
+    monkeypatch.setattr(preparing, "find_surfaces", broken)
+    found = preparing._guarded(COFFEE, library, library, SupportOptions())
+    assert isinstance(found, Notice)
+    assert (found.item_id, found.code) == (COFFEE, "unexpected")
+    assert "unexpected KeyError: 'odd'" in found.message
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from stable_data.errors import MeshError
-from stable_data.geometry.images import encode_texture, texture_pixels
+from stable_data.geometry.images import decode_png, encode_texture, texture_pixels
 from tests.bounds import limit
 
 pytestmark = pytest.mark.sim
@@ -174,3 +174,23 @@ def test_of_a_damaged_image_only_textures_and_mesh_errors_come(file_format: str,
         assert error.code in ("texture_invalid", "texture_too_large")  # noqa: PT017 - not every damage is an error
     else:
         assert max(texture.width, texture.height) <= 32
+
+
+def test_a_picture_of_a_run_is_a_png_or_nothing() -> None:
+    picture = photo(64)
+    assert (decode_png(encoded(picture, "PNG")) == np.asarray(picture)).all()
+    assert decode_png(encoded(picture.convert("LA"), "PNG")).shape == (64, 64, 3)
+    for content in (encoded(picture, "JPEG"), encoded(picture, "TIFF"), b"", b"%!PS-Adobe-3.0 EPSF-3.0\n"):
+        with pytest.raises(ValueError, match=r"cannot be decoded \(another format\), expected a PNG file"):
+            decode_png(content)
+    with pytest.raises(ValueError, match=r"cannot be decoded \(.*expected a PNG file"):
+        decode_png(encoded(picture, "PNG")[:-30])
+
+
+def test_a_picture_of_a_run_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = encoded(photo(64), "PNG")
+    for name, most in (("max_pixels", 64 * 63), ("max_bytes", len(content) - 1)):
+        with monkeypatch.context() as patch:
+            limit(patch, "image", **{name: most})
+            with pytest.raises(ValueError, match=rf"image\.{name}"):
+                decode_png(content)

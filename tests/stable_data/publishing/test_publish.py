@@ -15,7 +15,6 @@ from stable_data.cli import app
 from stable_data.commands.command_line import DONE, NOT_STARTED
 from stable_data.publishing.croissant import croissant_document
 from stable_data.publishing.dataset_card import ABOUT, UNSPLIT, CardContent, PublishedTable, hub_licence, size_category
-from stable_data.publishing.private_paths import without_folders
 from stable_data.storage.checksums import CHECKSUMS
 from stable_data.storage.manifest import read_manifest, write_manifest
 from stable_data.storage.run_folder import RunFolder
@@ -111,21 +110,6 @@ def test_nothing_private_is_published(folder: Path, split_run: Path) -> None:
     assert not (folder / "report").exists()
     assert not (folder / "timing").exists()
     assert not list(folder.rglob(".*"))
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("read /data/a b/cup.glb", "read a b/cup.glb"),
-        ("(/a/b/c.glb)", "(c.glb)"),
-        (r"C:\Users\me\cup.glb is odd", "cup.glb is odd"),
-        ("~/data/cup.glb", "cup.glb"),
-        ("3 kg/m/s and and/or, task_0/3, 2 m/s", "3 kg/m/s and and/or, task_0/3, 2 m/s"),
-        ("Layout_info/desk/1/layout.json", "Layout_info/desk/1/layout.json"),
-    ],
-)
-def test_folders_are_taken_out_of_messages(text: str, expected: str) -> None:
-    assert without_folders(text) == expected
 
 
 def test_licences_are_a_table(folder: Path) -> None:

@@ -1,6 +1,7 @@
 """A published folder as a whole: each of its files is verified, nothing of it is private, and it is put in place at once."""
 
 import fcntl
+import io
 import json
 import shutil
 import subprocess
@@ -13,6 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from datasets import load_dataset
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from typer.testing import CliRunner, Result
 
 from stable_data.cli import app
@@ -20,7 +23,8 @@ from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
 from stable_data.publishing.asset_licences import asset_licences
 from stable_data.publishing.croissant import croissant_document, missing_entries
 from stable_data.publishing.dataset_card import UNSPLIT, SplitNames
-from stable_data.publishing.private_paths import rows_without_folders, without_folder, without_folders
+from stable_data.publishing.previews import FOLDER, SHEET, previews
+from stable_data.publishing.private_paths import rows_without_folders
 from stable_data.storage.checksums import CHECKSUMS
 from stable_data.storage.manifest import read_manifest, write_manifest
 from stable_data.storage.run_folder import RunFolder
@@ -199,6 +203,12 @@ def test_the_head_names_a_licence_only_if_all_content_has_it(run: Path, folder: 
         ("CC0-1.0", "CC BY-NC 4.0", None),
         (None, "CC BY 4.0", "CC-BY-4.0"),
         ("for research only", "CC BY 4.0", None),
+        ("MIT", "Code: MIT License. Meshes: CC BY-SA 4.0", None),
+        ("CC0-1.0", "CC BY 3.0 and CC BY 4.0", None),
+        ("CC0-1.0", "the licence of the store", None),
+        ("CC-BY", "CC BY 3.0 and CC BY 4.0", None),
+        ("MIT", "MIT License", "MIT"),
+        ("Apache-2.0", "made by a limited company in a permitted place", "Apache-2.0"),
         ("CC-BY-4.0", "https://creativecommons.org/licenses/by/4.0/", "CC-BY-4.0"),
     ],
 )
@@ -211,38 +221,6 @@ def test_a_licence_is_known_only_if_its_text_agrees(
 
 
 # --- what is private ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("see /home/alice", "see ~"),
-        ("/root/x and /rooted/x/y", "x and y"),
-        ("file:///home/alice/x.glb", "x.glb"),
-        (
-            "https://example.org/home/alice/x, https://example.org:80/a/b",
-            "https://example.org/home/alice/x, https://example.org:80/a/b",
-        ),
-        ("D:/Users/alice/x.glb", "x.glb"),
-        (r"D:\data\set\x.glb", "x.glb"),
-        (r"\\server\alice\x.glb", "x.glb"),
-        ("transformers:/home/alice/models/qwen", "transformers:qwen"),
-        ('{"file": "/home/alice/layouts/a.json"}', '{"file": "a.json"}'),
-        (r'{"file": "C:\\Users\\alice\\a\\b.json"}', r'{"file": "b.json"}'),
-        (r'{"plan": "B:\n\nPut\nThen", "a": "[\n\t{x"}', r'{"plan": "B:\n\nPut\nThen", "a": "[\n\t{x"}'),
-        ("it is 1/2 /m2 or a / b", "it is 1/2 /m2 or a / b"),
-    ],
-)
-def test_absolute_paths_are_taken_out(text: str, expected: str) -> None:
-    assert without_folders(text) == expected
-    assert without_folders(expected) == expected
-
-
-def test_a_path_with_spaces_is_one() -> None:
-    assert without_folder("/home/alice/secret project/data/cup.glb") == "cup.glb"
-    assert without_folder("generated") == "generated"
-    for home in ("/home/alice", "/home/alice/", "/root", r"C:\Users\alice", "file:///home/alice"):
-        assert without_folder(home) == "~"
 
 
 def test_texts_in_structs_and_lists_are_changed_too() -> None:
@@ -290,6 +268,117 @@ def test_no_file_of_a_published_run_has_a_private_path(run: Path, tmp_path: Path
     for place, text in texts.items():
         assert SOMEBODY not in text.replace("secret project", ""), place
         assert str(tmp_path) not in text, place
+
+
+PRIVATE = "the diary of somebody"
+
+
+def png(**options: Any) -> bytes:
+    stream = io.BytesIO()
+    Image.new("RGB", (40, 30), (10, 200, 30)).save(stream, "png", **options)
+    return stream.getvalue()
+
+
+def with_sheet(run: Path, folder: Path, content: bytes) -> Path:
+    copy = Path(shutil.copytree(run, folder / "run"))
+    (copy / "report").mkdir(exist_ok=True)
+    (copy / SHEET).write_bytes(content)
+    return copy
+
+
+def test_a_sheet_that_is_no_picture_is_not_published(run: Path, tmp_path: Path) -> None:
+    copy = with_sheet(run, tmp_path, PRIVATE.encode())
+    assert published(copy, tmp_path / "out").exit_code == DONE
+    assert not (tmp_path / "out" / "previews" / "contact_sheet.png").exists()
+    assert all(PRIVATE.encode() not in path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize("content", [png()[:60], png() * 0, b"BM" + b"0" * 80])
+def test_a_damaged_sheet_is_left_out(content: bytes, run: Path, tmp_path: Path) -> None:
+    found = previews(RunFolder(str(with_sheet(run, tmp_path, content))))
+    assert f"{FOLDER}/contact_sheet.png" not in found
+
+
+def test_of_a_sheet_the_pixels_alone_are_published(run: Path, tmp_path: Path) -> None:
+    notes = PngInfo()
+    notes.add_text("author", PRIVATE)
+    content = png(pnginfo=notes) + PRIVATE.encode()
+    assert content.count(PRIVATE.encode()) == 2
+    found = previews(RunFolder(str(with_sheet(run, tmp_path, content))))
+    assert found == {f"{FOLDER}/contact_sheet.png": png()}
+
+
+def test_stored_pictures_are_encoded_again(tmp_path: Path) -> None:
+    folder = RunFolder(str(tmp_path))
+    pictures = [PRIVATE.encode(), png() + PRIVATE.encode(), None]
+    kinds = {field.name: None for field in SCHEMAS["views"]}
+    view = {field.name: None for field in SCHEMAS["views"].field("views").type.value_type}
+    listed = [kinds | {"scene_id": f"a{k}", "views": [view | {"picture": one}]} for k, one in enumerate(pictures)]
+    folder.write_table("views", "0" * 16, pa.Table.from_pylist([*listed, kinds], schema=SCHEMAS["views"]))
+    assert previews(folder) == {f"{FOLDER}/0.png": png()}
+
+
+def linked_out(name: str) -> Callable[[Path, Path], str]:
+    """Puts a file or a folder of a run elsewhere, and a link in its place."""
+
+    def change(run: Path, elsewhere: Path) -> str:
+        shutil.move(run / name, elsewhere)
+        (run / name).symlink_to(elsewhere)
+        return name
+
+    return change
+
+
+def shard_linked_out(run: Path, elsewhere: Path) -> str:
+    path = next((run / "scenes").glob("part-*.parquet"))
+    return linked_out(f"scenes/{path.name}")(run, elsewhere)
+
+
+@pytest.mark.parametrize(
+    ("change", "is_verified"),
+    [
+        (shard_linked_out, True),
+        (linked_out("meshes"), True),
+        (linked_out("manifest.json"), True),
+        (linked_out(CHECKSUMS), True),
+        (linked_out(SHEET), False),
+        (linked_out("report"), False),
+    ],
+)
+def test_links_out_of_a_run_are_told_and_refused(
+    change: Callable[[Path, Path], str], is_verified: bool, run: Path, tmp_path: Path
+) -> None:
+    copy = with_sheet(run, tmp_path, png())
+    name = change(copy, tmp_path / "elsewhere")
+    done = published(copy, tmp_path / "out", "--unverified")
+    assert done.exit_code == NOT_STARTED
+    assert f"{name}" in done.stderr
+    assert "is a link out of the run" in done.stderr
+    assert not (tmp_path / "out").exists()
+    if is_verified:
+        done = CliRunner().invoke(app, ["verify", str(copy), "--verdicts", "none", "--quiet"])
+        assert done.exit_code == SOME_FAILED
+        assert "is a link out of the run" in done.stdout
+
+
+def test_links_of_a_published_folder_are_told(folder: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(folder, tmp_path / "out"))
+    linked_out("README.md")(out, tmp_path / "elsewhere")
+    (out / "round").symlink_to(out)
+    done = CliRunner().invoke(app, ["verify", str(out), "--verdicts", "none", "--quiet"])
+    assert done.exit_code == SOME_FAILED
+    assert "README.md: is a link out of the run" in done.stdout
+    assert f"round: is not in {CHECKSUMS}" in done.stdout
+
+
+def test_a_run_behind_a_link_is_published(run: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(run, tmp_path / "run"))
+    shard = next((copy / "scenes").glob("part-*.parquet"))
+    (copy / "kept").mkdir()
+    shard.rename(copy / "kept" / "shard")
+    shard.symlink_to("../kept/shard")  # it stays in the run
+    (tmp_path / "link").symlink_to(copy)
+    assert published(tmp_path / "link", tmp_path / "out").exit_code == DONE
 
 
 # --- Croissant ----------------------------------------------------------------------------------------------------------------

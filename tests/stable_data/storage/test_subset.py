@@ -13,7 +13,9 @@ from stable_data.cli import app
 from stable_data.errors import ConfigError
 from stable_data.storage import subset
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.subset import count_selected, select
+from stable_data.storage.table_rows import arrow_table
 from stable_data.storage.torch_dataset import TableStream
 from tests.pipelines.runs import content
 
@@ -141,6 +143,30 @@ def test_runs_that_overlap_are_joined_without_doubles(clean_run: Path, tmp_path:
     before = content(tmp_path / "joined")
     select(first, "scene_id is not None", joined, [second])
     assert content(tmp_path / "joined") == before
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_grids_and_features_of_shared_assets_are_those_of_the_run_that_has_them(
+    is_first: bool, clean_run: Path, tmp_path: Path
+) -> None:
+    """A run of generate has none, and its assets may be those of a run of preprocess."""
+    whole, bare = parts_of(clean_run, tmp_path, "scene_id is not None", "scene_id is not None")
+    assert whole.num_rows("sdf")
+    assets = whole.table("assets", ["asset_id"])["asset_id"].to_pylist()
+    rows = [dict.fromkeys(SCHEMAS["features"].names) | {"asset_id": name, "feature": [1.0]} for name in assets]
+    whole.write_table("features", "0" * 16, arrow_table("features", rows))
+    for table in ("sdf", "features", "scenes", "samples"):
+        shutil.rmtree(Path(bare.root) / table, ignore_errors=True)
+    scenes = whole.table("scenes").to_pylist()
+    bare.write_table("scenes", "0" * 16, arrow_table("scenes", [row | {"scene_id": f"x{row['scene_id']}"} for row in scenes]))
+    one, other = (whole, bare) if is_first else (bare, whole)
+    joined = RunFolder(str(tmp_path / "joined"))
+    counts = select(one, "scene_id is not None", joined, [other])
+    assert counts["scenes"] == 2 * len(scenes)
+    for table in ("assets", "meshes", "sdf", "features"):
+        assert rows_by_id(joined, table) == rows_by_id(whole, table), table
+    warned = whole.table("warnings", ["id", "step", "code"]).to_pylist()
+    assert sorted(map(str, joined.table("warnings", ["id", "step", "code"]).to_pylist())) == sorted(map(str, warned))
 
 
 def test_a_scene_that_differs_is_that_of_the_first_run_and_is_counted(clean_run: Path, tmp_path: Path) -> None:

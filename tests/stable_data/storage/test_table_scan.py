@@ -96,5 +96,5 @@ def test_selected_scenes_are_known_by_their_whole_hash(monkeypatch: pytest.Monke
     names = [f"s{k}" for k in range(40)]
     blank = dict.fromkeys(SCHEMAS["scenes"].names)
     chosen.noted(pa.Table.from_pylist([blank | {"scene_id": name, "objects": []} for name in names[::2]], SCHEMAS["scenes"]))
-    chosen.close()
+    chosen.close(set())
     assert chosen.has(pa.chunked_array([names])).to_pylist() == [k % 2 == 0 for k in range(40)]
