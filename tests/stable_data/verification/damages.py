@@ -1,5 +1,6 @@
 """The ways in which a run is damaged: name -> what is done, where it is found, and what the finding says."""
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -206,6 +207,17 @@ def remove(name: str) -> Damage:
     return lambda run: (run / name).unlink()
 
 
+def replaced_shard(table: str, make: Callable[[Path], None]) -> Damage:
+    """Puts something that is no file in the place of a shard."""
+
+    def damage(run: Path) -> None:
+        path = files_of(run, table)[0]
+        path.unlink()
+        make(path)
+
+    return damage
+
+
 def write(name: str, content: bytes) -> Damage:
     def damage(run: Path) -> None:
         (run / name).write_bytes(content)
@@ -280,6 +292,9 @@ BY_CHECKSUM: Damages = {
     "truncated": (truncated, "meshes/", "SHA-256"),
     "emptied": (emptied, "warnings/", "SHA-256"),
     "a missing shard": (without_shard("scenes", hidden=False), "scenes/", "is missing"),
+    "a named pipe as a shard": (replaced_shard("scenes", os.mkfifo), "scenes/part-", "is no regular file"),
+    "a named pipe as a shard of meshes": (replaced_shard("meshes", os.mkfifo), "meshes/part-", "is no regular file"),
+    "a folder as a shard": (replaced_shard("turns", Path.mkdir), "turns/part-", "is no regular file"),
     "an extra shard": (copied_shard("turns", hidden=False), "turns/", f"is not in {CHECKSUMS}"),
     "another file among the shards": (write("scenes/extra.parquet", b"PAR1"), "scenes/extra", "readers of *.parquet see it"),
     "a row changed": (rows("turns", lambda found: found[0].update(reply="{}"), hidden=False), "turns/", "SHA-256"),
