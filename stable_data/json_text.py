@@ -137,7 +137,7 @@ def json_value(text: str) -> Any:
         is_deep = True
     if is_deep:
         raise ValueError(_too_deep())
-    if not is_unicode(value):
+    if ("\\ud" in text.lower() or not text.isascii()) and not is_unicode(value):
         raise ValueError("contains text that is not UTF-8")
     return value
 
