@@ -137,7 +137,7 @@ def json_value(text: str) -> Any:
         is_deep = True
     if is_deep:
         raise ValueError(_too_deep())
-    if not is_unicode(value):
+    if ("\\ud" in text.lower() or not text.isascii()) and not is_unicode(value):
         raise ValueError("contains text that is not UTF-8")
     return value
 
@@ -178,7 +178,8 @@ def read_json(path: Path) -> Any:
 
     Raises:
         OSError: It cannot be read.
-        ValueError: It is too large or no JSON; as for :func:`json_value`, but NaN and infinities are read.
+        ValueError: It is too large or no JSON, or one of its objects has a key twice, of which no two readers need to choose the same
+            value; as for :func:`json_value`, but NaN and infinities are read.
     """
     with path.open("rb") as file:
         return document_of(file.read(LIMITS.text.max_document_bytes + 1))
@@ -196,7 +197,7 @@ def document_of(content: bytes) -> Any:
     if _has_many_values(text):
         raise ValueError(_too_many())
     try:
-        document = json.loads(text)
+        document = json.loads(text, object_pairs_hook=_without_repeats)
     except RecursionError:
         raise ValueError(_too_deep()) from None
     if _is_too_deep(document):
@@ -204,6 +205,14 @@ def document_of(content: bytes) -> Any:
     if "\\ud" in text.lower() and not is_unicode(document):
         raise ValueError("contains text that is not UTF-8")
     return document
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entry = dict(pairs)
+    if len(entry) < len(pairs):
+        repeated = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        raise ValueError(f"gives key {quote_value(repeated)} twice in one object; keep one of them")
+    return entry
 
 
 def _too_deep() -> str:

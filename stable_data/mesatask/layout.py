@@ -19,6 +19,8 @@ from stable_data.mesatask.entry import MAX_NAME_LENGTH, POSE_KEYS, ReadContext, 
 from stable_data.scene import TABLE, Rectangle, Scene, Tabletop
 
 LAYOUT_FILE = "layout.json"
+ZONE = "item_placement_zone"
+"""Entry of a layout: the rectangle of the table."""
 
 _FINAL_ANSWER = "**Final Answer**"
 
@@ -94,11 +96,11 @@ def is_reply_form(document: Mapping[str, Any]) -> bool:
 
 def read_table(document: Mapping[str, Any], table_type: str, log: ReadLog) -> tuple[Tabletop, tuple[float, float]]:
     """Reads the table of a layout, and the corner of its zone that becomes the origin (x_min, y_min, centimetres)."""
-    zone = _zone(document, "item_placement_zone", log)
+    zone = _zone(document, ZONE, log)
     if zone is None:
-        raise log.error("zone_missing", "item_placement_zone is missing, expected [x_min, x_max, y_min, y_max]")
+        raise log.error("zone_missing", f"{ZONE} is missing, expected [x_min, x_max, y_min, y_max]")
     if not (zone[0] < zone[1] and zone[2] < zone[3]):
-        raise log.error("zone_max_below_min", f"item_placement_zone is {list(zone)}: a maximum is not above its minimum")
+        raise log.error("zone_max_below_min", f"{ZONE} is {list(zone)}: a maximum is not above its minimum")
     x, y = zone[0], zone[2]  # the new origin
     restricted = _restricted_zone(document, log)
     if restricted is not None:
@@ -120,7 +122,7 @@ def _read(document: Mapping[str, Any], table_type: str, context: ReadContext, as
     """Converts a document whose form is known; notices go to the context's log."""
     log = context.log
     _check_settings(document, log)
-    if asked is not None and document.get("item_placement_zone") is None:
+    if asked is not None and document.get(ZONE) is None:
         table, origin_cm = asked, (0.0, 0.0)
     else:
         table, origin_cm = read_table(document, table_type, log)

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from stable_data.atomic_files import write_file_atomically
-from stable_data.errors import ConfigError, cannot_write
-from stable_data.json_text import json_value
+from stable_data.errors import ConfigError, SceneError, cannot_write
+from stable_data.json_text import ReadLog, json_value, read_bounded
+from stable_data.limits import LIMITS
 from stable_data.robot.arm.robots import robot_named
 from stable_data.robot.env import RobotOptions
 from stable_data.robot.randomization import RandomizationOptions
@@ -134,14 +135,14 @@ def make_suites(folder: Path, n_envs: int = 1, use_async_envs: bool = False) -> 
 def _settings(folder: Path) -> tuple[dict[str, Any], dict[str, list[str]]]:
     path = folder / _SETTINGS
     try:
-        document = json_value(path.read_text("utf-8"))
+        document = json_value(read_bounded(path, LIMITS.text, "max_document_bytes", ReadLog(_SETTINGS)).decode())
         robot, scenes = dict(document["robot"]), {str(kind): list(ids) for kind, ids in document["scenes"].items()}
         robot["randomization"] = RandomizationOptions(**robot["randomization"])
         robot["cameras"], robot["image_size"] = tuple(robot["cameras"]), tuple(robot["image_size"])
         RobotOptions(**robot)
     except ConfigError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (SceneError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(
             f"{path}: is no settings file of an EnvHub folder ({type(error).__name__}: {error}); export the folder again",
             "setting_invalid",

@@ -98,7 +98,7 @@ def prune(run: RunFolder) -> dict[str, int]:
         run: The run, complete.
 
     Returns:
-        The number of deleted rows by table.
+        The number of deleted rows by table, also of those that a call which was stopped has deleted before.
 
     Raises:
         ConfigError: It is no run, it is not complete (``run_incomplete``), it has no table ``rejected`` (``table_missing``), or a
@@ -111,7 +111,8 @@ def prune(run: RunFolder) -> dict[str, int]:
         run.dataset("rejected")
         tables = [table for table in (*ASSET_TABLES, "textures", *_OF_SCENES) if run.files(table)]
         refuse_changed_files(run, tables)
-        before = {table: run.num_rows(table) for table in tables}
+        # The manifest still counts what a call that was stopped has deleted.
+        before = {table: max(run.num_rows(table), manifest["counts"].get(table, 0)) for table in tables}
         write_manifest(run, manifest | {PRUNED: dict(manifest.get(PRUNED, {}))})  # from now on, shards do not contain all rows
         scenes, asset_ids = _in_use(run)
         kept, known = pa.array(sorted(asset_ids), pa.string()), take_checksums(run, tables)

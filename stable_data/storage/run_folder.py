@@ -255,7 +255,7 @@ class RunFolder:
         except OSError as error:
             raise _unreachable(self.uri, error) from error
         names = sorted(info.base_name for info in infos if info.type == pafs.FileType.Directory)
-        return [name for name in names if not name.startswith(".") and self.files(name)]
+        return [name for name in names if not name.startswith(".") and self.shard_entries(name)]
 
     def files_below(self) -> list[tuple[str, str]]:
         """Returns the files of the folder and of all folders in it: name in the folder, and path as the file system names it.
@@ -289,12 +289,29 @@ class RunFolder:
         """Returns the paths of the files of complete shards, sorted by shard and number, as the file system names them.
 
         Raises:
-            ConfigError: The folder cannot be read.
+            ConfigError: As :meth:`file_stamps`.
         """
         return [path for path, _, _ in self.file_stamps(table)]
 
     def file_stamps(self, table: str) -> list[tuple[str, int, int]]:
         """Returns path, size in bytes and time of change in nanoseconds of the files of a table, in the order of :meth:`files`.
+
+        Raises:
+            ConfigError: The folder cannot be read, or what has the name of a shard is no file (``shard_not_a_file``), such as a
+                named pipe, which would be waited for without end.
+        """
+        entries = self.shard_entries(table)
+        for info in entries:
+            if info.type != pafs.FileType.File:
+                raise ConfigError(
+                    f"{self.uri}/{table}/{info.base_name}: is no regular file, expected a shard; remove it, and run the job of the "
+                    "run again",
+                    "shard_not_a_file",
+                )
+        return [(info.path, int(info.size or 0), int(info.mtime_ns or 0)) for info in entries]
+
+    def shard_entries(self, table: str) -> list[pafs.FileInfo]:
+        """Returns what has the name of a file of a complete shard, in the order of :meth:`files`, whether or not it is a file.
 
         Raises:
             ConfigError: The folder cannot be read.
@@ -305,11 +322,7 @@ class RunFolder:
             raise _unreachable(f"{self.uri}/{table}", error) from error
         matches = ((PART.fullmatch(info.base_name), info) for info in infos)
         found = {(match[1], int(match[2] or 0)): info for match, info in matches if match}
-        return [
-            (info.path, int(info.size or 0), int(info.mtime_ns or 0))
-            for (shard_id, _), info in sorted(found.items(), key=lambda one: one[0])
-            if (shard_id, 0) in found
-        ]
+        return [info for (shard_id, _), info in sorted(found.items(), key=lambda one: one[0]) if (shard_id, 0) in found]
 
     def dataset(self, table: str) -> ds.Dataset:
         """Returns a table of the run as a lazy dataset, in the order of its files.

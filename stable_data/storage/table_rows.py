@@ -1,6 +1,5 @@
 """Rows of tables from scenes, tasks, cards and notices, and back, without loss."""
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
@@ -10,7 +9,7 @@ import pyarrow as pa
 
 from stable_data.condition import condition_document, condition_of
 from stable_data.errors import Notice, SceneError
-from stable_data.json_text import json_text, quote_value
+from stable_data.json_text import json_text, json_value, quote_value
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.judge_columns import FURTHER_COLUMNS
 from stable_data.metrics.reach_columns import REACH_COLUMNS
@@ -39,6 +38,15 @@ def arrow_table(name: str, rows: Sequence[Mapping[str, Any]]) -> pa.Table:
 
 def _json(source: Mapping[str, Any] | None) -> str | None:
     return None if source is None else json_text(source, separators=(",", ":"))
+
+
+def _source(text: str | None) -> Any:
+    """What :func:`_json` wrote, read with limits: what a file of others has there is written again by jobs that copy a scene.
+
+    Raises:
+        ValueError: It is no JSON, or no file could be written with it, such as half of a surrogate pair.
+    """
+    return None if text is None else json_value(text)
 
 
 def _relation_rows(relations: Iterable[Relation]) -> list[Row]:
@@ -71,7 +79,7 @@ def object_from_row(row: Mapping[str, Any]) -> SceneObject:
         size=tuple(row["size"]),
         stage=None if row["stage"] is None else Stage(row["stage"]),
         support=row["support"],
-        source=None if source is None else json.loads(source),
+        source=_source(source),
     )
 
 
@@ -102,7 +110,7 @@ def task_from_row(row: Mapping[str, Any] | None) -> TaskInfo | None:
         relations=_relations(row["relations"]),
         conditions=tuple(map(condition_of, row.get("conditions") or ())),
         origin=row["origin"],
-        source=None if row["source_json"] is None else json.loads(row["source_json"]),
+        source=_source(row["source_json"]),
     )
 
 
@@ -180,7 +188,7 @@ def _scene_of(row: Mapping[str, Any]) -> Scene:
         objects=tuple(object_from_row(o) for o in row["objects"]),
         task=task_from_row(row["task"]),
         relations=_relations(row["relations"]),
-        source=None if source is None else json.loads(source),
+        source=_source(source),
         fixed=frozenset(row.get("fixed") or ()),
         frame=frame,
     )

@@ -19,6 +19,8 @@ from stable_data.verification.shard_files import ShardFile
 
 _ROUNDING = 1e-5  # of the largest extent: vertices of a file are float32
 _MASS_SLACK = 0.01  # of the largest extent: by how much a centre of mass may lie outside of the box
+_DENSEST = 25_000.0  # kg/m³: nothing is denser
+_LIGHTEST = 1e-3  # kg: the least mass that an import gives to an asset
 _LOOK_SLACK = 0.02  # of the largest extent: the box of a look may leave out faces without area
 
 
@@ -163,6 +165,8 @@ class AssetCheck:
             return
         if len(points) and (np.abs(points.reshape(-1, 3)) > np.array(stated) / 2 + _ROUNDING * max(stated)).any():
             yield "a surface point is outside of its box"
+        if points.size > 3 and not np.ptp(points.reshape(-1, 3), axis=0).any():
+            yield "its surface points are all the same point, expected points all over it"
         if len(normals) and np.abs(np.linalg.norm(normals.reshape(-1, 3), axis=1) - 1).max() > 1e-3:
             yield "a normal is no unit vector"
         scale, volume = row.get("typical_scale"), row.get("volume")
@@ -174,7 +178,7 @@ class AssetCheck:
 
 
 def _mass_faults(row: Row) -> Iterator[str]:
-    """Faults of the mass of an asset: its centre is in its box, and each inertia is positive."""
+    """Faults of the mass of an asset: its centre is in its box, each inertia is positive, and none is larger than its box allows."""
     scale, centre = row.get("typical_scale") or (1.0, 1.0, 1.0), row.get("center_of_mass")
     half = np.multiply(row["extents"], scale) / 2
     if centre is not None and (np.abs(centre) > half + _MASS_SLACK * half.max()).any():
@@ -185,6 +189,15 @@ def _mass_faults(row: Row) -> Iterator[str]:
             least, _, most = np.linalg.eigvalsh(found)
             if least <= 0 or not np.allclose(found, found.T, rtol=0, atol=1e-6 * most):
                 yield f"{name} is {row[name]}, expected a symmetric and positive matrix"
+            elif name == "inertia_per_mass" and row.get("inertia") is None and most > (largest := float((4 * half**2).sum())):
+                # That of a source is kept as it is stated; any other one follows from the mesh, whose points are in its box.
+                yield f"{name} is up to {most:.4g} m², expected at most {largest:.4g} m², the squared diagonal of its box"
+    mass, volume, report = row.get("mass"), row.get("volume"), row["report"]
+    follows = row.get("mass_source") in ("material", "category", "default")  # from the volume and a table of densities
+    if follows and mass is not None and volume is not None and report is not None and report["is_solid"]:
+        most = max(_DENSEST * volume, _LIGHTEST)
+        if mass > most:
+            yield f"mass is {mass} kg, expected at most {most:.4g} kg by its volume: it rests on {row['mass_source']}"
 
 
 class GridCheck:

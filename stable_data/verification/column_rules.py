@@ -181,7 +181,7 @@ def _rules() -> dict[str, ColumnRules]:
             }
             | {"resting_tilts.tilt_quat_xyzw": 4},
             shares=("scale_confidence",),
-            counts=("mass", "resting_tilts.count", "report.num_vertices", "report.num_faces", "report.area"),
+            counts=("mass", "friction", "resting_tilts.count", "report.num_vertices", "report.num_faces", "report.area"),
             units=("resting_tilts.tilt_quat_xyzw",),
         ),
         "sdf": ColumnRules(

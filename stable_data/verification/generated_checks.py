@@ -38,6 +38,7 @@ class GeneratedCheck:
         self._known, self._findings = known, findings
         settings = settings_of(manifest)
         self._keeps_settled, self._is_pruned = settings.get("keep_settled") is True, PRUNED in manifest
+        self._is_proposed = settings.get("layout") != "files"  # layouts of another system have no turns
         self._judged, self._refused, self._varied = IdSet(), IdSet(), IdSet()
         self._accept: FilterExpression | None = None
         rule = settings.get("accept")
@@ -75,7 +76,8 @@ class GeneratedCheck:
         for table in ("scenes", "rejected"):
             scenes = self._ids(table)
             proposed = scenes.hashes[~self._varied.has_hashes(scenes.hashes)]  # most variants are made without the reasoner
-            if lost := int((~self._ids("turns").has_hashes(proposed)).sum()):
+            lost = int((~self._ids("turns").has_hashes(proposed)).sum())
+            if lost and self._is_proposed:
                 self._findings.damage("turns", f"{lost} {table} have no turn, expected at least one of each")
             if self._keeps_settled:
                 judged = scenes.hashes[self._judged.has_hashes(scenes.hashes)]

@@ -6,16 +6,16 @@ may be in other shards, as in a selection, their ids alone can be compared.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
 
 from stable_data.errors import ConfigError, StableDataError
+from stable_data.json_text import json_value
 from stable_data.metrics.movement import movement
 from stable_data.rotations import yaw_quat
-from stable_data.scene import Scene
+from stable_data.scene import Scene, Stage
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import object_from_row, scene_from_row
@@ -26,6 +26,12 @@ from stable_data.verification.shard_files import ShardFile
 
 _COLUMNS = ("move_mean_mm", "move_max_mm", "turn_max_deg")
 _SCENES = ("scenes", "rejected")
+_STAGES = frozenset(map(str, Stage))
+_KEPT = (
+    ("on_in_held", "on_in_kept", "relations_kept_on_in"),
+    ("directional_held", "directional_kept", "relations_kept_directional"),
+)
+"""Columns of a correction with the number of relations that held before and after it, and the column of its scene with their share."""
 
 
 class ScenesOfShards:
@@ -54,7 +60,7 @@ class ScenesOfShards:
     def _scenes_of(self, file: ShardFile) -> dict[str, tuple[Row, Scene | None]]:
         try:
             rows = self._folder.read_file(file.table, file.path).to_pylist()
-        except ConfigError:  # its own check reports it
+        except (ConfigError, UnicodeDecodeError):  # its own check reports it
             return {}
         found = dict[str, tuple[Row, Scene | None]]()
         for row in rows:
@@ -116,8 +122,69 @@ class JoinedCheck:
             self._mates.check([row[self._key] for row in rows], start, file)
 
 
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """What is looked at of a row of ``turns``.
+
+    Attributes:
+        number: Number of the row in its file.
+        stage: The stage that was asked for.
+        is_accepted: Whether its proposal is in the scene.
+        proposed: The instances of its reply; empty without one.
+        unmatched: Those of them that got no asset.
+        coarse: Poses before its correction; None without one.
+        corrected: Poses after it; None without one.
+        dropped: Instances that it dropped.
+        card: The metric card after it.
+    """
+
+    number: int
+    stage: str
+    is_accepted: bool
+    proposed: frozenset[str]
+    unmatched: frozenset[str]
+    coarse: Sequence[Row] | None
+    corrected: Sequence[Row] | None
+    dropped: frozenset[str]
+    card: Row
+
+    @classmethod
+    def of(cls, row: Row, number: int) -> "_Turn":
+        """Reads a row.
+
+        Raises:
+            ValueError: Its reply is none of objects.
+        """
+        return cls(
+            number,
+            row["stage"],
+            not row.get("code"),
+            _instances_of_reply(row.get("reply")),
+            frozenset(row.get("unmatched") or ()),
+            row.get("coarse"),
+            row.get("corrected"),
+            frozenset(each["instance"] for each in row.get("dropped") or ()),
+            row.get("card_after") or {},
+        )
+
+    def faults(self) -> Iterator[str]:
+        """Yields what is wrong with the correction of the turn by itself."""
+        if self.corrected is None:
+            return
+        names, after = ({pose["instance"] for pose in poses or ()} for poses in (self.coarse, self.corrected))
+        if both := after & self.dropped:
+            yield f"dropped names {min(both)}, which is in corrected"
+        if names and names != after | self.dropped:
+            yield (
+                f"coarse has poses of {min(names ^ (after | self.dropped))} alone, expected of what was corrected or dropped"
+            )
+
+
 class TurnCheck:
-    """Checks rows of ``turns``: the turns of a scene are numbered from 0, and its last correction has its poses and its card.
+    """Checks rows of ``turns``.
+
+    The turns of a scene are numbered from 0; its last correction has its poses and its card; each object has a pose in the correction of
+    the turn that proposed it, and is of its stage.
 
     Args:
         scenes: The scenes.
@@ -128,8 +195,7 @@ class TurnCheck:
     def __init__(self, scenes: ScenesOfShards, findings: Findings, mates: ShardMates | None = None) -> None:
         self._scenes, self._findings, self._mates = scenes, findings, mates
         self._file: ShardFile | None = None
-        self._turns = dict[str, int]()
-        self._last = dict[str, tuple[int, Any, Any]]()
+        self._next, self._turns = dict[str, int](), dict[str, list[_Turn]]()
 
     def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
         """Checks rows of a file, of which the first has a number; the turns of a scene are in one shard."""
@@ -138,37 +204,106 @@ class TurnCheck:
         self._file = file
         for number, row in enumerate(rows, start):
             name = row["scene_id"]
-            if (expected := self._turns.get(name, 0)) != row["turn"]:
+            if (expected := self._next.get(name, 0)) != row["turn"]:
                 self._findings.damage(
                     file.name, f"{name}: turn is {row['turn']}, expected {expected}: each turn once, in order", number
                 )
-            self._turns[name] = row["turn"] + 1
-            if row.get("corrected") is not None:
-                self._last[name] = number, row["corrected"], row.get("card_after")
-                names = [pose["instance"] for pose in row.get("coarse") or ()]
-                after = [each["instance"] for column in ("corrected", "dropped") for each in row.get(column) or ()]
-                if names and set(names) != set(after):
-                    what = (
-                        f"coarse has poses of {min(set(names) ^ set(after))} alone, expected of what was corrected or dropped"
-                    )
-                    self._findings.damage(file.name, f"{name}: {what}", number)
+            self._next[name] = row["turn"] + 1
+            try:
+                turn = _Turn.of(row, number)
+            except ValueError as error:
+                self._findings.damage(file.name, f"{name}: reply is no JSON with a list of objects ({error})", number)
+                continue
+            self._turns.setdefault(name, []).append(turn)
+            for what in turn.faults():
+                self._findings.damage(file.name, f"{name}: {what}", number)
         if self._mates is not None:
             self._mates.check([row["scene_id"] for row in rows], start, file)
 
     def close(self) -> None:
-        """Compares the last corrections of the scenes of a shard with their poses and their cards."""
+        """Compares the turns of the scenes of a shard with the scenes."""
         if self._file is not None:
             scenes = self._scenes.of(self._file.shard_id)
-            for name, (number, corrected, card) in self._last.items():
+            for name, turns in self._turns.items():
                 row, scene = scenes.get(name, (None, None))
-                if row is None or scene is None:
-                    continue
-                if fault := _other_poses(corrected, scene):
-                    self._findings.damage(self._file.name, f"{name}: {fault} after its last correction", number)
-                for fault in card_faults(card or {}, row):
-                    self._findings.damage(self._file.name, f"{name}: {fault}", number)
+                if row is not None and scene is not None:
+                    for number, what in _turn_faults(turns, row, scene):
+                        self._findings.damage(self._file.name, f"{name}: {what}", number)
+        self._next.clear()
         self._turns.clear()
-        self._last.clear()
+
+
+def _instances_of_reply(reply: str | None) -> frozenset[str]:
+    """The instances of the objects of a reply.
+
+    Raises:
+        ValueError: The text is no JSON, or has no list of objects with names.
+    """
+    if reply is None:
+        return frozenset()
+    document = json_value(reply)
+    objects = document.get("objects") if isinstance(document, dict) else None
+    names = (
+        [each.get("instance") if isinstance(each, dict) else None for each in objects] if isinstance(objects, list) else [None]
+    )
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError("an object has no instance" if isinstance(objects, list) else "it has no objects")
+    return frozenset(map(str, names))
+
+
+def _turn_faults(turns: Sequence[_Turn], row: Row, scene: Scene) -> Iterator[tuple[int, str]]:
+    """Yields what contradicts between the turns of a scene and the scene, each with the row of the turn."""
+    corrections = [turn for turn in turns if turn.is_accepted and turn.corrected is not None]
+    if corrections:
+        last = corrections[-1]
+        if fault := _other_poses(last.corrected or (), scene):
+            yield last.number, f"{fault} after its last correction"
+        for fault in card_faults(last.card, row):
+            yield last.number, fault
+    yield from _far_poses(turns, scene)
+    if row.get("variant_of") is None:  # the first objects of a variant are those of another scene
+        yield from _proposal_faults(turns, scene)
+
+
+def _proposal_faults(turns: Sequence[_Turn], scene: Scene) -> Iterator[tuple[int, str]]:
+    """Yields what contradicts between the replies of the turns of a scene, their corrections and the scene."""
+    stage_of, accepted, objects = dict[str, _Turn](), frozenset[str](), {o.instance: o for o in scene.movable}
+    for number, turn in enumerate(turns):
+        if turn.coarse is not None:
+            there = {pose["instance"] for pose in turn.coarse}
+            if strange := there - accepted - turn.proposed:
+                yield turn.number, f"coarse has a pose of {min(strange)}, which no reply up to this turn proposes"
+            if not turn.unmatched and (lost := turn.proposed - there):
+                yield turn.number, f"coarse has no pose of {min(lost)}, which the reply proposes"
+        if not turn.is_accepted:
+            continue
+        accepted |= turn.proposed
+        stage_of |= dict.fromkeys(turn.proposed, turn)
+        later = frozenset[str]().union(*(each.proposed for each in turns[number + 1 :]))
+        if turn.corrected is not None and (again := (turn.dropped & objects.keys()) - later):
+            yield turn.number, f"dropped names {min(again)}, which is in its scene"
+    for name, turn in stage_of.items():
+        if name in objects and turn.stage in _STAGES and objects[name].stage != turn.stage:
+            yield (
+                turn.number,
+                f"{name} is of stage {objects[name].stage}, expected {turn.stage} as of the turn that proposed it",
+            )
+
+
+def _far_poses(turns: Sequence[_Turn], scene: Scene) -> Iterator[tuple[int, str]]:
+    """Yields poses of objects of a scene that are further beside its table, or below it, than the table is long."""
+    names, width, depth = {o.instance for o in scene.movable}, *scene.table.size_xy
+    far = max(width, depth)
+    for turn in turns:
+        for column, poses in (("coarse", turn.coarse), ("corrected", turn.corrected)):
+            for pose in poses or ():
+                x, y, z = pose["position"]
+                beside = max(-x, x - width, -y, y - depth, -z)
+                if pose["instance"] in names and beside > far:
+                    yield (
+                        turn.number,
+                        f"{column} has {pose['instance']} {beside:.3g} m off the table, expected on it or near it",
+                    )
 
 
 def _other_poses(poses: Sequence[Row], scene: Scene) -> str:
@@ -230,6 +365,22 @@ def _correction_faults(row: Row, scene_row: Row, scene: Scene) -> Iterator[str]:
         if found is not None and not (is_close(found, expected) or abs(found - expected) < _SMALL):
             yield f"{name} of its scene is {found}, expected {expected} by its poses before and after"
     yield from card_faults(row.get("card_after") or {}, scene_row)
+    yield from _kept_faults(row, scene_row)
+
+
+def _kept_faults(row: Row, scene_row: Row) -> Iterator[str]:
+    """Numbers of relations of a correction that contradict each other, or the shares of its scene."""
+    for before, after, share in _KEPT:
+        held, kept = row.get(before), row.get(after)
+        if held is None or kept is None:
+            continue
+        if kept > held:
+            yield f"{after} is {kept}, expected at most {before}, which is {held}"
+        elif share in scene_row and not is_close(scene_row[share], expected := kept / held if held else None):
+            yield f"{share} of its scene is {scene_row[share]}, expected {expected} by {after} and {before}"
+    broken, restored = row.get("asked_broken"), row.get("asked_restored")
+    if broken is not None and restored is not None and restored > broken:
+        yield f"asked_restored is {restored}, expected at most asked_broken, which is {broken}"
 
 
 def _edit_faults(row: Row, scene_row: Row, scene: Scene) -> Iterator[str]:

@@ -147,14 +147,17 @@ class Reference:
     Attributes:
         path: The column.
         tables: Tables, one of which has the id; see :class:`KnownIds`.
+        apart: A shard whose values are none; empty: there is none.
     """
 
     path: str
     tables: tuple[str, ...]
+    apart: str = ""
 
     def check(self, rows: pa.Table, start: int, file: ShardFile, known: KnownIds, findings: Findings) -> None:
         """Reports the rows whose ids are in none of the tables; does nothing if the run has none of them."""
-        if known.there.isdisjoint(self.tables) or self.path.partition(".")[0] not in rows.column_names:
+        is_none = known.there.isdisjoint(self.tables) or self.path.partition(".")[0] not in rows.column_names
+        if is_none or file.shard_id == self.apart:
             return
         ids, numbers = leaves(rows, self.path, start)
         is_missing = known.missing(ids, self.tables)

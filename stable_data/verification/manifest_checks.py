@@ -14,7 +14,8 @@ from stable_data.errors import ConfigError
 from stable_data.json_text import document_of, number
 from stable_data.limits import LIMITS
 from stable_data.mesatask.dataset_split import SplitShares
-from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
+from stable_data.metrics.judge_columns import FURTHER_COLUMNS, JUDGES, MUJOCO_COLUMNS, columns_not_filled
+from stable_data.metrics.reach_columns import GRASPABLE, REACH_COLUMNS, REACHABLE, reach_columns_not_filled
 from stable_data.storage.checksums import CHECKSUMS, checksum_of, read_checksums
 from stable_data.storage.id_hashes import IdSet
 from stable_data.storage.manifest import (
@@ -50,6 +51,9 @@ _NUMBERS: Mapping[str, tuple[tuple[str, str, str, bool], ...]] = {
 }
 """Job -> table, column, key of the number of items, and whether items lost before shards are among them: for runs that are older than
 the list of planned items."""
+
+SETTLING = frozenset({"generate", "correct", "edit"})
+"""Jobs with the setting ``judges``."""
 
 _SHARES = ("seed", "train_share", "validation_share")
 """Settings of preprocess from which the splits follow."""
@@ -162,6 +166,29 @@ def split_rule(manifest: Mapping[str, Any]) -> SplitRule | None:
             return None
         return SplitRule(SplitShares(seed, train, validation))
     return SplitRule(SplitShares(), "generated") if job == "generate" else None
+
+
+def unasked_columns(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the columns of ``scenes`` that a run leaves null: verdicts of judges and robots that its settings do not name.
+
+    Args:
+        manifest: The manifest of the run that made the rows.
+
+    Returns:
+        Column -> the judge, or the setting, that would fill it; none for a job that copies rows, or whose settings do not say it.
+    """
+    job, settings = manifest.get("job"), settings_of(manifest)
+    if job not in (*SETTLING, "preprocess"):
+        return {}
+    asked = settings if job in SETTLING else {"judges": "", "arbiter": "", "robust_rest": 0, "robot": ""}
+    judges, arbiter, robot, found = asked.get("judges"), asked.get("arbiter", ""), asked.get("robot"), dict[str, str]()
+    if isinstance(judges, str) and isinstance(arbiter, str):
+        named = [name for name in JUDGES if name in f"{judges},{arbiter}"]
+        has_share = asked.get("robust_rest") != 0  # an older run does not have it
+        found |= columns_not_filled((*MUJOCO_COLUMNS, *FURTHER_COLUMNS), named, has_share)
+    if isinstance(robot, str):
+        found |= reach_columns_not_filled(REACH_COLUMNS, robot, 1 if asked.get("grasp_tries") != 0 else 0)
+    return found
 
 
 @dataclass(slots=True)

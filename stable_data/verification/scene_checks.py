@@ -3,13 +3,16 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from stable_data.errors import StableDataError
+from stable_data.errors import SceneError, StableDataError
+from stable_data.json_text import ReadLog
 from stable_data.mesatask.dataset_split import SplitShares, split_of
+from stable_data.mesatask.layout import ZONE, read_table
 from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.card import add_counts
 from stable_data.metrics.judge_columns import FURTHER, verdict_columns
@@ -73,6 +76,7 @@ class SceneCheck:
             that is not finished may not have them yet.
         is_finished: Whether the run is finished: then an asset of its tables is one of its own.
         may_be_older: Whether rows may come from a run that is older than some columns.
+        unasked: Column that is null in every row -> the setting that would fill it.
     """
 
     def __init__(
@@ -85,7 +89,9 @@ class SceneCheck:
         needs_assets: bool,
         may_be_older: bool,
         is_finished: bool = True,
+        unasked: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
+        self._unasked = unasked
         self._known, self._facts, self._splits, self._findings = known, facts, splits, findings
         self._split_of_group: dict[str, str] = {}
         self._has_assets = is_finished and "assets" in known.there
@@ -109,6 +115,10 @@ class SceneCheck:
         else:
             yield from derived_faults(row, scene, may_be_older=self._may_be_older)
         yield from rest_faults(row)
+        yield from _table_faults(scene)
+        for name, setting in self._unasked.items():
+            if row.get(name) is not None:
+                yield f"{name} is {row[name]!r:.60}, expected null: by the settings of the run, {setting} was not asked"
         mean, most = row.get("move_mean_mm"), row.get("move_max_mm")
         if (mean is None) != (most is None) or (mean is not None and most is not None and mean > most * (1 + 1e-9)):
             yield f"move_mean_mm is {mean}, expected at most move_max_mm, which is {most}"
@@ -153,6 +163,24 @@ class SceneCheck:
                 yield from _size_faults(o, extents * o.scale)
             if extents is None and self._has_assets and has_mesh.get(o.instance) and o.asset_id is None:
                 yield f"{o.instance} has a mesh by its verdict, but names no asset"
+
+
+def _table_faults(scene: Scene) -> Iterator[str]:
+    """A table that is not the one of the layout that a scene was read from, of which the scene has the entries."""
+    if not isinstance(scene.source, Mapping) or ZONE not in scene.source:
+        return
+    try:
+        stated, _ = read_table(scene.source, scene.table.table_type, ReadLog(scene.scene_id))
+    except SceneError as error:
+        yield f"source_json: {error}"
+        return
+    for name, found, expected in (
+        ("table_size", scene.table.size_xy, stated.size_xy),
+        ("restricted_zone", scene.table.restricted_zone, stated.restricted_zone),
+    ):
+        is_same = found == expected if found is None or expected is None else all(map(is_close, found, expected))
+        if not is_same:
+            yield f"{name} is {found}, expected {expected} as its layout file says, whose entries are in source_json"
 
 
 def _size_faults(o: SceneObject, box: FloatArray) -> Iterator[str]:

@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 
 import pyarrow as pa
 import pyarrow.fs as pafs
@@ -38,18 +37,22 @@ class ShardFile:
 
 
 def list_files(folder: RunFolder, findings: Findings) -> list[ShardFile]:
-    """Lists the files of all tables, also of unknown ones. A file in the folder of a table that is no part of a shard is damage.
+    """Lists the files of all tables, also of unknown ones.
+
+    A file in the folder of a table that is no part of a shard is damage, and so is what has the name of one and is no file.
 
     Raises:
         ConfigError: The folder cannot be read.
     """
     found = list[ShardFile]()
     for table in folder.tables():
-        names = {PurePosixPath(path).name for path in folder.files(table)}
+        names = {info.base_name for info in folder.shard_entries(table)}
         for info in sorted(
             folder.filesystem.get_file_info(pafs.FileSelector(f"{folder.root}/{table}")), key=lambda i: i.base_name
         ):
-            if info.base_name in names:
+            if info.base_name in names and info.type != pafs.FileType.File:
+                findings.damage(f"{table}/{info.base_name}", "is no regular file, expected a shard")
+            elif info.base_name in names:
                 match = PART.fullmatch(info.base_name)
                 assert match is not None  # RunFolder.files lists no others
                 name = f"{table}/{info.base_name}"

@@ -18,6 +18,7 @@ from stable_data.storage.checksums import CHECKSUMS
 from stable_data.storage.id_hashes import IdSet, id_hashes
 from stable_data.storage.manifest import COMPLETE, MANIFEST
 from stable_data.storage.row_groups import row_slices, rows_from_table
+from stable_data.storage.run_changes import PRUNED
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
 from stable_data.verification.asset_checks import AssetCheck, AssetFacts, FeatureCheck, GridCheck, MeshCheck, TextureCheck
@@ -28,6 +29,8 @@ from stable_data.verification.generated_checks import GeneratedCheck
 from stable_data.verification.joined_checks import JoinedCheck, ScenesOfShards, ShardMates, TurnCheck
 from stable_data.verification.known_ids import KEYS, KeyCheck, KnownIds, Reference
 from stable_data.verification.manifest_checks import (
+    OF_DATASET,
+    SETTLING,
     CountCheck,
     check_manifest,
     older_version,
@@ -36,6 +39,7 @@ from stable_data.verification.manifest_checks import (
     settings_of,
     split_rule,
     stated_checksums,
+    unasked_columns,
 )
 from stable_data.verification.other_files import check_other_files
 from stable_data.verification.row_checks import OwnCheck
@@ -59,7 +63,7 @@ Tell: TypeAlias = Callable[[Finding], None]
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Called with what is checked, and with the number of finished and of all pieces."""
 
-_FIRST = ("textures", "meshes", "assets", "sdf", "features", "measured", "warnings", "failures", "scenes", "rejected")
+_FIRST = ("textures", "meshes", "assets", "sdf", "features", "measured", "failures", "scenes", "rejected", "warnings")
 """Tables in the order in which they are read: what others refer to comes first."""
 
 _SCENES = ("scenes", "rejected")
@@ -79,9 +83,6 @@ _IN_ONE_SHARD: Mapping[str, frozenset[str]] = {
     "reach": frozenset({"grasps"}),
 }
 """Job -> tables whose rows it writes to the shards of their scenes."""
-
-_SETTLING = frozenset({"generate", "correct", "edit"})
-"""Jobs with the setting ``judges``."""
 
 _CARRIED = frozenset({"assets", "meshes", "textures", "sdf", "features", "settled"})
 """Tables that correct, edit and reach copy from the run that they read."""
@@ -207,7 +208,7 @@ class _Verifier:
         is_selection = self._manifest.get("job") == "query"  # an older one has a texture once for each shard that it was in
         self._keys = {table: KeyCheck(table, findings) for table in KEYS if not (is_selection and table == "textures")}
         # A run that is not finished may have rows whose scenes, and scenes whose assets, are still to be made.
-        self._references = _references(str(self._manifest.get("job"))) if self._is_finished else {}
+        self._references = _references(self._manifest) if self._is_finished else {}
         self._checks = self._row_checks()
         origin = origin_of(self._manifest)
         self._generated = GeneratedCheck(origin, self._known, findings) if origin.get("job") == "generate" else None
@@ -270,6 +271,7 @@ class _Verifier:
             needs_assets=self._is_finished and job not in _WITHOUT_ASSETS,
             may_be_older="upgraded_to" in self._manifest or job in _OF_OTHER_RUNS,
             is_finished=self._is_finished,
+            unasked=unasked_columns(origin_of(self._manifest)),
         )
         in_one_shard = _IN_ONE_SHARD.get(str(job), frozenset()) if self._is_finished else frozenset[str]()
         mates = {table: ShardMates(scenes, known, findings) for table in in_one_shard}
@@ -307,8 +309,17 @@ class _Verifier:
                     self._counts.note(rows, file)
 
     def _check_rows(self, rows: pa.Table, start: int, file: ShardFile) -> None:
+        try:
+            check_values(rows, start, file, self._findings)
+            self._note_rows(rows, start, file)
+        except Exception as error:  # noqa: BLE001 - a value that no check expects is damage, and ends no verification
+            self._findings.damage(file.name, _unchecked(error), start)
+        if file.table in self._checks:
+            self._check_slices(self._checks[file.table], rows, start, file)
+
+    def _note_rows(self, rows: pa.Table, start: int, file: ShardFile) -> None:
+        """Counts rows, notes their ids, and looks up what they refer to."""
         table = file.table
-        check_values(rows, start, file, self._findings)
         if table in self._keys:
             self._keys[table].note(rows, start, file)
         if table in KEYS:
@@ -322,22 +333,20 @@ class _Verifier:
             reference.check(rows, start, file, self._known, self._findings)
         if table in _SCENES:
             self._chosen.note(rows, start, file)
-        if table in self._checks:
-            self._check_slices(self._checks[table], rows, start, file)
 
     def _check_slices(self, check: RowCheck, rows: pa.Table, start: int, file: ShardFile) -> None:
         for part in row_slices(rows):
             try:
                 check.check(rows_from_table(part), start, file)
-            except Exception as error:  # noqa: BLE001 - a value that no check expects is damage, and ends no verification
-                self._findings.damage(file.name, f"cannot be checked: {type(error).__name__}: {error}", start)
+            except Exception as error:  # noqa: BLE001 - as above
+                self._findings.damage(file.name, _unchecked(error), start)
             start += part.num_rows
 
     def _close(self, check: TurnCheck) -> None:
         try:
             check.close()
         except Exception as error:  # noqa: BLE001 - as above
-            self._findings.damage("turns", f"cannot be checked: {type(error).__name__}: {error}")
+            self._findings.damage("turns", _unchecked(error))
 
     def _read_source(self, source: RunFolder) -> None:
         """Reads the ids of the scenes of the source."""
@@ -367,7 +376,7 @@ class _Verifier:
             findings.cannot_know(f"verdicts: the audit {install_hint(error) or error}; or leave them out with --verdicts none")
             return 0, 0
         simulates, origin = options.verdicts == "all", origin_of(self._manifest)
-        judges = settings_of(origin).get("judges") if str(origin.get("job")) in _SETTLING else None
+        judges = settings_of(origin).get("judges") if str(origin.get("job")) in SETTLING else None
         is_settled = isinstance(judges, str) and "mujoco" in judges
         if simulates and (is_settled or self._chosen.num_simulated) and find_spec("mujoco") is None:
             hint = install_hint(ModuleNotFoundError(name="mujoco"))
@@ -385,8 +394,15 @@ class _Verifier:
         return check.num_audited, check.num_simulated
 
 
-def _references(job: str) -> Mapping[str, tuple[Reference, ...]]:
-    """The references between the tables of a run of a job."""
+def _unchecked(error: Exception) -> str:
+    return f"cannot be checked: {type(error).__name__}: {error}"
+
+
+def _references(manifest: Mapping[str, Any]) -> Mapping[str, tuple[Reference, ...]]:
+    """The references between the tables of a run."""
+    job = str(manifest.get("job"))
+    # Assets are deleted from a pruned run, and what was remarked on them is kept.
+    has_items = job in ("generate", "preprocess", "correct") and PRUNED not in manifest
     assets = ("assets", UNRESOLVED)
     external = ("scenes", _SOURCE)
     return {
@@ -401,6 +417,7 @@ def _references(job: str) -> Mapping[str, tuple[Reference, ...]]:
             ),
         ),
         "turns": (Reference("scene_id", _OF_SCENES),),
+        "warnings": (Reference("id", (*_OF_SCENES, "assets"), OF_DATASET),) if has_items else (),
         # Those of a run whose reach is surveyed are copied with it, also those of its rejected scenes.
         "settled": () if job == "reach" else (Reference("scene_id", _SCENES),),
         "grasps": (Reference("scene_id", _SCENES),),

@@ -131,8 +131,17 @@ def read_cache(path: Path) -> tuple[TrainingSet, list[ShapeKey]] | None:
         with safe_open(path, framework="pt") as file:
             about = json.loads(file.metadata()["about"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-    except (OSError, SafetensorError):
-        return None
+        return _training_set(tensors, about)
+    except (OSError, SafetensorError, AttributeError, LookupError, RecursionError, TypeError, ValueError):
+        return None  # also a file of others, which has tensors and notes of another form
+
+
+def _training_set(tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> tuple[TrainingSet, list[ShapeKey]]:
+    """A training set of what :func:`write_cache` wrote.
+
+    Raises:
+        AttributeError, LookupError, TypeError, ValueError: A tensor or a note is missing or has another form.
+    """
     batch = LayoutBatch(**{name: tensors[f"batch.{name}"] for name in TENSORS})
     atlas = SdfAtlas(*(tensors[f"atlas.{name}"] for name in SdfAtlas.__slots__))
     parts = {name: tensors[f"geometry.{name}"] for name in ShapeTensors.__slots__ if name != "atlas"}

@@ -1,5 +1,6 @@
 """The robot's environment: gymnasium's own check, the same episode for the same seed, tasks that are fulfilled, bad input."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from stable_data.scene import Scene, Tabletop, TaskInfo
 from stable_data.simulation.offscreen import can_render
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
+from tests.bounds import limit
 from tests.stable_data.export.runs import thing, write_run
 from tests.stable_data.robot.tables import BOX, CAN, MUG, PLATE, TABLE, laid_table
 
@@ -273,6 +275,17 @@ def test_a_folder_for_envhub_makes_environments(run: RunFolder, tmp_path: Path) 
     (out / "settings.json").write_text('{"robot": {}}', "utf-8")
     with pytest.raises(ConfigError, match=r"settings\.json: is no settings file"):
         make_suites(out)
+
+
+def test_settings_of_an_envhub_folder_are_read_with_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "settings.json").write_text('{"robot": {}, "scenes": {}}' + " " * 1000, "utf-8")
+    limit(monkeypatch, "text", max_document_bytes=1000)
+    with pytest.raises(ConfigError, match="is larger, expected at most"):
+        make_suites(tmp_path)
+    (tmp_path / "settings.json").unlink()
+    os.mkfifo(tmp_path / "settings.json")
+    with pytest.raises(ConfigError, match="not a regular file"):
+        make_suites(tmp_path)
 
 
 def test_a_run_without_goals_makes_no_folder(tmp_path: Path) -> None:

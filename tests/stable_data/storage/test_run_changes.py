@@ -4,12 +4,14 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from stable_data.errors import ConfigError
+from stable_data.storage import run_changes
 from stable_data.storage.checksums import CHECKSUMS, forget_shards, read_checksums
 from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_changes import PRUNED, prune, upgrade
@@ -25,6 +27,21 @@ STORED = Path(__file__).parents[2] / "data"
 
 def copy_of(name: str, tmp_path: Path) -> RunFolder:
     return RunFolder(shutil.copytree(STORED / name, tmp_path / "run"))
+
+
+def with_rejected(folder: Path) -> RunFolder:
+    """A stored run of generate as if its first scene had been rejected."""
+    run = copy_of("run_v3/generate", folder)
+    every = run.table("scenes")
+    assert len(every) > 1
+    for table, rows in (("scenes", every.slice(1)), ("rejected", every.slice(0, 1))):
+        for number, shard_id in enumerate(sorted(run.shard_ids(table))):
+            own = rows if number == 0 else rows.slice(0, 0)
+            run.write_table(table, shard_id, own.replace_schema_metadata(SCHEMAS[table].metadata))
+    manifest = read_manifest(run) or {}
+    counts = {table: run.num_rows(table) for table in ("scenes", "rejected")}
+    (Path(run.root) / "manifest.json").write_text(json.dumps(manifest | {"counts": manifest["counts"] | counts}))
+    return run
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -87,13 +104,7 @@ def test_versions_that_nobody_knows_are_left_alone(tmp_path: Path) -> None:
 
 
 def test_what_was_rejected_is_deleted_with_what_only_it_used(tmp_path: Path) -> None:
-    run = copy_of("run_v3/generate", tmp_path)
-    every = run.table("scenes")
-    assert len(every) > 1
-    for table, rows in (("scenes", every.slice(1)), ("rejected", every.slice(0, 1))):  # as if one had been rejected
-        for number, shard_id in enumerate(sorted(run.shard_ids(table))):
-            own = rows if number == 0 else rows.slice(0, 0)
-            run.write_table(table, shard_id, own.replace_schema_metadata(SCHEMAS[table].metadata))
+    run = with_rejected(tmp_path)
     scenes, turns, failures = (run.table(name) for name in ("scenes", "turns", "failures"))
     used, rejected = used_assets(scenes), run.table("rejected")
     ids = set(run.table("assets", ["asset_id"])["asset_id"].to_pylist())
@@ -163,6 +174,29 @@ def test_checksums_of_shards_that_are_made_anew_are_forgotten(tmp_path: Path) ->
     assert known.items() - (read_checksums(run) or {}).items() == {
         (name, known[name]) for name in (f"{table}/part-{shard_id}.parquet" for table in ("scenes", "turns"))
     }
+
+
+def test_a_prune_that_was_stopped_is_completed_and_counts_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = with_rejected(tmp_path / "undisturbed")
+    expected = prune(run)
+    assert expected["assets"]
+    again = with_rejected(tmp_path / "stopped")
+    with monkeypatch.context() as patch:
+        change, done = run_changes._change, list[str]()
+
+        def stopped(run: RunFolder, table: str, *rest: Any) -> int:
+            if len(done) == 2:
+                raise KeyboardInterrupt
+            done.append(table)
+            return change(run, table, *rest)
+
+        patch.setattr(run_changes, "_change", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            prune(again)
+    assert prune(again) == expected
+    found = [read_manifest(one) or {} for one in (run, again)]
+    assert found[1][PRUNED] == found[0][PRUNED] == expected
+    assert found[1]["counts"] == found[0]["counts"]
 
 
 def test_runs_that_cannot_be_pruned(tmp_path: Path) -> None:

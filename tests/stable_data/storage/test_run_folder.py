@@ -20,8 +20,11 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from benchmarks.faults.s3_server import Application
+from stable_data.cli import app
+from stable_data.commands.command_line import NOT_STARTED
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.storage import run_folder
@@ -30,6 +33,7 @@ from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
 from tests.bounds import limit
 from tests.object_store import object_store
+from tests.stable_data.verification.editing import small_run
 
 CHECKOUT = Path(__file__).parents[3]
 HOLD = """
@@ -122,6 +126,40 @@ def test_what_is_not_a_shard_is_not_listed(run: RunFolder) -> None:
     for name in (".part-01.parquet.tmp-abc", "part-02.parquet.tmp-abc", "notes.parquet", "part-03.csv"):
         (folder / name).write_bytes(b"half")
     assert run.shard_ids("warnings") == {"00"}
+    assert run.table("warnings")["id"].to_pylist() == ["a"]
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir])
+def test_what_is_no_file_is_refused_as_a_shard(make: Callable[[Path], None], run: RunFolder) -> None:
+    """A reader of a named pipe waits for ever."""
+    run.write_shard("warnings", "00", warnings("a"))
+    place = Path(run.root) / "warnings" / "part-01.parquet"
+    make(place)
+    readers = (run.table, run.num_rows, run.files, run.shard_ids, run.file_stamps, lambda t: list(run.batches(t)))
+    for read in readers:
+        with pytest.raises(ConfigError, match=r"part-01\.parquet: is no regular file") as caught:
+            read("warnings")
+        assert caught.value.code == "shard_not_a_file"
+    assert run.tables() == ["warnings"]
+
+
+@pytest.mark.parametrize("command", [["inspect"], ["query", "clean"], ["upgrade"]])
+def test_a_command_that_reads_a_run_with_a_named_pipe_ends(command: list[str], tmp_path: Path) -> None:
+    name, *more = command
+    run = small_run(tmp_path)
+    place = next((run / "scenes").glob("part-*"))
+    place.unlink()
+    os.mkfifo(place)
+    done = CliRunner().invoke(app, [name, str(run), *more])
+    assert done.exit_code == NOT_STARTED
+    assert "is no regular file" in done.stderr
+
+
+def test_a_shard_may_be_a_link_to_a_file(run: RunFolder) -> None:
+    """As a cache of a dataset hub has them."""
+    run.write_shard("warnings", "00", warnings("a"))
+    place = Path(run.files("warnings")[0])
+    place.symlink_to(place.rename(place.parent.with_name("blob")))
     assert run.table("warnings")["id"].to_pylist() == ["a"]
 
 

@@ -1,5 +1,6 @@
 """The ways in which a run is damaged: name -> what is done, where it is found, and what the finding says."""
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ import pyarrow as pa
 
 from stable_data.storage.checksums import CHECKSUMS
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import Row
+from stable_data.storage.schemas import SCHEMAS, Row
 from tests.stable_data.verification.editing import (
     Change,
     Damage,
@@ -206,6 +207,17 @@ def remove(name: str) -> Damage:
     return lambda run: (run / name).unlink()
 
 
+def replaced_shard(table: str, make: Callable[[Path], None]) -> Damage:
+    """Puts something that is no file in the place of a shard."""
+
+    def damage(run: Path) -> None:
+        path = files_of(run, table)[0]
+        path.unlink()
+        make(path)
+
+    return damage
+
+
 def write(name: str, content: bytes) -> Damage:
     def damage(run: Path) -> None:
         (run / name).write_bytes(content)
@@ -266,6 +278,40 @@ def unlisted(run: Path) -> None:
     (run / CHECKSUMS).write_text("".join(lines[1:]))
 
 
+def stages_exchanged(row: Row) -> None:
+    one, other = row["objects"][:2]
+    one["stage"], other["stage"] = other["stage"], one["stage"]
+
+
+def dropped_for_ever(found: list[Row]) -> None:
+    """Says that the first turn with a correction dropped all that it has, although the scene has it."""
+    turn = next(row for row in found if row["corrected"])
+    turn["dropped"] = [{"instance": pose["instance"], "reason": "no room"} for pose in turn["corrected"]]
+    turn["corrected"] = []
+
+
+def warning_of_nothing(run: Path) -> None:
+    path = files_of(run, "scenes")[0]
+    rows_of = {"id": "gone", "step": "mesh", "code": "glb_odd", "message": "gone: odd"}
+    RunFolder(str(run)).write_file("warnings", path.name, pa.Table.from_pylist([rows_of], schema=SCHEMAS["warnings"]))
+    recount(run)
+    hide(run)
+
+
+def stated_twice(run: Path) -> None:
+    path = run / "manifest.json"
+    path.write_text(path.read_text("utf-8").replace('"status"', '"status": "running", "status"', 1), "utf-8")
+
+
+def larger_inertia(found: list[Row]) -> None:
+    found[0]["inertia_per_mass"] = [1e4 * value for value in found[0]["inertia_per_mass"]]
+
+
+def one_point(found: list[Row]) -> None:
+    points = found[0]["points"]
+    found[0]["points"] = points[:3] * (len(points) // 3)
+
+
 # --- the damages: name -> what is done, where it is found, and what the finding says -------------------------------------------
 
 Damages: TypeAlias = dict[str, tuple[Damage, str, str]]
@@ -280,6 +326,9 @@ BY_CHECKSUM: Damages = {
     "truncated": (truncated, "meshes/", "SHA-256"),
     "emptied": (emptied, "warnings/", "SHA-256"),
     "a missing shard": (without_shard("scenes", hidden=False), "scenes/", "is missing"),
+    "a named pipe as a shard": (replaced_shard("scenes", os.mkfifo), "scenes/part-", "is no regular file"),
+    "a named pipe as a shard of meshes": (replaced_shard("meshes", os.mkfifo), "meshes/part-", "is no regular file"),
+    "a folder as a shard": (replaced_shard("turns", Path.mkdir), "turns/part-", "is no regular file"),
     "an extra shard": (copied_shard("turns", hidden=False), "turns/", f"is not in {CHECKSUMS}"),
     "another file among the shards": (write("scenes/extra.parquet", b"PAR1"), "scenes/extra", "readers of *.parquet see it"),
     "a row changed": (rows("turns", lambda found: found[0].update(reply="{}"), hidden=False), "turns/", "SHA-256"),
@@ -289,6 +338,7 @@ BY_CHECKSUM: Damages = {
     "no manifest": (remove("manifest.json"), "manifest.json", "is missing"),
     "a manifest that is no JSON": (write("manifest.json", b"{"), "manifest.json", "no JSON"),
     "settings edited": (manifest(lambda m: m["settings"].update(seed=9), hidden=False), "manifest.json", "its digest"),
+    "a key of the manifest twice": (stated_twice, "manifest.json", "gives key 'status' twice"),
     "counts edited, not the digest": (
         manifest(lambda m: m["counts"].update(scenes=4), hidden=False),
         "manifest.json",
@@ -457,6 +507,51 @@ BY_CONTENT: Damages = {
         "holds no ids",
     ),
     "a planned number that is text": (manifest(lambda m: m["planned"][0].update(count="5")), "manifest.json", "another type"),
+    "a verdict of a judge that was not asked": (setting(sapien_stable=True), "scenes/", "sapien_stable is True, expected null"),
+    "a robust share of no repetition": (setting(stable_share=1.0), "scenes/", "robust_rest was not asked"),
+    "a robot that was not asked": (setting(robot="panda", reach=[]), "scenes/", "robot is 'panda', expected null"),
+    "a reply emptied": (
+        of_turn(lambda row: row.update(reply='{"objects":[]}')),
+        "turns/",
+        "which no reply up to this turn proposes",
+    ),
+    "a reply of another object": (
+        of_turn(lambda row: row.update(reply=row["reply"].replace('"objects":[', '"objects":[{"instance":"gone_0"},', 1))),
+        "turns/",
+        "coarse has no pose of gone_0",
+    ),
+    "a reply without objects": (
+        of_turn(lambda row: row.update(reply="{}")),
+        "turns/",
+        "reply is no JSON with a list of objects",
+    ),
+    "a reply that is no JSON": (
+        of_turn(lambda row: row.update(reply="yes")),
+        "turns/",
+        "reply is no JSON with a list of objects",
+    ),
+    "stages exchanged": (scene(stages_exchanged), "turns/", "as of the turn that proposed it"),
+    "an object that is there dropped": (
+        of_turn(lambda row: row["dropped"].append({"instance": row["corrected"][0]["instance"], "reason": "no room"})),
+        "turns/",
+        "which is in corrected",
+    ),
+    "an object that is there dropped early": (rows("turns", dropped_for_ever), "turns/", "which is in its scene"),
+    "a proposed pose far away": (
+        of_turn(lambda row: row["coarse"][0].update(position=[9.0, 9.0, 0.0])),
+        "turns/",
+        "off the table",
+    ),
+    "a negative friction": (rows("assets", lambda found: found[0].update(friction=[-1.0, 0.0, 0.0])), "assets/", "friction is"),
+    "an inertia larger than its box": (rows("assets", larger_inertia), "assets/", "the squared diagonal of its box"),
+    "a mass heavier than its volume": (
+        rows("assets", lambda found: found[0].update(mass_source="category", mass=1e6)),
+        "assets/",
+        "by its volume",
+    ),
+    "points in one place": (rows("assets", one_point), "assets/", "all the same point"),
+    "a warning of nothing": (warning_of_nothing, "warnings/", "id is 'gone', which is in no row of"),
+    "a failure renamed": (rows("failures", lambda found: found[0].update(id="task_99")), "scenes", "was renamed or exchanged"),
     "planned items edited": (manifest(lambda m: m["planned"][0].update(count=6)), "scenes", "expected the 6 that were planned"),
 }
 """Damage of which checksums and digest are made to fit."""
@@ -470,6 +565,7 @@ BY_VERDICT: Damages = {
     "verdicts left out where all is accepted": (unjudged_where_all_is_accepted, "scenes/", "stable is null, expected True"),
     "jitters": (setting(jitter_mm=44.0), "scenes/", "jitter_mm is 44.0"),
     "turns": (setting(settle_turn_max_deg=3.5), "scenes/", "settle_turn_max_deg is 3.5"),
+    "collides by samples": (setting(oc_sdf=1 / 3), "scenes/", "oc_sdf is"),
     "relations left out": (scene(untold), "scenes/", "face to"),
     "poses edited in all tables": (moved_everywhere, "scenes/", "expected otherwise"),
     "without a mesh": (
@@ -517,5 +613,35 @@ OF_SAMPLES: Damages = {
         "manifest.json",
         "no numbers",
     ),
+    "a restricted zone edited": (setting(restricted_zone=[0.0, 0.02, 0.0, 0.02]), "scenes/", "restricted_zone is"),
+    "a table made longer": (
+        scene(lambda row: row.update(table_size=[2 * row["table_size"][0], row["table_size"][1]])),
+        "scenes/",
+        "table_size is",
+    ),
+    "a verdict although nobody simulates": (setting(stable=True, settle_move_max_mm=0.0), "scenes/", "mujoco was not asked"),
     "groups of near-duplicates edited": (rows("scenes", regrouped), "scenes/", "duplicate_group is"),
+}
+
+OF_CORRECTIONS: Damages = {
+    "fewer relations kept": (
+        rows("corrections", lambda found: found[0].update(directional_kept=found[0]["directional_held"] - 1)),
+        "corrections/",
+        "relations_kept_directional of its scene is",
+    ),
+    "more relations kept than held": (
+        rows("corrections", lambda found: found[0].update(on_in_kept=99)),
+        "corrections/",
+        "on_in_kept is 99, expected at most on_in_held",
+    ),
+    "more relations restored than broken": (
+        rows("corrections", lambda found: found[0].update(asked_restored=99)),
+        "corrections/",
+        "asked_restored is 99",
+    ),
+    "a share of kept relations edited": (
+        setting(relations_kept_directional=0.125),
+        "corrections/",
+        "relations_kept_directional of its scene is 0.125",
+    ),
 }

@@ -3,9 +3,12 @@
 import shutil
 import subprocess
 import sys
+from copy import deepcopy
 from pathlib import Path
+from unittest.mock import Mock
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
@@ -17,15 +20,24 @@ from stable_data.storage.checksums import CHECKSUMS, read_checksums
 from stable_data.storage.manifest import read_manifest, write_manifest
 from stable_data.storage.run_changes import prune, upgrade
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import SCHEMAS
+from stable_data.storage.schemas import SCHEMAS, Row
 from stable_data.storage.subset import select
 from stable_data.verification.column_rules import RULES
 from stable_data.verification.findings import Finding
 from stable_data.verification.known_ids import KEYS
+from stable_data.verification.manifest_checks import CountCheck
 from stable_data.verification.verifier import Verdicts, Verification, VerifyOptions, verify_run
 from tests.object_store import object_store
-from tests.stable_data.verification.damages import BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_SAMPLES, OF_TEXTURES, OLDER_RUNS
-from tests.stable_data.verification.editing import Damage, files_of, rows
+from tests.stable_data.verification.damages import (
+    BY_CHECKSUM,
+    BY_CONTENT,
+    BY_VERDICT,
+    OF_CORRECTIONS,
+    OF_SAMPLES,
+    OF_TEXTURES,
+    OLDER_RUNS,
+)
+from tests.stable_data.verification.editing import Damage, files_of, hide, manifest, rows, small_run
 
 
 def verified(
@@ -72,6 +84,23 @@ def test_damaged_samples_and_grids_are_found(name: str, clean_run: Path, tmp_pat
     check(clean_run, tmp_path, *OF_SAMPLES[name])
 
 
+@pytest.fixture(scope="module")
+def corrected(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of correct over ``generated``."""
+    from pipelines.correct.job import correct
+    from pipelines.correct.settings import CorrectSettings
+    from pipelines.execution.ray_executor import WorkerPool
+
+    out = tmp_path_factory.mktemp("corrected") / "run"
+    correct(str(generated), str(out), CorrectSettings(weights="none", scenes_per_shard=2, num_pictures=0), WorkerPool())
+    return out
+
+
+@pytest.mark.parametrize("name", OF_CORRECTIONS)
+def test_damaged_corrections_are_found(name: str, corrected: Path, tmp_path: Path) -> None:
+    check(corrected, tmp_path, *OF_CORRECTIONS[name])
+
+
 @pytest.mark.sim
 def test_a_whole_run_is_whole(generated: Path, imported: Path, clean_run: Path) -> None:
     for run in (generated, imported, clean_run):
@@ -82,7 +111,7 @@ def test_a_whole_run_is_whole(generated: Path, imported: Path, clean_run: Path) 
 
 
 def test_there_are_many_ways_to_damage_a_run() -> None:
-    assert sum(map(len, (BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_TEXTURES, OF_SAMPLES))) >= 80
+    assert sum(map(len, (BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_TEXTURES, OF_SAMPLES, OF_CORRECTIONS))) >= 100
 
 
 # --- what is unknown ----------------------------------------------------------------------------------------------------------
@@ -114,6 +143,53 @@ def test_an_upgraded_run_is_whole(version: str, tmp_path: Path) -> None:
     write_manifest(RunFolder(str(copy)), manifest)
     result, found = verified(copy, verdicts="audit")
     assert (result.is_whole, found, result.num_audited) == (True, [], 2), str(result)
+
+
+def test_layouts_of_another_system_have_no_turns(generated: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    for _ in range(len(files_of(copy, "turns"))):
+        rows("turns", lambda found: [], recounts=True)(copy)
+    assert {f.where for f in verified(copy)[1]} == {"turns"}
+    manifest(lambda document: document["settings"].update(layout="files"))(copy)
+    result, found = verified(copy)
+    assert (result.is_whole, found) == (True, []), str(result)
+
+
+def test_only_what_was_accepted_is_compared_with_the_scene(generated: Path, tmp_path: Path) -> None:
+    """The last attempt at a stage may be worse than an earlier one, which is then in the scene."""
+
+    def tried_again(found: list[Row]) -> list[Row]:
+        name = next(row["scene_id"] for row in found if row["corrected"])
+        last = max((row for row in found if row["scene_id"] == name), key=lambda row: row["turn"])
+        again = deepcopy(last) | {"turn": last["turn"] + 1, "code": "relation_lost", "reason": "a relation does not hold"}
+        again["corrected"][0]["position"][0] += 0.1
+        place = found.index(last) + 1
+        return [*found[:place], again, *found[place:]]
+
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    rows("turns", tried_again, recounts=True)(copy)
+    result, found = verified(copy)
+    assert (result.is_whole, found) == (True, []), list(map(str, found))
+
+
+@pytest.mark.parametrize(("table", "column"), [("scenes", "task_kind"), ("assets", "geometry_hash"), ("turns", "code")])
+def test_text_that_is_not_utf_8_is_damage(table: str, column: str, tmp_path: Path) -> None:
+    run = small_run(tmp_path)
+    for path in files_of(run, table):
+        found = pq.read_table(path)
+        odd = pa.array([b"\xff\xfe"] * len(found), pa.binary())
+        values = pa.StringArray.from_buffers(len(odd), odd.buffers()[1], odd.buffers()[2])
+        number = found.schema.get_field_index(column)
+        pq.write_table(found.set_column(number, found.schema.field(number), values), path)
+    hide(run)
+    found_damage = verified(run)[1]
+    assert any(f.where.startswith(f"{table}/") and "Invalid UTF8" in f.what for f in found_damage), found_damage
+
+
+def test_a_value_that_no_check_expects_ends_no_verification(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = small_run(tmp_path)
+    monkeypatch.setattr(CountCheck, "note", Mock(side_effect=KeyError("gone")))
+    assert {"cannot be checked: KeyError: 'gone'"} <= {f.what for f in verified(run)[1]}
 
 
 def test_an_unfinished_run_is_not_whole(generated: Path, tmp_path: Path) -> None:
