@@ -200,6 +200,7 @@ def test_text_that_is_not_utf_8_is_damage(table: str, column: str, tmp_path: Pat
     hide(run)
     found_damage = verified(run)[1]
     assert any(f.where.startswith(f"{table}/") and "Invalid UTF8" in f.what for f in found_damage), found_damage
+    assert not any("UnicodeDecodeError" in f.what for f in found_damage)  # it is said once, where it is
 
 
 def test_a_value_that_no_check_expects_ends_no_verification(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
