@@ -254,7 +254,8 @@ def _instances_of_reply(reply: str | None) -> frozenset[str]:
 def _turn_faults(turns: Sequence[_Turn], row: Row, scene: Scene) -> Iterator[tuple[int, str]]:
     """Yields what contradicts between the turns of a scene and the scene, each with the row of the turn."""
     corrections = [turn for turn in turns if turn.is_accepted and turn.corrected is not None]
-    if corrections:
+    # A last stage that is left out is followed by a correction of its own, which is in no turn.
+    if corrections and corrections[-1].stage == turns[-1].stage:
         last = corrections[-1]
         if fault := _other_poses(last.corrected or (), scene):
             yield last.number, f"{fault} after its last correction"

@@ -145,6 +145,22 @@ def test_an_upgraded_run_is_whole(version: str, tmp_path: Path) -> None:
     assert (result.is_whole, found, result.num_audited) == (True, [], 2), str(result)
 
 
+def test_a_scene_whose_last_stage_was_left_out_was_corrected_again(generated: Path, tmp_path: Path) -> None:
+    def left_out(found: list[Row]) -> list[Row]:
+        name = next(row["scene_id"] for row in found if row["corrected"])
+        last = max((row for row in found if row["scene_id"] == name), key=lambda row: row["turn"])
+        failed = last | {"turn": last["turn"] + 1, "stage": "important", "code": "empty", "reply": None, "dropped": []}
+        failed |= dict.fromkeys(("coarse", "corrected", "card_before", "card_after"))
+        last["corrected"][0]["position"][0] += 0.001
+        place = found.index(last) + 1
+        return [*found[:place], failed, *found[place:]]
+
+    copy = Path(shutil.copytree(generated, tmp_path / "run"))
+    rows("turns", left_out, recounts=True)(copy)
+    result, found = verified(copy)
+    assert (result.is_whole, found) == (True, []), list(map(str, found))
+
+
 def test_layouts_of_another_system_have_no_turns(generated: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(generated, tmp_path / "run"))
     for _ in range(len(files_of(copy, "turns"))):
@@ -184,6 +200,7 @@ def test_text_that_is_not_utf_8_is_damage(table: str, column: str, tmp_path: Pat
     hide(run)
     found_damage = verified(run)[1]
     assert any(f.where.startswith(f"{table}/") and "Invalid UTF8" in f.what for f in found_damage), found_damage
+    assert not any("UnicodeDecodeError" in f.what for f in found_damage)  # it is said once, where it is
 
 
 def test_a_value_that_no_check_expects_ends_no_verification(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
