@@ -31,7 +31,7 @@ from pipelines.evaluate.figures import FIGURES, RULES, TABLE_1_COLUMNS, Estimate
 from pipelines.evaluate.published import MANIPULABILITY, REARRANGEMENT, SOURCE, TABLE_1, TABLE_2, TABLE_3A, TABLE_3B
 from pipelines.reports.text_table import align_columns
 from stable_data.rating.criteria import CRITERIA
-from stable_data.scores.intervals import mean_interval
+from stable_data.scores.intervals import mean_text
 
 Rows: TypeAlias = list[list[str]]
 
@@ -138,7 +138,7 @@ def rearrangement_lines(found: Mapping[str, Any]) -> Iterable[str]:
     rows = [["method", *columns.values(), "seeds"]]
     for method in dict.fromkeys(f["method"] for f in found["figures"]):
         own = [f for f in found["figures"] if f["method"] == method]
-        rows.append([method, *(_with_interval([f[key] for f in own]) for key in columns), str(len(own))])
+        rows.append([method, *(mean_text([f[key] for f in own], 3) or _UNKNOWN for key in columns), str(len(own))])
     yield from _aligned(rows)
     yield "means over the seeds with half of the width of their 95 % intervals; OC and exact OC: colliding pairs, as in Table 1"
 
@@ -168,14 +168,6 @@ def _estimate(system: Mapping[str, Any], key: str) -> str:
 def _mean(values: Sequence[float | None], factor: float, digits: int) -> str:
     known = [value for value in values if value is not None]
     return f"{factor * mean(known):.{digits}f}" if known and len(known) == len(values) else _UNKNOWN
-
-
-def _with_interval(values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    if not known or len(known) < len(values):
-        return _UNKNOWN
-    centre, low, high = mean_interval(known)
-    return f"{centre:.3f}" if len(known) < 2 else f"{centre:.3f} ±{(high - low) / 2:.3f}"
 
 
 def _aligned(rows: Rows) -> list[str]:

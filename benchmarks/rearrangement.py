@@ -62,7 +62,7 @@ from pipelines.reports.text_table import align_columns
 from pipelines.sources.scenes import scene_source
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, StableDataError
-from stable_data.scores.intervals import mean_interval
+from stable_data.scores.intervals import mean_text
 
 PARTS = ("flow", "flow + refine", "flow + refine + certify", "certify")
 """The corrector's parts that are measured."""
@@ -179,12 +179,7 @@ def table(figures: Sequence[SeedFigures], methods: Sequence[str] = METHODS) -> s
 
 
 def _written(values: Sequence[float | None], name: str) -> str:
-    known = [value for value in values if value is not None]
-    if not known or len(known) < len(values):
-        return "-"
-    digits = 2 if name == "seconds" else 3 if name == "clean" else 4
-    centre, low, high = mean_interval(known)
-    return f"{centre:.{digits}f}" if len(known) < 2 else f"{centre:.{digits}f} ±{(high - low) / 2:.{digits}f}"
+    return mean_text(values, 2 if name == "seconds" else 3 if name == "clean" else 4) or "-"
 
 
 def open_methods(

@@ -8,7 +8,7 @@ import numpy as np
 
 from models.scene_rating.fault import Fault, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
-from models.scene_rating.task_reading import TaskReading
+from models.scene_rating.task_reader import TaskReader
 from models.scene_rating.usual_layouts import (
     UPRIGHT,
     UsualLayouts,
@@ -50,11 +50,11 @@ class LayoutRules:
 
     Args:
         usual: Statistics of layouts.
-        reading: Reads the tasks of scenes.
+        reader: Reads the tasks of scenes.
     """
 
-    def __init__(self, usual: UsualLayouts, reading: TaskReading) -> None:
-        self._usual, self._reading = usual, reading
+    def __init__(self, usual: UsualLayouts, reader: TaskReader) -> None:
+        self._usual, self._reader = usual, reader
 
     def __call__(self, case: AuditedScene) -> CriterionScore:
         """Returns the score; unknown if neither turns nor company, spread or reach can be judged."""
@@ -64,7 +64,7 @@ class LayoutRules:
         if not standing:
             return unknown("no object is known to stand on the table")
         row = {o.instance: shape for o, shape in zip(scene.objects, case.geometry.shapes, strict=True)}
-        named = self._reading.task_objects(case)
+        named = self._reader.task_objects(case)
         wanted, others = ([o for o in scene.movable if (o.instance in named) == is_named] for is_named in (True, False))
         turns = {o.instance: turn for o in standing if (turn := self._usual_turn(o)) is not None}
         company = self._company(scene, others)

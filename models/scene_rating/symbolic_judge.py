@@ -15,7 +15,7 @@ from models.scene_rating.layout_rules import LayoutRules
 from models.scene_rating.placement_rules import PlacementRules
 from models.scene_rating.rating_case import AuditedScene, RatingCase
 from models.scene_rating.size_rules import SizeRules
-from models.scene_rating.task_reading import TaskReading
+from models.scene_rating.task_reader import TaskReader
 from models.scene_rating.task_rules import TaskRules, further_categories, interpreter_for
 from models.scene_rating.usual_layouts import DEFAULT, UsualLayouts
 from models.scene_rating.visibility_rules import VisibilityRules
@@ -70,13 +70,13 @@ class SymbolicJudge:
     def __init__(self, categories: Iterable[str] = ()) -> None:
         named = frozenset(categories)
         self.name, self.version = SYMBOLIC, rules_version(named)
-        reading = TaskReading(interpreter_for(named))
+        reader = TaskReader(interpreter_for(named))
         self._rules: Mapping[str, Rules] = {
-            CONSISTENCY.key: TaskRules(reading),
+            CONSISTENCY.key: TaskRules(reader),
             SIZES.key: SizeRules(),
             PLACEMENT.key: PlacementRules(),
-            LAYOUT.key: LayoutRules(UsualLayouts.load(), reading),
-            VISIBILITY.key: VisibilityRules(reading),
+            LAYOUT.key: LayoutRules(UsualLayouts.load(), reader),
+            VISIBILITY.key: VisibilityRules(reader),
         }
 
     def rate(self, cases: Sequence[RatingCase]) -> list[Rating]:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from models.scene_rating.fault import Fault, listed, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
-from models.scene_rating.task_reading import TaskReading
+from models.scene_rating.task_reader import TaskReader
 from models.semantic_reasoner.edit_planning.candidates import adjectives_of
 from models.semantic_reasoner.engines.registry import EMBEDDED
 from models.semantic_reasoner.language.category_statistics import CategoryStatistics
@@ -51,18 +51,18 @@ class TaskRules:
     look is a word for a colour, material, pattern or shape before a noun.
 
     Args:
-        reading: Reads the tasks of scenes.
+        reader: Reads the tasks of scenes.
     """
 
-    def __init__(self, reading: TaskReading) -> None:
-        self._reading = reading
+    def __init__(self, reader: TaskReader) -> None:
+        self._reader = reader
 
     def __call__(self, case: AuditedScene) -> CriterionScore:
         """Returns the score; unknown without an instruction, or if it names no known object."""
-        meant = self._reading.meaning(case)
+        meant = self._reader.meaning(case)
         if meant is None:
             return unknown("the scene has no instruction")
-        found = self._reading.alignment(case)
+        found = self._reader.alignment(case)
         if found is None:
             return unknown("no object that the instruction names is known")
         named = () if case.scene.task is None else case.scene.task.task_objects

@@ -4,7 +4,7 @@ import numpy as np
 
 from models.scene_rating.fault import Fault, listed, score_by, unknown
 from models.scene_rating.rating_case import AuditedScene
-from models.scene_rating.task_reading import TaskReading
+from models.scene_rating.task_reader import TaskReader
 from stable_data.rating.rating import CriterionScore
 from stable_data.simulation.visibility import visible_shares
 
@@ -16,11 +16,11 @@ class VisibilityRules:
     """Judges how much of each object the two cameras see: an object counts by the picture that shows more of it.
 
     Args:
-        reading: Reads the tasks of scenes.
+        reader: Reads the tasks of scenes.
     """
 
-    def __init__(self, reading: TaskReading) -> None:
-        self._reading = reading
+    def __init__(self, reader: TaskReader) -> None:
+        self._reader = reader
 
     def __call__(self, case: AuditedScene) -> CriterionScore:
         """Returns the score; unknown for a scene without objects, or with none that is large enough in the pictures."""
@@ -28,7 +28,7 @@ class VisibilityRules:
         if not scene.movable:
             return unknown("the scene has no objects")
         shares = np.fmax(visible_shares(case.geometry, "front"), visible_shares(case.geometry, "perspective"))
-        wanted = self._reading.task_objects(case)
+        wanted = self._reader.task_objects(case)
         faults, seen, small = [], [], []
         for o, share in zip(scene.objects, shares.tolist(), strict=True):
             if o.instance in scene.fixed:

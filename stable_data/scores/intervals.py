@@ -26,6 +26,20 @@ def wilson_interval(successes: int, attempts: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
+def mean_text(values: Sequence[float | None], digits: int) -> str | None:
+    """Returns a mean for a table, with half of the width of its 95 % interval; None if a value, or every one, is not known.
+
+    Args:
+        values: Independent values; a single one has no interval.
+        digits: Decimals.
+    """
+    known = [value for value in values if value is not None]
+    if not known or len(known) < len(values):
+        return None
+    centre, low, high = mean_interval(known)
+    return f"{centre:.{digits}f}" if len(known) < 2 else f"{centre:.{digits}f} ±{(high - low) / 2:.{digits}f}"
+
+
 def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
     """Returns the mean of repetitions and its 95 % interval (Student's t); infinitely wide for fewer than two.
 

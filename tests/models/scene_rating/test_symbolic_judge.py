@@ -17,7 +17,7 @@ from models.scene_rating.rating_case import AuditedScene, RatingCase
 from models.scene_rating.settings import RatingSettings
 from models.scene_rating.size_rules import SizeRules
 from models.scene_rating.symbolic_judge import SymbolicJudge, _foundations, rules_version
-from models.scene_rating.task_reading import TaskReading
+from models.scene_rating.task_reader import TaskReader
 from models.scene_rating.task_rules import interpreter_for
 from models.scene_rating.usual_layouts import UsualLayouts
 from models.scene_rating.visibility_rules import VisibilityRules
@@ -39,7 +39,7 @@ class Rater:
     def __init__(self, root: Path) -> None:
         self.dataset = MesaTaskDataset(root)
         self.store, self.judge = AssetStore(self.dataset), SymbolicJudge()
-        self.reading = TaskReading(interpreter_for(["frobnicator"]))
+        self.reader = TaskReader(interpreter_for(["frobnicator"]))
         self._known: dict[str, Rating] = {}
 
     def scene(self, table_type: str) -> Scene:
@@ -190,7 +190,7 @@ def test_unknown_categories_are_left_out_and_said(rater: Rater) -> None:
     scene = rater.scene("dressing_table")
     odd = each(scene, lambda o: replace(o, category="frobnicator") if o.category == "cream_jar" else o)
     audited = AuditedScene.of(rater.geometry(odd))
-    layout = LayoutRules(UsualLayouts.load(), rater.reading)
+    layout = LayoutRules(UsualLayouts.load(), rater.reader)
     for rules, words in ((SizeRules(), "frobnicator"), (layout, "of other categories")):
         score = rules(audited)
         assert score.score is not None
@@ -206,7 +206,7 @@ def sized(o: SceneObject, size: Vec3) -> SceneObject:
 
 
 def layout_score(rater: Rater, scene: Scene) -> CriterionScore:
-    return LayoutRules(UsualLayouts.load(), rater.reading)(AuditedScene.of(rater.geometry(scene)))
+    return LayoutRules(UsualLayouts.load(), rater.reader)(AuditedScene.of(rater.geometry(scene)))
 
 
 def test_a_layout_of_which_nothing_is_known_is_unknown_and_no_perfect_one(rater: Rater) -> None:
@@ -246,7 +246,7 @@ def test_what_is_too_small_for_the_pictures_is_left_out_and_not_hidden(rater: Ra
     scene = rater.scene("dressing_table")
     jar = next(o for o in scene.objects if o.category == "cream_jar")
     tiny = each(scene, lambda o: sized(o, (0.002, 0.002, 0.002)) if o is jar else o)
-    rules = VisibilityRules(rater.reading)
+    rules = VisibilityRules(rater.reader)
     score = rules(AuditedScene.of(rater.geometry(tiny)))
     assert score.score is not None
     assert f"too small for their silhouettes ({jar.instance})" in score.rationale
@@ -317,7 +317,7 @@ def test_task_objects_weigh_more_when_they_are_hidden(rater: Rater) -> None:
     scene = rater.scene("dining_table")
     hidden = changed_by(with_task_object_under_table, scene)
     audited, nobodys = (AuditedScene.of(rater.geometry(s)) for s in (hidden, replace(hidden, task=None)))
-    of_task, of_none = (VisibilityRules(rater.reading)(one).score for one in (audited, nobodys))
+    of_task, of_none = (VisibilityRules(rater.reader)(one).score for one in (audited, nobodys))
     assert of_task is not None
     assert of_none is not None
     assert of_task < of_none - 1

@@ -8,7 +8,7 @@ from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from stable_data.metrics.alignment import Alignment
 
 
-class TaskReading:
+class TaskReader:
     """Finds what the instruction of a scene requires, and which objects of the scene it is about.
 
     Args:
