@@ -47,14 +47,14 @@ import typer
 from tqdm import tqdm
 
 from benchmarks.correction import START, IdentityBaseline, judged
-from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms, corrector_parts
+from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms, SharedMover, corrector_parts
 from benchmarks.layouts import StartLayout, held_out_scenes, noisy_layouts
 from benchmarks.result_log import MeasuredLayout, ResultLog, Share
 from models.baselines.outcome import Baseline
 from models.physics_corrector.flow.checkpoint import DEFAULT_WEIGHTS as CORRECTOR
 from models.physics_corrector.flow.expected_error import UNKNOWN_ERROR, ExpectedError
 from models.physics_corrector.learned_flow import AUTO, NONE
-from models.rearrangement.rearranger import Rearranger, open_rearranger
+from models.rearrangement.rearranger import open_rearranger
 from models.rearrangement.settings import METHODS as REARRANGERS
 from models.training.weights_file import read_notes
 from pipelines.evaluate.published import REARRANGEMENT
@@ -203,13 +203,13 @@ def open_methods(
         raise ConfigError(f"--method {', '.join(unknown)}, expected of {', '.join(METHODS)}", "usage")
     chosen = [name for name in METHODS if not wanted or name in wanted]
     parts, found = corrector_parts(terms), dict[str, Baseline]()
-    movers, left_out = dict[str, Rearranger](), list[str]()
+    movers, left_out = dict[str, SharedMover](), list[str]()
     for mover in (*REARRANGERS, EQUAL):
         named, file = [name for name in chosen if name.removesuffix(REPAIR) == mover], weights.get(mover)
         if named and file is not None and mover == EQUAL:
             parts[EQUAL] = corrector_parts(replace(terms, weights=str(file)))["flow"]
         elif named and file is not None:
-            movers[mover] = open_rearranger(file, steps.get(mover, 0), terms.error)
+            movers[mover] = SharedMover(open_rearranger(file, steps.get(mover, 0), terms.error))
         elif named and wanted:
             option = _option(mover)
             raise ConfigError(f"--method {named[0]} has no weights, expected {option} FILE of train-rearranger", "usage")

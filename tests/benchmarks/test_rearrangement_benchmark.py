@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import shutil
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ import typer
 from typer.testing import CliRunner
 
 from benchmarks.correction import judged
-from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms
+from benchmarks.corrector_parts import CorrectorParts, CorrectorTerms, SharedMover
 from benchmarks.layouts import StartLayout, noisy_layouts
 from benchmarks.rearrangement import (
     EQUAL,
@@ -101,11 +102,9 @@ def layouts(scenes: list[Scene], store: AssetStore) -> list[StartLayout]:
 @pytest.fixture(scope="module")
 def results(layouts: list[StartLayout], store: AssetStore, tmp_path_factory: pytest.TempPathFactory) -> list[MeasuredLayout]:
     folder = tmp_path_factory.mktemp("weights")
-    methods: dict[str, Baseline] = {
-        name: CorrectorParts(TERMS, True, False, False, open_rearranger(weights_of(name, folder))) for name in REARRANGERS
-    }
-    lego_net = open_rearranger(weights_of("lego_net", folder))
-    methods |= {"lego_net + refine + certify": CorrectorParts(TERMS, mover=lego_net)}
+    movers = {name: SharedMover(open_rearranger(weights_of(name, folder))) for name in REARRANGERS}
+    methods: dict[str, Baseline] = {name: CorrectorParts(TERMS, True, False, False, mover) for name, mover in movers.items()}
+    methods |= {"lego_net + refine + certify": CorrectorParts(TERMS, mover=movers["lego_net"])}
     methods |= {"certify": CorrectorParts(TERMS, False, False, True), "broken": Broken(), "perfect": Perfect(layouts)}
     log = ResultLog(None, {}, Share())
     measure(layouts, store, methods, log)
@@ -176,10 +175,34 @@ def test_scenes_of_which_a_verdict_is_unknown_are_counted(results: list[Measured
 
 
 def test_poses_that_are_not_finite_are_a_failure(layouts: list[StartLayout], store: AssetStore) -> None:
-    parts = CorrectorParts(TERMS, True, False, False, Lost())  # type: ignore[arg-type]
+    parts = CorrectorParts(TERMS, True, False, False, SharedMover(Lost()))  # type: ignore[arg-type]
     lost = judged("lost", parts, layouts[0], store)
     assert (lost.converged, lost.failed, lost.reason) == (False, True, "the new poses are not finite")
     assert lost.move_mean_mm == 0
+
+
+def test_methods_that_share_a_mover_pay_its_time_each(scenes: list[Scene], store: AssetStore) -> None:
+    class Slow:
+        """A mover that takes 0.2 s and counts how often it is asked."""
+
+        asked = 0
+
+        def prepare(self, scene: Scene, shapes: Sequence[Shape]) -> None: ...
+
+        def __call__(self, scenes: Sequence[Scene], *_: object) -> list[Scene | None]:
+            self.asked += 1
+            end = time.process_time() + 0.2
+            while time.process_time() < end:
+                pass
+            return list(scenes)
+
+    slow = Slow()
+    shared = SharedMover(slow)  # type: ignore[arg-type]
+    parts = [CorrectorParts(TERMS, True, repairs, repairs, shared) for repairs in (False, True)]
+    for asked, layout in enumerate(noisy_layouts(scenes[:2], store, 0.1, 0), start=1):
+        found = [judged("", method, layout, store) for method in parts]
+        assert slow.asked == asked
+        assert all(one.seconds >= 0.2 for one in found)
 
 
 def test_published_figures_are_never_measured_ones(results: list[MeasuredLayout]) -> None:
