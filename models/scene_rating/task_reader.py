@@ -17,6 +17,7 @@ class TaskReader:
 
     def __init__(self, interpret: InstructionInterpreter) -> None:
         self._interpret = interpret
+        self._last: tuple[AuditedScene, Alignment | None] | None = None  # the rules of several criteria ask for the same scene
 
     def meaning(self, case: AuditedScene) -> InterpretedInstruction | None:
         """Returns what the instruction means; None for a scene without one."""
@@ -25,8 +26,10 @@ class TaskReader:
 
     def alignment(self, case: AuditedScene) -> Alignment | None:
         """Compares the scene with its instruction, in the way in which the most relations hold; None if it names no known object."""
-        meant = self.meaning(case)
-        return None if meant is None or meant.reference is None else case.align(meant.reference)
+        if self._last is None or self._last[0] is not case:
+            meant = self.meaning(case)
+            self._last = case, None if meant is None or meant.reference is None else case.align(meant.reference)
+        return self._last[1]
 
     def task_objects(self, case: AuditedScene) -> frozenset[str]:
         """Returns the instances that the instruction is about; none if it names no known object."""

@@ -141,7 +141,7 @@ def leaves(rows: pa.Table, path: str, start: int) -> tuple[pa.Array, IntArray]:
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class ForeignKey:
     """A column whose values are ids of rows.
 
     Attributes:

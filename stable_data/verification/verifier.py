@@ -27,7 +27,7 @@ from stable_data.verification.column_rules import RULES
 from stable_data.verification.findings import Finding, Findings
 from stable_data.verification.generated_checks import GeneratedCheck
 from stable_data.verification.joined_checks import JoinedCheck, ScenesOfShards, ShardMates, TurnCheck
-from stable_data.verification.known_ids import KEYS, KeyCheck, KnownIds, Reference
+from stable_data.verification.known_ids import KEYS, ForeignKey, KeyCheck, KnownIds
 from stable_data.verification.manifest_checks import (
     OF_DATASET,
     SETTLING,
@@ -208,7 +208,7 @@ class _Verifier:
         is_selection = self._manifest.get("job") == "query"  # an older one has a texture once for each shard that it was in
         self._keys = {table: KeyCheck(table, findings) for table in KEYS if not (is_selection and table == "textures")}
         # A run that is not finished may have rows whose scenes, and scenes whose assets, are still to be made.
-        self._references = _references(self._manifest) if self._is_finished else {}
+        self._foreign_keys = _foreign_keys(self._manifest) if self._is_finished else {}
         self._checks = self._row_checks()
         origin = origin_of(self._manifest)
         self._generated = GeneratedCheck(origin, self._known, findings) if origin.get("job") == "generate" else None
@@ -329,8 +329,8 @@ class _Verifier:
         self._counts.note(rows, file)
         if self._generated is not None:
             self._generated.note(rows, start, file)
-        for reference in self._references.get(table, ()):
-            reference.check(rows, start, file, self._known, self._findings)
+        for key in self._foreign_keys.get(table, ()):
+            key.check(rows, start, file, self._known, self._findings)
         if table in _SCENES:
             self._chosen.note(rows, start, file)
 
@@ -398,41 +398,41 @@ def _unchecked(error: Exception) -> str:
     return f"cannot be checked: {type(error).__name__}: {error}"
 
 
-def _references(manifest: Mapping[str, Any]) -> Mapping[str, tuple[Reference, ...]]:
-    """The references between the tables of a run."""
+def _foreign_keys(manifest: Mapping[str, Any]) -> Mapping[str, tuple[ForeignKey, ...]]:
+    """The columns of each table of a run that name rows of others."""
     job = str(manifest.get("job"))
     # Assets are deleted from a pruned run, and what was remarked on them is kept.
     has_items = job in ("generate", "preprocess", "correct") and PRUNED not in manifest
     assets = ("assets", UNRESOLVED)
     external = ("scenes", _SOURCE)
     return {
-        "sdf": (Reference("asset_id", ("assets",)),),
-        "features": (Reference("asset_id", ("assets",)),),
+        "sdf": (ForeignKey("asset_id", ("assets",)),),
+        "features": (ForeignKey("asset_id", ("assets",)),),
         **dict.fromkeys(
             _SCENES,
             (
-                Reference("surface.asset_id", ("assets",)),
-                Reference("surface.asset_id", ("meshes",)),
-                Reference("variant_of", (_SOURCE,)),
+                ForeignKey("surface.asset_id", ("assets",)),
+                ForeignKey("surface.asset_id", ("meshes",)),
+                ForeignKey("variant_of", (_SOURCE,)),
             ),
         ),
-        "turns": (Reference("scene_id", _OF_SCENES),),
-        "warnings": (Reference("id", (*_OF_SCENES, "assets"), OF_DATASET),) if has_items else (),
+        "turns": (ForeignKey("scene_id", _OF_SCENES),),
+        "warnings": (ForeignKey("id", (*_OF_SCENES, "assets"), OF_DATASET),) if has_items else (),
         # Those of a run whose reach is surveyed are copied with it, also those of its rejected scenes.
-        "settled": () if job == "reach" else (Reference("scene_id", _SCENES),),
-        "grasps": (Reference("scene_id", _SCENES),),
-        "corrections": (Reference("scene_id", _OF_SCENES),),
+        "settled": () if job == "reach" else (ForeignKey("scene_id", _SCENES),),
+        "grasps": (ForeignKey("scene_id", _SCENES),),
+        "corrections": (ForeignKey("scene_id", _OF_SCENES),),
         "samples": (
-            Reference("scene_id", ("scenes",)),
-            *(Reference(f"{name}.asset_id", assets) for name in ("objects_in", "objects_out")),
+            ForeignKey("scene_id", ("scenes",)),
+            *(ForeignKey(f"{name}.asset_id", assets) for name in ("objects_in", "objects_out")),
         ),
         "edits": (
-            Reference("edit_id", _OF_SCENES) if job == "edit" else Reference("scene_id", ("scenes",)),
-            *(() if job != "edit" else (Reference("scene_id", (_SOURCE,)),)),
+            ForeignKey("edit_id", _OF_SCENES) if job == "edit" else ForeignKey("scene_id", ("scenes",)),
+            *(() if job != "edit" else (ForeignKey("scene_id", (_SOURCE,)),)),
         ),
-        "ratings": (Reference("scene_id", external),),
-        "views": (Reference("scene_id", external),),
-        "episodes": (Reference("scene_id", external),),
+        "ratings": (ForeignKey("scene_id", external),),
+        "views": (ForeignKey("scene_id", external),),
+        "episodes": (ForeignKey("scene_id", external),),
     }
 
 

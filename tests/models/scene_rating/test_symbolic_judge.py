@@ -24,6 +24,7 @@ from models.scene_rating.visibility_rules import VisibilityRules
 from stable_data.assets.store import AssetStore
 from stable_data.instructions.naming import shows_look
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.metrics.alignment import Alignment, AlignmentReference
 from stable_data.rating.criteria import KEYS
 from stable_data.rating.rating import CriterionScore, Rating
 from stable_data.scene import Relation, RelationKind, Scene, SceneObject, Stage, TaskInfo, Vec3
@@ -357,3 +358,17 @@ def test_a_scene_whose_instruction_is_not_understood_has_no_task_objects(rater: 
     ]
     assert ratings[0].score("cwt") is None
     assert [r.scores for r in ratings] == [ratings[0].scores] * 3
+
+
+def test_a_scene_is_aligned_once_for_all_criteria(rater: Rater, monkeypatch: pytest.MonkeyPatch) -> None:
+    aligned, align = list[str](), AuditedScene.align
+
+    def counted(case: AuditedScene, reference: AlignmentReference) -> Alignment:
+        aligned.append(case.scene.scene_id)
+        return align(case, reference)
+
+    monkeypatch.setattr(AuditedScene, "align", counted)
+    scenes = [rater.scene("dining_table"), rater.scene("coffee_table")]
+    ratings = [rater.rate(scene) for scene in scenes]
+    assert aligned == [scene.scene_id for scene in scenes]
+    assert ratings == [rater.unchanged(scene) for scene in scenes]
