@@ -1,6 +1,6 @@
 """The gain of each part of the corrector's training: short equal trainings that leave one part out, judged by raw samples.
 
-``python -m benchmarks.corrector_ablation RUN --out OUT [--arm NAME ...] [--steps N] [--json FILE]``, where RUN is the folder
+``python -m benchmarks.corrector_ablation RUN --out OUT [--arm NAME ...] [--steps N] [--seeds K] [--json FILE]``, where RUN is the folder
 of a preprocess run. Every arm trains on the same scenes with the same seed for the same number of steps, and differs from
 ``full`` in one point:
 
@@ -14,15 +14,15 @@ of a preprocess run. Every arm trains on the same scenes with the same seed for 
 - ``unet``: the paper's U-Net over the objects (preset ``embedded``) instead of the set transformer.
 
 Judged are raw samples of the flow on held-out scenes, without certification, by the training's own validation card
-(docs/training_the_corrector.md): the mean over all its rows. A finished arm is not trained again, and an interrupted one resumes;
-OUT stores them. Trainings this short show the direction of an effect, not the result of a long training. Run with
-``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
+(docs/training_the_corrector.md): the mean over all its rows. With several seeds, a figure is the mean over the trainings, with half of
+the width of its 95 % interval (Student's t). A finished training is not repeated, and an interrupted one resumes; OUT stores them.
+Trainings this short show the direction of an effect, not the result of a long training. Run with ``OMP_NUM_THREADS=1 IGL_NUM_THREADS=1``.
 """
 
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import mean
 from typing import Annotated, Any, TypeAlias
@@ -38,6 +38,7 @@ from pipelines.reports.text_table import align_columns
 from pipelines.train.corrector import CorrectorTrainingJob
 from pipelines.train.layouts import LayoutMonitoring
 from stable_data.errors import StableDataError
+from stable_data.scores.intervals import mean_text
 
 FULL = "full"
 
@@ -124,6 +125,7 @@ class Arm:
 
     Attributes:
         name: Its name.
+        seed: Seed of the training.
         steps: Number of training steps.
         batch_size: Scenes of a step.
         num_parameters: Number of parameters of its network.
@@ -131,6 +133,7 @@ class Arm:
     """
 
     name: str
+    seed: int
     steps: int
     batch_size: int
     num_parameters: int
@@ -153,7 +156,7 @@ def arm(run: str, out: Path, name: str, full: CorrectorTrainingSettings, watch: 
         full: Settings of the full training, with its length.
         watch: Settings of the validation.
     """
-    folder = out / name.replace(" ", "_")
+    folder = out / f"seed_{full.seed}" / name.replace(" ", "_")
     folder.mkdir(parents=True, exist_ok=True)
     (out / "cache").mkdir(exist_ok=True)
     if not (folder / "cache").exists():
@@ -167,22 +170,26 @@ def arm(run: str, out: Path, name: str, full: CorrectorTrainingSettings, watch: 
         raise SystemExit(f"{folder}: the training stopped before its end; run the command again to resume it")
     found: dict[str, Any] = json.loads(card.read_text("utf-8"))
     network, _ = settings.resolved(1).corrector.build()
-    return Arm(name, found["steps"], settings.batch_size, sum(p.numel() for p in network.parameters()), found["rows"])
+    return Arm(
+        name, full.seed, found["steps"], settings.batch_size, sum(p.numel() for p in network.parameters()), found["rows"]
+    )
 
 
 def table(arms: Sequence[Arm]) -> str:
-    """Returns a table of the figures of all arms, after those of the coarse layouts."""
-    rows: list[tuple[str, ...]] = [("arm", "parameters", *FIGURES)]
+    """Returns a table of the figures of all arms, means over their seeds, after those of the coarse layouts."""
+    rows: list[tuple[str, ...]] = [("arm", "parameters", "seeds", *FIGURES)]
     if arms:
-        rows.append(("coarse layout", "", *(_written(arms[0].figure(name, "coarse"), name) for name in FIGURES)))
-    rows += [(a.name, f"{a.num_parameters:,}", *(_written(a.figure(name), name) for name in FIGURES)) for a in arms]
+        rows.append(("coarse layout", "", "", *(_written(arms[:1], name, "coarse") for name in FIGURES)))
+    for arm_name in dict.fromkeys(a.name for a in arms):
+        own = [a for a in arms if a.name == arm_name]
+        rows.append((arm_name, f"{own[0].num_parameters:,}", str(len(own)), *(_written(own, name) for name in FIGURES)))
     return align_columns(rows, 1)
 
 
-def _written(value: float | None, name: str) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.2f}" if name.endswith("_mm") else f"{100 * value:.2f} %"
+def _written(arms: Sequence[Arm], name: str, side: str = "raw") -> str:
+    is_length, values = name.endswith("_mm"), [a.figure(name, side) for a in arms]
+    text = mean_text([None if value is None else value * (1 if is_length else 100) for value in values], 2)
+    return "-" if text is None else text if is_length else f"{text} %"
 
 
 def main(
@@ -192,7 +199,7 @@ def main(
     steps: Annotated[int, typer.Option(help="Length of each training.")] = 1500,
     scenes: Annotated[int, typer.Option(help="Held-out scenes of the card.")] = 96,
     exact: Annotated[int, typer.Option(help="Number of these that the exact audit judges.")] = 24,
-    seed: Annotated[int, typer.Option(help="Seed of the trainings.")] = 0,
+    seeds: Annotated[int, typer.Option(min=1, help="Trainings of each arm, with the seeds 0, 1 and so on.")] = 1,
     file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
 ) -> None:
     """Trains the missing arms and prints the figures of all chosen ones."""
@@ -203,16 +210,13 @@ def main(
     watch = LayoutMonitoring(card_every=steps + 1, final_scenes=scenes, exact_scenes=exact)
     with tempfile.TemporaryDirectory() as aside:
         try:
-            full = full_settings(steps, seed)
-            arms = [arm(run, out or Path(aside), one, full, watch) for one in chosen]
+            every = [full_settings(steps, seed) for seed in range(seeds)]
+            arms = [arm(run, out or Path(aside), one, full, watch) for full in every for one in chosen]
         except StableDataError as error:
             raise SystemExit(str(error)) from error
     print(table(arms))
     if file is not None:
-        document = [
-            {"arm": a.name, "steps": a.steps, "batch_size": a.batch_size, "num_parameters": a.num_parameters, "card": a.card}
-            for a in arms
-        ]
+        document = [asdict(a) for a in arms]
         file.write_text(json.dumps(document, indent=1) + "\n", "utf-8")
 
 

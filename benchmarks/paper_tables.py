@@ -31,7 +31,7 @@ from pipelines.evaluate.figures import FIGURES, RULES, TABLE_1_COLUMNS, Estimate
 from pipelines.evaluate.published import MANIPULABILITY, REARRANGEMENT, SOURCE, TABLE_1, TABLE_2, TABLE_3A, TABLE_3B
 from pipelines.reports.text_table import align_columns
 from stable_data.rating.criteria import CRITERIA
-from stable_data.scores.intervals import mean_text
+from stable_data.scores.intervals import mean_text, wilson_interval
 
 Rows: TypeAlias = list[list[str]]
 
@@ -115,21 +115,25 @@ def collision_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     rows = [["method", *buckets]]
     for method in methods:
         own = {bucket: [r for r in found if (r["method"], r["bucket"]) == (method, bucket)] for bucket in buckets}
-        rows.append([method, *(f"{sum(r['num_collisions'] == 0 for r in of)}/{len(of)}" for of in own.values())])
+        rows.append([method, *(_share([r["num_collisions"] == 0 for r in of]) for of in own.values())])
     yield from _aligned(rows)
-    yield "scenes without a collision of all; a pair that cannot be judged counts as colliding"
+    yield "scenes without a collision of all; a pair that cannot be judged counts as colliding; brackets: 95 % intervals (Wilson), in %"
 
 
 def ablation_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     """Yields Table 3 (a): raw samples of short trainings without one of the losses."""
     columns = {"oc_sdf": "OC %", "float_gap": "float %", "oc": "exact OC %", "float_rate": "exact float %"}
-    rows = [["training", *columns.values()]]
-    for arm in found:
-        if arm["arm"] in _ARMS:
-            cells = [[row["raw"].get(key) for row in arm["card"].values()] for key in columns]
-            rows.append([_ARMS[arm["arm"]], *(_mean(values, 100.0, 1) for values in cells)])
+    rows = [["training", *columns.values(), "seeds"]]
+    for name, title in _ARMS.items():
+        own = [arm for arm in found if arm["name"] == name]
+        cells = [[_percent([row["raw"].get(key) for row in arm["card"].values()]) for arm in own] for key in columns]
+        if own:
+            rows.append([title, *(mean_text(values, 1) or _UNKNOWN for values in cells), str(len(own))])
     yield from _aligned(rows)
-    yield "raw samples of the flow, means over the rows of the validation card"
+    yield (
+        "raw samples of the flow, means over the rows of the validation card and over the seeds, with half of the width of their 95 % "
+        "intervals over the seeds"
+    )
 
 
 def rearrangement_lines(found: Mapping[str, Any]) -> Iterable[str]:
@@ -146,7 +150,10 @@ def rearrangement_lines(found: Mapping[str, Any]) -> Iterable[str]:
 def boxes_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     """Yields the table of manipulability."""
     rows = [["object", "labels", "AP at 0.5", "AP at 0.75"]]
-    rows += [[one["category"], str(one["labels"]), *(_mean([x], 1.0, 2) for x in one["precision"].values())] for one in found]
+    rows += [
+        [one["category"], str(one["labels"]), *(mean_text([x], 2) or _UNKNOWN for x in one["precision"].values())]
+        for one in found
+    ]
     yield from _aligned(rows)
 
 
@@ -165,9 +172,14 @@ def _estimate(system: Mapping[str, Any], key: str) -> str:
     return Estimate(**system["figures"][key]).text(_LABELS[key].digits)
 
 
-def _mean(values: Sequence[float | None], factor: float, digits: int) -> str:
+def _share(verdicts: Sequence[bool]) -> str:
+    low, high = wilson_interval(sum(verdicts), len(verdicts))
+    return f"{sum(verdicts)}/{len(verdicts)} [{100 * low:.0f}, {100 * high:.0f}]"
+
+
+def _percent(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
-    return f"{factor * mean(known):.{digits}f}" if known and len(known) == len(values) else _UNKNOWN
+    return 100 * mean(known) if known and len(known) == len(values) else None
 
 
 def _aligned(rows: Rows) -> list[str]:

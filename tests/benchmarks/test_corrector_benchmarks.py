@@ -92,10 +92,10 @@ def test_an_arm_is_trained_once(clean_run: Path, tmp_path: Path, capsys: pytest.
     assert capsys.readouterr().out == ""
     second = trained(clean_run, tmp_path, name="no table")
     assert (first.name, first.steps, second.name) == (FULL, 2, "no table")
-    assert (tmp_path / "no_table" / "cache").resolve() == (tmp_path / "cache").resolve()
+    assert (tmp_path / "seed_0" / "no_table" / "cache").resolve() == (tmp_path / "cache").resolve()
     with pytest.raises(ConfigError, match="steps: 2 -> 3"):
         trained(clean_run, tmp_path, replace(SETTINGS, steps=3))
-    shutil.rmtree(tmp_path / "no_table")
+    shutil.rmtree(tmp_path / "seed_0" / "no_table")
 
 
 def test_an_arm_that_was_stopped_says_so(clean_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,14 +111,18 @@ def test_figures_are_means_over_the_rows_and_unknown_ones_are_said() -> None:
         "small": {"coarse": {"oc": 0.2}, "raw": {"oc": 0.1, "float_rate": None}},
         "pile": {"coarse": {"oc": 0.4}, "raw": {"oc": 0.3, "float_rate": 0.5}},
     }
-    found = Arm("full", 2, 4, 1000, card)
+    found = Arm("full", 0, 2, 4, 1000, card)
     assert found.figure("oc") == pytest.approx(0.2)
     assert found.figure("oc", "coarse") == pytest.approx(0.3)
     assert found.figure("float_rate") is None
     lines = corrector_ablation.table([found]).splitlines()
     assert lines[1].startswith("coarse layout")
     assert "30.00 %" in lines[1]
-    assert lines[2].split()[:2] == ["full", "1,000"]
+    assert lines[2].split()[:3] == ["full", "1,000", "1"]
+    other = Arm("full", 1, 2, 4, 1000, {"small": {"coarse": {}, "raw": {"oc": 0.4}}})
+    row = corrector_ablation.table([found, other]).splitlines()[2]
+    assert row.split()[:3] == ["full", "1,000", "2"]
+    assert "30.00 ±127.06 %" in row  # t of one degree of freedom, 12.706, times half of the distance of 20 % and 40 %
 
 
 def test_arms_that_are_not_known_are_refused(tmp_path: Path) -> None:

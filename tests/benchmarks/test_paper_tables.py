@@ -57,7 +57,8 @@ def test_measured_figures_stand_before_published_ones(tmp_path: Path, capsys: py
     scores = [asdict(DetectionScore("mug", 4, 4, {0.5: 1.0, 0.75: 0.5}, {0.5: 1.0, 0.75: 0.5}))]
     (tmp_path / "boxes.json").write_text(json.dumps(scores))
     card = {"jitter": {"raw": {"oc_sdf": 0.2, "float_gap": 0.3, "oc": 0.1, "float_rate": None}}}
-    (tmp_path / "corrector_ablation.json").write_text(json.dumps([{"arm": "no support", "card": card}]))
+    arms = [{"name": "no support", "card": card}, {"name": "no support", "card": {"swap": card["jitter"]}}]
+    (tmp_path / "corrector_ablation.json").write_text(json.dumps(arms))
     fixed = {"method": "lego_net", "moved_category": 0.2, "emd_category": 0.3, "clean": None}
     figures = [{**fixed, "oc_sampled": oc, "oc": oc / 2} for oc in (0.1, 0.3)]
     (tmp_path / "rearrangement.json").write_text(json.dumps({"figures": figures}))
@@ -70,10 +71,10 @@ def test_measured_figures_stand_before_published_ones(tmp_path: Path, capsys: py
     assert "99.4" not in measured
     assert "99.4" in published
     assert "files: not run: needs PLACE" in measured
-    assert "1/2" in found["Table 2: layouts without collisions, by collisions at the start"]
+    assert "1/2 [9, 91]" in found["Table 2: layouts without collisions, by collisions at the start"]
     text = found["Table 3 (a): the losses of the Physics Corrector"]
     arm = next(line for line in text.splitlines() if line.startswith("without L_sup"))
-    assert arm.split()[-4:] == ["20.0", "30.0", "10.0", "unknown"]
+    assert arm.split()[-8:] == ["20.0", "±0.0", "30.0", "±0.0", "10.0", "±0.0", "unknown", "2"]
     assert "not run" in found["Table 3 (b): one request or stages"]
     row = next(line for line in found["Rearrangement"].splitlines() if line.startswith("lego_net"))
     assert row.split()[1:] == ["0.200", "±0.000", "0.300", "±0.000", "0.200", "±1.271", "0.100", "±0.635", "unknown", "2"]
