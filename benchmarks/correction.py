@@ -45,7 +45,15 @@ from tqdm import tqdm
 
 from benchmarks.audit import readable_scenes
 from benchmarks.corrector_parts import CorrectorTerms, corrector_parts
-from benchmarks.layouts import StartLayout, held_out_scenes, perturbed_layouts, proposed_layouts, read_layouts, shaken_layouts
+from benchmarks.layouts import (
+    StartLayout,
+    audited,
+    held_out_scenes,
+    perturbed_layouts,
+    proposed_layouts,
+    read_layouts,
+    shaken_layouts,
+)
 from benchmarks.steerable_drake import in_drake
 from models.baselines.methods import METHODS
 from models.baselines.outcome import Baseline, BaselineResult
@@ -59,12 +67,11 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError, StableDataError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.rearrangement import distance_moved, emd_to_truth
 from stable_data.metrics.relations_kept import RelationsKept, relations_kept
 from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.metrics.tidiness import NOTHING, Tidiness
-from stable_data.metrics.verdicts import ROUNDING
+from stable_data.metrics.verdicts import ROUNDING, Audit
 from stable_data.scene import Scene, SceneObject
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, settle
@@ -163,14 +170,14 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
     except StableDataError as error:
         outcome = BaselineResult(scene, False, time.process_time() - begin, str(error))
     left, left_shapes, _ = store.resolved(outcome.scene)
-    audit = audit_posed_scene(PosedScene(left, left_shapes))
+    audit = audited(left, left_shapes)
     start = replace(scene, objects=tuple(scene[o.instance] for o in left.objects))
     moves = 1e3 * np.linalg.norm(left.poses()[:, :3] - start.poses()[:, :3], axis=1)
     sunk, count = audit.tolerance + ROUNDING, len(left.objects)
     num_collisions = sum(p.penetration is None or p.penetration > audit.tolerance for p in audit.pairs)
     is_whole = count == len(scene.objects)
     target = layout.target if is_whole else None
-    kept = relations_kept(scene, left, shapes, left_shapes)
+    kept = relations_kept(scene, left, shapes, left_shapes, audits=(audited(scene, shapes), audit))
     card = add_sampled_collisions(audit.card(), left, left_shapes, audit)
     return Result(
         method=name,
@@ -191,7 +198,7 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
         emd_mm=None if target is None else 1e3 * emd_to_truth(left, target).cost,
         emd_category_mm=None if target is None else 1e3 * emd_to_truth(left, target, "category").cost,
         kept=kept,
-        meant=_meant(target, left, left_shapes),
+        meant=_meant(target, left, left_shapes, audit),
         num_resting=_num_resting(left, left_shapes, store) if settles else None,
         can_rest=kept.asked_broken == 0 or not _has_displaced_oblique(scene),
         converged=outcome.converged,
@@ -201,11 +208,12 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
     )
 
 
-def _meant(target: Scene | None, left: Scene, shapes: Sequence[Shape]) -> tuple[int, int]:
+def _meant(target: Scene | None, left: Scene, shapes: Sequence[Shape], audit: Audit) -> tuple[int, int]:
     """Counts the directional relations of the target, and those of them that hold in a layout of the same objects."""
     if target is None:
         return 0, 0
-    kept = relations_kept(replace(target, relations=()), left, shapes)
+    meant = replace(target, relations=())
+    kept = relations_kept(meant, left, shapes, audits=(audited(meant, shapes), audit))
     return kept.directional_held, kept.directional_kept
 
 

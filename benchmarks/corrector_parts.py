@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from benchmarks.layouts import audited
 from models.baselines.outcome import Baseline, BaselineResult
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
 from models.physics_corrector.certify.correction import CorrectionOptions, Fixed
@@ -17,7 +18,7 @@ from pipelines.sources.scenes import contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
 from stable_data.geometry.shape import Shape
-from stable_data.metrics.audit import PosedScene, audit_posed_scene, audit_scene
+from stable_data.metrics.audit import PosedScene, audit_posed_scene
 from stable_data.metrics.related_scene import relate_scene
 from stable_data.scene import Scene
 from stable_data.simulation.collision_bodies import bodies_of
@@ -106,7 +107,7 @@ class CorrectorParts:
         corrector = PhysicsCorrector(flow, limits, judges_raw=False, refiner=refiner, polish=polish, purpose=terms.purpose)
         options = CorrectionOptions(asks_engine=terms.settles and self.certifies)
         self._prepare(flow, corrector, scene, shapes, store)
-        audit = audit_scene(scene, shapes)  # a correction needs it only for its figures
+        audit = audited(scene, shapes)  # a correction needs it only for its figures
         told = scene if terms.is_told else replace(scene, relations=())
         begin = self._now()
         known = scene

@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.verdicts import Audit
 from stable_data.random_seeds import named_seed
 from stable_data.scene import TABLE, FloatArray, QuatXyzw, Relation, RelationKind, Scene, SceneObject, Tabletop, Vec3
 from stable_data.storage.run_folder import RunFolder
@@ -257,6 +259,16 @@ def proposed_layouts(run: RunFolder, *, is_whole: bool = False, store: AssetStor
             new = {o.instance for o in layout.objects if str(o.stage) == turn["stage"]}
             layout = drop_new_objects(store.resolved(layout)[0], new, frozenset(), store).scene
         yield StartLayout(layout, None, str(turn["stage"]), 0)
+
+
+def audited(scene: Scene, shapes: Sequence[Shape]) -> Audit:
+    """Audits a layout, see :func:`~stable_data.metrics.audit.audit_scene`; the last audits are kept: all methods have one start."""
+    return _audited(scene, tuple(shapes))
+
+
+@lru_cache(maxsize=4)  # the start, its target, and the results of one or two methods
+def _audited(scene: Scene, shapes: tuple[Shape, ...]) -> Audit:
+    return audit_scene(scene, shapes)
 
 
 def bucket_of(count: int) -> str:
