@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,13 +17,16 @@ from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.limits import LIMITS, at_most, is_out_of_memory
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.table_rows import notice_row
+from stable_data.storage.table_rows import ROW_ERRORS, arrow_table, notice_row
 
 Rows: TypeAlias = dict[str, list[schemas.Row]]
 """Rows by table."""
 
 NOT_OF_AN_ITEM = (ConfigError, OSError)
 """Errors of the run or the machine, not of an item: a retry may succeed."""
+
+_NO_ROWS = (*ROW_ERRORS, pa.ArrowException)
+"""Errors of values that do not fit the schema of their table."""
 
 CONTENT_ADDRESSED = {"textures": "sha256"}
 """Tables whose rows are named by their content, with that column."""
@@ -229,11 +232,21 @@ class ShardWriter:
         step, items, folder = self.steps[shard.step], shard.shard, RunFolder(self.out)
         add_schemas(step)
         made = step.shard(items, isolated=isolated)
+        try:
+            tables = _arrow_tables(made.rows, step.TABLES)
+        except _NO_ROWS:  # one by one, the items whose rows cannot be written are found, and fail alone
+            made = step.shard(items, isolated=True)
+            tables = _arrow_tables(made.rows, step.TABLES)
         for name, content in made.files.items():
             folder.write_bytes(name, content)
-        for table in step.TABLES:
-            folder.write_shard(table, items.shard_id, made.rows.get(table, ()))
+        for name, table in tables.items():
+            folder.write_table(name, items.shard_id, table)
         return WrittenShard(len(items), len(made.rows.get("failures", ())), folder.written)
+
+
+def _arrow_tables(rows: Mapping[str, Sequence[schemas.Row]], names: Iterable[str]) -> dict[str, pa.Table]:
+    """The tables of these names, in their order; raises what is in :data:`_NO_ROWS` if rows are not as their schema says."""
+    return {name: arrow_table(name, rows.get(name, ())) for name in names}
 
 
 def add_schemas(step: ShardStep[Any]) -> None:
@@ -278,9 +291,15 @@ def unexpected_failure(error: Exception) -> str:
 def rows_isolated(
     make: Callable[[I], Rows], item: I, item_id: str, *, seconds: float, prepare: Callable[[], object] | None = None
 ) -> Rows:
-    """The rows of one item from a separate process; a failure if that process dies or takes too long."""
+    """The rows of one item from a separate process; a failure if that process dies or takes too long, or if they cannot be written."""
     found = run_isolated(make, item, seconds=seconds, prepare=prepare)
-    return failed_process(found, item_id, seconds) if isinstance(found, ProcessFailure) else found
+    if isinstance(found, ProcessFailure):
+        return failed_process(found, item_id, seconds)
+    try:
+        _arrow_tables(found, found)
+    except _NO_ROWS as error:
+        return {"failures": [notice_row(Notice(item_id, "write", "unexpected", f"{item_id}: {unexpected_failure(error)}"))]}
+    return found
 
 
 def failed_process(found: ProcessFailure, item_id: str, seconds: float) -> Rows:
