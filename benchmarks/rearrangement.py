@@ -241,7 +241,7 @@ def trained_on(files: Mapping[str, Path | None]) -> dict[str, dict[str, str | No
         files: Name of a network -> its weights.
 
     Returns:
-        Name -> the file, its ``sha256``, and from its notes ``steps`` and ``data_fingerprint``; None where the notes lack one.
+        Name -> the name of the file, its ``sha256``, and from its notes ``steps`` and ``data_fingerprint``; None where the notes lack one.
 
     Raises:
         ConfigError: A file cannot be read.
@@ -251,7 +251,7 @@ def trained_on(files: Mapping[str, Path | None]) -> dict[str, dict[str, str | No
         if file is not None:
             notes = read_notes(file)
             noted = {key: notes.get(key) for key in ("steps", "data_fingerprint")}
-            found[name] = {"file": str(file), "sha256": sha256(file.read_bytes()).hexdigest(), **noted}
+            found[name] = {"file": file.name, "sha256": sha256(file.read_bytes()).hexdigest(), **noted}
     return found
 
 

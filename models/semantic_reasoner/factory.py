@@ -42,7 +42,7 @@ class ReasonerSettings(Settings):
     dialect: Literal["auto", "stages", "zero_shot", "mesatask"] = "auto"
     """Form of the prompts: ``stages`` is the one that this project's models are trained on, ``zero_shot`` explains it to models
     that were not, ``mesatask`` is the one that MesaTask's released model was trained with. ``auto`` takes ``zero_shot`` for the
-    engine ``openai`` and ``stages`` for the others.
+    engine ``openai`` and ``stages`` for the others. The embedded model is always asked in its own form, ``stages``.
     """
 
     wording: str = ""
@@ -50,6 +50,8 @@ class ReasonerSettings(Settings):
 
     def dialect_with(self, engine: EngineSettings) -> str:
         """The form of the prompts for an engine."""
+        if engine.kind == "embedded":
+            return "stages"  # it knows no other prompts than those of its training
         if self.dialect != "auto":
             return self.dialect
         return "zero_shot" if engine.kind == "openai" else "stages"

@@ -74,7 +74,10 @@ class EvaluatedSystem:
         return fill_settings(GenerateSettings, values, "generate")
 
     def lacks(self, shared: GenerateSettings) -> str:
-        """Returns what has to be given for it to run; empty if nothing is missing."""
+        """Returns what has to be given for it to run; empty if nothing is missing.
+
+        Rows of other models have an engine of their own or none; the embedded model stands in for them only if it is named.
+        """
         if self.given:
             return ""
         if self.name == "files":

@@ -185,13 +185,21 @@ class GenerateJob(ShardJob):
         """Licences of the libraries that are not allowed or unknown, table types without tasks, and a system without its model."""
         notices = [*self._libraries.licence_notices(self.settings.retrieval), *self.tasks.odd]
         layout = self.settings.layout
-        if layout in ("holodeck", "idesign") and not self.settings.chats:
+        dialect, chats = self.settings.reasoner.dialect, self.settings.chats
+        own = "with the embedded model: it knows no other prompts than those of its training, so that"
+        if layout in ("holodeck", "idesign") and not chats:
             message = (
-                f"layout={layout} with the embedded model: it knows no other prompts than those of its training, so that objects and "
-                "relations are those of its own layouts, and only the search is that of the system; name another model with --engine"
+                f"layout={layout} {own} objects and relations are those of its own layouts, and only the search is that of the system; "
+                "name another model with --engine"
             )
             notices.append(Notice(layout, "reason", "own_prompts_only", message))
-        if self.settings.reasoner.dialect == "mesatask":
+        if layout == "stages" and dialect in ("zero_shot", "mesatask") and not chats:
+            message = (
+                f"reasoner.dialect={dialect} {own} it is asked in its own form, and the layouts are no row of the paper's table; name "
+                "another model with --engine"
+            )
+            notices.append(Notice(dialect, "reason", "own_prompts_only", message))
+        if dialect == "mesatask" and chats:
             message = (
                 "MesaTask's prompt has the environment, goal, actions and objects of a task, which its own pipeline lets a language model "
                 "write first; here they are those of the scenes of --scenes, and empty for other tasks"

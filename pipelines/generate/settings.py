@@ -143,12 +143,6 @@ class GenerateSettings(CorrectorJobSettings):
                 "config_invalid",
             )
         dialect = self.reasoner.dialect_with(self.engine)
-        if self.engine.kind == "embedded" and dialect != "stages" and self.layout == "stages":
-            raise ConfigError(
-                f"setting {self.section}.reasoner.dialect is {dialect}, but the embedded model knows the prompts of its training alone; "
-                "name another model with --engine, or set reasoner.dialect to stages",
-                "config_invalid",
-            )
         if dialect == "mesatask" and self.layout == "stages" and self.stages != ("whole",):
             raise ConfigError(
                 f"setting {self.section}.schedule is {self.schedule!r}, but the dialect mesatask asks for whole layouts; set schedule to "

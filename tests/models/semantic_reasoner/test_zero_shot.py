@@ -76,6 +76,7 @@ def test_endpoints_are_told_by_default_and_trained_ones_can_be_spared(tmp_path: 
         (ReasonerSettings(), at_endpoint, "zero_shot"),
         (ReasonerSettings(dialect="stages"), at_endpoint, "stages"),
         (ReasonerSettings(), embedded, "stages"),
+        (ReasonerSettings(dialect="mesatask"), embedded, "stages"),
         (ReasonerSettings(), EngineSettings(f"scripted:{script}"), "stages"),
         (ReasonerSettings(dialect="zero_shot"), EngineSettings(f"scripted:{script}"), "zero_shot"),
     ):

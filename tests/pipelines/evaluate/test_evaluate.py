@@ -245,6 +245,8 @@ def test_mesatask_needs_a_model_of_its_own() -> None:
     assert "MesaTask's model" in EvaluatedSystem.parse("mesatask").lacks(shared)
     assert not EvaluatedSystem.parse("mesatask=transformers:/model").lacks(shared)
     assert not EvaluatedSystem.parse("zero_shot").lacks(shared)
+    assert EvaluatedSystem.parse("zero_shot").lacks(GenerateSettings())
+    assert not EvaluatedSystem.parse("zero_shot=embedded").lacks(GenerateSettings())
     assert not shared.engine.is_priced
     assert replace(shared.engine, http=replace(shared.engine.http, prompt_price=2.5)).is_priced
     assert GenerateSettings().engine.is_priced

@@ -349,7 +349,6 @@ def test_tasks_are_written_for_another_system(dataset: Path, tmp_path: Path) -> 
     ("words", "says"),
     [
         (["--system", "gpt"], "expected one of stable, one_shot"),
-        (["--system", "zero_shot"], "name another model with --engine"),
         (["--system", "files"], "layout_files is empty"),
     ],
 )
@@ -375,6 +374,17 @@ def test_variants_are_not_laid_out_by_another_system(placed: Callable[[str], Pat
     result = CliRunner().invoke(app, [*words, "--workers", "0"])
     assert result.exit_code == 2
     assert "leave out --vary" in result.output
+
+
+@pytest.mark.parametrize("name", ["zero_shot", "mesatask_refined"])
+def test_the_embedded_model_stands_in_for_other_models_and_the_run_says_so(name: str, tmp_path: Path) -> None:
+    settings = settings_of(name, "embedded")
+    generate(sample_tasks(1), str(tmp_path), replace(settings, engine=EngineSettings()), ALONE)
+    (row,) = rows_of(tmp_path, "scenes")
+    assert row["num_objects"] >= 3
+    (warning,) = [row for row in rows_of(tmp_path, "warnings") if row["code"] == "own_prompts_only"]
+    assert warning["id"] == settings.reasoner.dialect
+    assert "no row of the paper's table" in warning["message"]
 
 
 @pytest.mark.slow
