@@ -11,6 +11,7 @@ torch-fidelity with it, maps 255 to 0.992 instead of 1 and interpolates from the
 
 import hashlib
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 
@@ -50,7 +51,7 @@ class InceptionFeatures:
         self._device = torch.device(device)
         self.network = inception_network(read_layers(path)).to(self._device)
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
         """Hash of the weights, whatever file they come from, and of the preparation of pictures."""
         digest = hashlib.sha256(_VERSION.encode())

@@ -84,7 +84,7 @@ class RateStep(ShardStep[str]):
 
     def _rows(self, scene_id: str, progress: ItemProgress, asked: list[RatingCase]) -> Rows:
         known, rating = _opened_run(self.run), self.settings.rating
-        scenes = RunScenes(RunFolder(self.run), SceneSelection(scene_ids=(scene_id,)), known.store)
+        scenes = known.select(SceneSelection(scene_ids=(scene_id,)))
         progress.step = "mesh"
         geometry = scenes.geometry(scene_from_row(scenes.row(0)))
         if rating.asks_model:

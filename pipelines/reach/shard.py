@@ -44,7 +44,7 @@ class ReachStep(ItemStep[str]):
         """The row of one scene, with the columns of the robot, and its grasps."""
         progress.step = "scene"
         known = _opened(self.run)
-        scenes = RunScenes(RunFolder(self.run), SceneSelection(scene_ids=(item,)), known.store)
+        scenes = known.select(SceneSelection(scene_ids=(item,)))
         row = scenes.row(0)
         geometry = scenes.geometry(scene_from_row(row))
         progress.step = "reach"

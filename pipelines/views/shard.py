@@ -48,7 +48,7 @@ class ViewsStep(ItemStep[str]):
         """The row of a scene."""
         progress.step = "scene"
         known, settings = _opened(self.run), self.settings
-        scenes = RunScenes(RunFolder(self.run), SceneSelection(scene_ids=(item,)), known.store)
+        scenes = known.select(SceneSelection(scene_ids=(item,)))
         geometry = scenes.geometry(scene_from_row(scenes.row(0)))
         progress.step = "draw"
         drawn = draw_scored_views(geometry, (settings.width, settings.height), settings.surroundings)

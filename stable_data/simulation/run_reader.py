@@ -73,6 +73,17 @@ class RunScenes:
         self._run = run
         self._settled = SettledPoses(run) if choice.settled else None
         self._read: tuple[int, pa.Table] | None = None
+        self._opened: RunScenes | None = None
+
+    def select(self, choice: SceneSelection) -> "RunScenes":
+        """Returns other scenes of the run, with the same meshes and annotations, which are not read again.
+
+        Raises:
+            ConfigError: As for the class.
+        """
+        found = RunScenes(self._run, choice, self.store)
+        found._opened = self._opened or self
+        return found
 
     def __len__(self) -> int:
         limit = self._choice.limit
@@ -151,7 +162,7 @@ class RunScenes:
     @cached_property
     def annotations(self) -> Mapping[str, AssetAnnotation]:
         """What is known of the assets of the run, by id."""
-        return run_annotations(self._run)
+        return run_annotations(self._run) if self._opened is None else self._opened.annotations
 
     def rest(self, scene: Scene) -> dict[str, RestPose] | None:
         """The poses of a scene's objects after settling, by instance; None if the poses of the scene are selected."""

@@ -170,7 +170,7 @@ class LiveViewer:
             ids = f"scene_id in {sorted(self._choice.scene_ids)!r}" if self._choice.scene_ids else None
             parts = [f"({part})" for part in (self._choice.where, ids, condition) if part]
             choice = SceneSelection(" and ".join(parts) or None, limit=self._choice.limit)
-            found = RunScenes(self._run, choice, self._scenes.store)
+            found = self._scenes.select(choice)
             if not len(found):
                 raise ConfigError(f"no scene satisfies {quote_value(condition)}; the shown scenes stay", "scene_unknown")
             self._scenes = found

@@ -183,7 +183,9 @@ def test_rows_are_found_by_number_and_id(viewed_run: RunFolder) -> None:
     names = [scene.scene_id for scene in scenes]
     assert [scenes.row(k)["scene_id"] for k in reversed(range(len(names)))] == names[::-1]
     assert [scenes.number_of(name) for name in names] == list(range(len(names)))
-    some = RunScenes(viewed_run, SceneSelection("num_objects >= 2", limit=2))
+    some = scenes.select(SceneSelection("num_objects >= 2", limit=2))
+    assert some.store is scenes.store
+    assert some.select(SceneSelection()).annotations is scenes.annotations
     found = [scene.scene_id for scene in some]
     assert [some.number_of(name) for name in found] == [0, 1]
     with pytest.raises(ConfigError, match="not among the 2 selected scenes"):
