@@ -16,6 +16,7 @@ from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedL
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.geometry.mesh import Mesh
 from stable_data.metrics.audit import audit_scene
+from stable_data.metrics.sampled_collision import num_sampled_collisions
 from stable_data.scene import Relation, RelationKind, Scene
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import settle
@@ -162,6 +163,18 @@ def test_thin_mats_lie_on_each_other(thickness: float) -> None:
     found = refined(mats)
     assert found.is_solved
     assert found.scene["plate_1"].position[2] == pytest.approx(1.5 * height, abs=4e-4)
+
+
+@pytest.mark.parametrize("height", [0.03, 0.07, 0.058])
+def test_what_rests_does_not_collide_by_a_rule_without_a_tolerance(height: float) -> None:
+    """Cubes that float on a plate or are in it end on it, and nearer than the audit's tolerance."""
+    places = {"cube_0": (0.31, 0.4), "cube_1": (0.43, 0.4), "cube_2": (0.37, 0.52)}
+    cubes = [thing(name, (x, y, height, 0.3), support="plate") for name, (x, y) in places.items()]
+    found = refined(scene(thing("plate", (0.4, 0.45, 0.005, 0.2), scale=(2.0, 2.0, 1.0), support="table"), *cubes))
+    assert found.is_solved
+    assert found.audit.pairs == ()
+    assert num_sampled_collisions(found.scene, shapes_of(found.scene)) == 0
+    assert all(0 < found.scene[name].position[2] - 0.06 < 2e-4 for name in places)
 
 
 def test_a_scene_is_refined_alone_as_among_others() -> None:
