@@ -23,6 +23,7 @@ MAX_TOTAL_FORCE = 3.0  # sum of all contact forces, in weights of the object
 MIN_CENTRE_HEIGHT = 5e-3  # lower bound of the height of the centre of mass over its contacts
 
 # --- resting poses: the order of candidates and their cost
+AIR = 4e-5  # gap below an object at rest: rules without a tolerance, and the exact test itself, take zero distance for a collision
 CENTRE_INSETS = (0.02, 0.01, 0.005, 0.0)  # distance of a centre from its carrier's outline; the first that leaves room is used
 RING_RADII = (0.004, 0.008, 0.014, 0.022, 0.032, 0.045, 0.06, 0.08, 0.11, 0.15)  # distances of candidates from the start
 RING_DIRECTIONS = 8  # candidates on each ring

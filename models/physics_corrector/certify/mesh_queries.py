@@ -6,6 +6,7 @@ from weakref import WeakKeyDictionary
 import fcl
 import numpy as np
 
+from models.physics_corrector.certify.constants import AIR
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.collision import DIRECTIONS, NEAR, is_nested
 from stable_data.metrics.support import carries
@@ -18,7 +19,7 @@ _STEP = 5e-3  # coarse step of a search for contact, metres
 _FINE = 2e-5  # accuracy of the bisection after it, metres
 _REACH = 4e-4  # how far an object at rest is lowered to touch its carriers, metres
 _MOST_CONTACTS = 200  # contacts of two meshes at most
-_AIR = 4e-5  # gap below an object at rest, metres: at zero distance the exact test is sensitive to rounding
+_RISES = (0.0, AIR, 1e-4, 2e-4, _REACH)  # heights by which an object is raised to be free of its carriers, metres
 _AROUND_AND_DOWN = np.array([*(d for d in DIRECTIONS if d[2] == 0), (0.0, 0.0, -1.0)])
 
 _trees: "WeakKeyDictionary[Shape, fcl.BVHModel]" = WeakKeyDictionary()
@@ -209,6 +210,14 @@ class MeshQueries:
         moving = self._body(k, pose) if near else None
         return not any(self._bodies_cross(moving, self._body(j, poses[j])) for j in near)
 
+    def raise_free(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> FloatArray:
+        """Returns the pose (4,), as much higher as the object needs to touch none of the others, but no more than one at rest may be.
+
+        If it touches others at all of these heights, the pose stays.
+        """
+        heights = (pose + np.array([0.0, 0.0, rise, 0.0]) for rise in _RISES)
+        return next((there for there in heights if self.is_free(k, there, others, poses)), pose)
+
     def slide(
         self, k: int, pose: FloatArray, way: FloatArray, others: Sequence[int], poses: FloatArray, at_most: float
     ) -> FloatArray:
@@ -229,7 +238,7 @@ class MeshQueries:
             middle = (gone + until) / 2
             gone, until = (gone, middle) if touches(middle) else (middle, until)
         slid = np.array(pose)
-        slid[:2] += max(0.0, gone - _AIR) * way
+        slid[:2] += max(0.0, gone - AIR) * way
         return slid
 
     def resting_height(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> float:
@@ -249,7 +258,7 @@ class MeshQueries:
             other_low, other_high = self.box(j, poses[j])
             if (low[:2] <= other_high[:2]).all() and (high[:2] >= other_low[:2]).all():
                 below.append((float(other_high[2]) + floor, self._body(j, poses[j])))
-                highest = max(highest, float(other_high[2]) + floor + _AIR)
+                highest = max(highest, float(other_high[2]) + floor + AIR)
         moving, there = self._body(k, pose), np.array(pose[:3])
 
         def touches(z: float) -> bool:
@@ -268,7 +277,7 @@ class MeshQueries:
         while z - under > _FINE:
             middle = (z + under) / 2
             z, under = (z, middle) if touches(middle) else (middle, under)
-        return z + _AIR
+        return z + AIR
 
     def _body(self, k: int, pose: FloatArray) -> fcl.CollisionObject:
         c, s = np.cos(pose[3]), np.sin(pose[3])

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from models.physics_corrector.certify.constants import AIR
 from models.physics_corrector.refinement.contacts import Contacts, find_contacts, pairs_in_bodies
 from models.physics_corrector.refinement.problem import RefinementProblem
 from models.physics_corrector.refinement.separation import combined_steps, parting, posed_outlines
@@ -15,7 +16,6 @@ _LEVEL = 0.9 * TOLERANCE  # a root whose underside is this near to the table top
 _RANGE = 0.04  # contacts farther apart than this are not seen: an object without one is lowered by a whole step
 _STEP = 0.03  # such a step
 _TOLERANCE = 1e-4  # an object whose distance to what is below it is smaller has come to rest
-_APART = 3e-5  # left between an object and what it stands on, so that no rule without a tolerance takes the two for colliding
 _UNRESTED = 3e-4  # an object with a larger distance after the search is lowered once more, from above its body
 _STEPS = 14  # steps of the search, twice as many from above
 _STEEPEST = 0.35  # least vertical part of a normal by which a depth is turned into a height
@@ -165,8 +165,8 @@ class _HeightSearch:
         counts = (upwards > _WALL_RISE) | (contacts.distance < -_THROUGH)
         contacts, upwards = contacts.take(counts), upwards[counts]
         mover = torch.where(which[contacts.guest], contacts.guest, contacts.host)
-        distance = torch.full_like(flat[:, 2], torch.inf).scatter_reduce(0, mover, contacts.distance - _APART, "amin")
-        nearest = contacts.distance - _APART == distance[mover]
+        distance = torch.full_like(flat[:, 2], torch.inf).scatter_reduce(0, mover, contacts.distance - AIR, "amin")
+        nearest = contacts.distance - AIR == distance[mover]
         rise = torch.ones_like(distance).index_put((mover[nearest],), upwards[nearest])
         above_table = flat[:, 2] - self.problem.layout.sizes[..., 2].reshape(-1) / 2
         on_table = above_table < distance

@@ -169,7 +169,17 @@ def _drop(
             is_settled = is_near and outline.covers(shapely.Point(x, y)) and o.instance not in upright
         if is_settled:
             settled[o.instance] = end
-    return settled
+    return _raised(replace(part, objects=(*held, *settled.values())), len(held), store)
+
+
+def _raised(scene: Scene, first: int, store: AssetStore) -> dict[str, SceneObject]:
+    """The objects from index ``first`` on by instance, raised out of what they are on: contacts of an engine are slightly deep."""
+    scene, shapes, _ = store.resolved(scene)
+    meshes, poses, done = MeshQueries([s.as_mesh() for s in shapes]), scene.poses(), list(range(first))
+    for k in sorted(range(first, len(poses)), key=lambda k: float(poses[k, 2])):
+        poses[k] = meshes.raise_free(k, poses[k], done, poses)
+        done.append(k)
+    return {o.instance: o for o in scene.with_poses(poses).objects[first:]}
 
 
 def _lean_in_container(

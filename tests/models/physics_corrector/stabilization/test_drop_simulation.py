@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.physics_corrector.certify import certify
+from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.stabilization.container_insertion import interior_of, is_inside, is_long, place_leaning
 from models.physics_corrector.stabilization.drop_simulation import DropResult, drop_into_container, drop_new_objects
 from stable_data.geometry.shape import Shape
@@ -110,7 +111,9 @@ def test_a_thing_over_another_comes_down_on_it_and_keeps_its_tilt() -> None:
     assert cube.tilt_quat_xyzw == built["cube"].tilt_quat_xyzw
     assert cube.position == pytest.approx((0.52, 0.41, 0.06), abs=1e-3)
     resolved, shapes, _ = store().resolved(let.scene)
-    assert audit_scene(resolved, shapes).card().clean
+    audit = audit_scene(resolved, shapes)
+    assert audit.card().clean
+    assert audit.pairs == ()  # no contact is deep at all
 
 
 def test_a_stack_is_drop_new_objects_from_below() -> None:
@@ -120,6 +123,19 @@ def test_a_stack_is_drop_new_objects_from_below() -> None:
     let = let_go(with_relations(built, RelationKind.ON, *pairs))
     assert [let.scene[f"cube_{k}"].position[2] for k in range(3)] == pytest.approx([0.06, 0.16, 0.26], abs=1e-3)
     assert dict(let.carriers) == dict.fromkeys(("cube_0", "cube_1", "cube_2"), "plate")
+    resolved, shapes, _ = store().resolved(let.scene)
+    audit = audit_scene(resolved, shapes)
+    assert audit.pairs == ()
+    assert audit.card().clean
+
+
+@pytest.mark.parametrize(("depth", "rise"), [(-1e-4, 0.0), (2e-5, 4e-5), (8e-5, 1e-4), (3e-4, 4e-4), (2e-3, 0.0)])
+def test_what_is_a_little_deep_is_raised_and_what_is_deep_stays(depth: float, rise: float) -> None:
+    resolved, shapes, _ = store().resolved(scene(thing("plate", (0.5, 0.4, 0.005, 0.0)), thing("cube", (0.5, 0.4, 0.06, 0.3))))
+    meshes, poses = MeshQueries([s.as_mesh() for s in shapes]), resolved.poses()
+    poses[1, 2] -= depth
+    raised = meshes.raise_free(1, poses[1], [0], poses)
+    assert raised - poses[1] == pytest.approx([0, 0, rise, 0], abs=1e-9)
 
 
 def test_what_leans_in_an_askew_way_comes_to_lie_flat() -> None:
