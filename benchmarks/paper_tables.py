@@ -6,8 +6,7 @@ README says how they were measured). FOLDER has the outputs of these commands, u
 - ``systems``: ``python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems`` (Tables 1 and 3 b);
 - ``correction.json``: ``python -m benchmarks.correction DATA --json FOLDER/correction.json`` (Table 2);
 - ``corrector_ablation.json``: ``python -m benchmarks.corrector_ablation RUN --json FOLDER/corrector_ablation.json`` (Table 3 a);
-- ``rearrangement.json``: ``python -m benchmarks.rearrangement RUN --lego-net FILE --struct-diffusion FILE --json
-  FOLDER/rearrangement.json``;
+- ``rearrangement.json``: ``python -m benchmarks.rearrangement RUN --json FOLDER/rearrangement.json``;
 - ``boxes.json``: ``stable-data score-boxes LABELS BOXES --json FOLDER/boxes.json`` (manipulability);
 - ``generalisation.json``: ``python -m benchmarks.generalisation DATA --json FOLDER/generalisation.json`` (unseen tables and assets, and
   conflicting instructions);
@@ -225,8 +224,8 @@ TABLES = (
     PaperTable(
         "Rearrangement",
         "rearrangement.json",
-        "python -m benchmarks.rearrangement RUN --lego-net FILE --struct-diffusion FILE --json FOLDER/rearrangement.json, with weights of "
-        "python -m pipelines train-rearranger",
+        "python -m benchmarks.rearrangement RUN --json FOLDER/rearrangement.json; for a world other than the embedded one, with --lego-net, "
+        "--struct-diffusion and --equal-flow: weights of python -m pipelines train-rearranger and train-corrector",
         rearrangement_lines,
         [["method", "moved", "EMD", "OC"], *([name, *(f"{x:g}" for x in values)] for name, values in REARRANGEMENT.items())],
     ),
