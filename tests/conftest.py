@@ -140,6 +140,11 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
+def pytest_unconfigure() -> None:
+    """Lets Python free at its end what was kept from the collector."""
+    gc.unfreeze()
+
+
 # --- a local Ray for many tests -----------------------------------------------------------------------------------------------
 
 _RAY_FILES = pytest.StashKey[set[Path]]()
