@@ -6,8 +6,6 @@ from logging import CRITICAL
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from stable_data.errors import ConfigError
 
 
@@ -26,7 +24,9 @@ def load_local(folder: Path, expected: str, *, unused: tuple[str, ...] = (), wit
     Raises:
         ConfigError: It cannot be loaded, or weights are missing (``model_invalid``).
     """
-    from transformers import AutoImageProcessor, AutoModel
+    # Imported here: most programs that may need a model do not load one, and what prepares pictures takes seconds to import.
+    import torch
+    from transformers import AutoModel
 
     with _quiet():
         try:
@@ -40,6 +40,8 @@ def load_local(folder: Path, expected: str, *, unused: tuple[str, ...] = (), wit
             )
             processor = None
             if with_processor:
+                from transformers import AutoImageProcessor
+
                 processor = AutoImageProcessor.from_pretrained(folder, local_files_only=True, trust_remote_code=False)
         except Exception as error:
             reason = f"{type(error).__name__}: {error}".partition("\n")[0]

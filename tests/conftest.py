@@ -1,9 +1,11 @@
 """What every test may ask for, and the order of the tests."""
 
+import gc
 import json
 import logging
 import os
 import shutil
+from collections.abc import Generator
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: two threads on a busy machine wait for each other
@@ -125,6 +127,22 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Keeps the garbage collector from traversing all modules and tests, which stay to the end, again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def pytest_unconfigure() -> None:
+    """Lets Python free at its end what was kept from the collector."""
+    gc.unfreeze()
 
 
 # --- a local Ray for many tests -----------------------------------------------------------------------------------------------

@@ -2,9 +2,10 @@
 
 import ast
 import re
+import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import networkx as nx
@@ -25,13 +26,15 @@ def modules(package: str) -> list[Path]:
     return sorted((ROOT / package).rglob("*.py"))
 
 
-def imports(path: Path) -> Iterator[str]:
+@cache
+def imports(path: Path) -> tuple[str, ...]:
+    found = list[str]()
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield node.module or ""
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            found += (node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names))
+    return tuple(found)
 
 
 @pytest.mark.parametrize("package", sorted(OURS))
@@ -58,10 +61,16 @@ def test_viser_is_imported_by_the_live_viewer_alone() -> None:
 
 def test_the_library_imports_nothing_heavy_by_itself() -> None:
     code = "import sys, stable_data, stable_data.scene, stable_data.errors; print(*sys.modules)"
-    import subprocess
-
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
     assert not {"torch", "trimesh", "igl", "mujoco", "ray", "scipy", "pyarrow"} & set(loaded)
+
+
+def test_processes_that_read_foreign_files_do_without_torch() -> None:
+    """One is started for a file or an asset, and torch takes longer to import than most of them to read."""
+    jobs = ("asset_import.shard", "correct.scene_shard", "preprocess.shard", "scene_files.importing", "supports.preparing")
+    code = f"import sys, {', '.join(f'pipelines.{job}' for job in jobs)}; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.split() == ["False"]
 
 
 def test_there_are_no_circles_within_a_package() -> None:

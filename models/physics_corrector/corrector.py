@@ -26,7 +26,7 @@ from models.physics_corrector.certify.flow_start import certify_moved, choose_st
 from models.physics_corrector.certify.layout_search import remaining_faults
 from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.support_inference import TABLE_TOP, expected_carriers, infer_carriers, known_carriers
-from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout
+from models.physics_corrector.refinement.layouts import LayoutToRefine, RefinedLayout
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
 from stable_data.geometry.shape import Shape

@@ -7,17 +7,18 @@ fixed size, because a matrix product of another shape may sum in another order.
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from tokenizers import Tokenizer
-from torch import Tensor
 
 from models.hugging_face import load_local
 from models.text_encoder.folder import SentenceModel, TokenPooling, packaged_folder, read_folder
 from stable_data.assets.text_embeddings import Rows
 from stable_data.errors import ConfigError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _BATCH = 8  # sentences: one costs as much as eight
 _LENGTH_STEP = 8  # tokens
@@ -40,7 +41,7 @@ class SentenceEncoder:
 
     def __init__(self, folder: Path, device: str = "cpu") -> None:
         self.model: SentenceModel = read_folder(folder)
-        self._device = torch.device(device)
+        self._device = device
 
     @property
     def fingerprint(self) -> str:
@@ -89,6 +90,8 @@ class SentenceEncoder:
 
     def _encode(self, tokens: Sequence[Sequence[int]], length: int) -> Rows:
         """Computes unit rows of at most eight sentences, (8, D) float32; rows after the last sentence have no meaning."""
+        import torch  # here: a library that is read need not be searched by words
+
         padding = self._network.config.pad_token_id or 0
         ids = torch.full((_BATCH, length), padding, dtype=torch.long)  # (8, T)
         mask = torch.zeros((_BATCH, length), dtype=torch.long)
@@ -121,12 +124,12 @@ def _by_length(tokens: Sequence[Sequence[int]]) -> Iterable[tuple[int, list[int]
     return sorted(groups.items())
 
 
-def _pooled(states: Tensor, mask: Tensor, pooling: TokenPooling) -> Tensor:
+def _pooled(states: "Tensor", mask: "Tensor", pooling: TokenPooling) -> "Tensor":
     """Pools token vectors (8, T, D) to sentence vectors (8, D)."""
     if pooling is TokenPooling.CLS:
         return states[:, 0]
     weight = mask.unsqueeze(-1).to(states.dtype)  # (8, T, 1)
     if pooling is TokenPooling.MAX:
-        return states.masked_fill(weight == 0, -torch.inf).amax(dim=1)
+        return states.masked_fill(weight == 0, float("-inf")).amax(dim=1)
     total, count = (states * weight).sum(dim=1), weight.sum(dim=1)
     return total / (count if pooling is TokenPooling.MEAN else count.sqrt())

@@ -15,8 +15,6 @@ from typing import Any, Generic, Literal, Self, TypeAlias, TypeVar
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, DroppedObject
 from models.physics_corrector.certify.correction import Correction
 from models.physics_corrector.corrector import PhysicsCorrector
-from models.physics_corrector.learned_flow import load_flow
-from models.physics_corrector.refinement.refiner import Refiner
 from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.item_progress import ItemProgress
@@ -189,9 +187,16 @@ def corrector_of(
     if shared is not None:
         flow, refiner = shared.flow, shared.refiner
         return PhysicsCorrector(flow, options, settings.judge_raw, refiner, settings.polish, settings.purpose)
-    own_flow = load_flow(settings.weights, settings.steps, settings.error(), settings.device) if flows else None
-    needs_grids = settings.refine or settings.polish != "certify"
-    own_refiner = Refiner(store, ContactGrids(contact_grid_cache()), device=settings.device) if needs_grids else None
+    own_flow, own_refiner = None, None
+    # Imported here: both need torch, which takes longer to import than an item of a process that needs neither.
+    if flows:
+        from models.physics_corrector.learned_flow import load_flow
+
+        own_flow = load_flow(settings.weights, settings.steps, settings.error(), settings.device)
+    if settings.refine or settings.polish != "certify":
+        from models.physics_corrector.refinement.refiner import Refiner
+
+        own_refiner = Refiner(store, ContactGrids(contact_grid_cache()), device=settings.device)
     return PhysicsCorrector(own_flow, options, settings.judge_raw, own_refiner, settings.polish, settings.purpose)
 
 

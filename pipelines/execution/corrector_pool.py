@@ -18,7 +18,7 @@ import ray
 
 from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.corrector import PhysicsCorrector, SceneMover
-from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout
+from models.physics_corrector.refinement.layouts import LayoutToRefine, RefinedLayout
 from pipelines.execution.engine_pool import check_gpus, first_answer
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError

@@ -68,7 +68,7 @@ def bare_run(bare: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def drafted(dataset: Path) -> list[Row]:
     """Edits of the scenes of ``dataset``: two each, of the kinds in turn, with assets that its library has."""
     there, count, found = used_assets(dataset), Counter[str](), list[Row]()
@@ -81,7 +81,7 @@ def drafted(dataset: Path) -> list[Row]:
     return found
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def wanted(drafted: list[Row]) -> list[dict[str, Any]]:
     """Lines of a file of edits, each with its reply; the last asks for nothing."""
     lines = [
@@ -94,12 +94,12 @@ def wanted(drafted: list[Row]) -> list[dict[str, Any]]:
     ]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def edits(wanted: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return edit_runs.file_of(wanted, tmp_path_factory.mktemp("edits") / "edits.jsonl")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def edited(dataset: Path, edits: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("edited") / "out"
     manifest = edit(str(dataset), edits, str(out), edit_runs.SMALL, edit_runs.ALONE)

@@ -5,7 +5,7 @@ each object is on or in its carrier and steady there, and no directional relatio
 """
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -21,6 +21,7 @@ from models.physics_corrector.certify.static_stability import stands_alone
 from models.physics_corrector.certify.static_stability import steadiness as exact_steadiness
 from models.physics_corrector.certify.support_inference import TABLE_TOP, SupportEdge, expected_carriers, known_carriers
 from models.physics_corrector.refinement.contact_shapes import ContactShapeCache
+from models.physics_corrector.refinement.layouts import LayoutToRefine, RefinedLayout
 from models.physics_corrector.refinement.problem import RefinementProblem
 from models.physics_corrector.refinement.resting import lower_onto, stand_on_table, step_aside, unrested
 from models.physics_corrector.refinement.separation import separate_bodies
@@ -44,39 +45,6 @@ _STEADY_STEPS, _STEADY_STEP = 5, 6e-3  # steps of an object that would tip, and 
 _STILL = 5e-4  # an object that has moved less than this on its carrier stays as it stayed before, metres
 _UNMOVED = 1e-6  # metres and radians: what has moved less keeps its pose bit by bit, because float32 rounds
 _BATCH = 64  # scenes in one batch
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LayoutToRefine:
-    """A layout to refine.
-
-    Attributes:
-        scene: The scene, resolved (``AssetStore.resolved``). The carrier of an object is the one that the scene's relations name,
-            else its ``support``, else the table.
-        shapes: The geometry of its objects, in order.
-        fixed: Instances that must not move.
-        steady: Instances that are known to stay on their carriers if they do not move on them, such as those of a simulation.
-    """
-
-    scene: Scene
-    shapes: Sequence[Shape]
-    fixed: Set[str] = frozenset()
-    steady: Set[str] = frozenset()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RefinedLayout:
-    """The result for one layout.
-
-    Attributes:
-        scene: The refined scene; fixed and unmoved objects are the input objects.
-        audit: Its exact audit.
-        is_solved: Whether nothing is left for ``certify``.
-    """
-
-    scene: Scene
-    audit: Audit
-    is_solved: bool
 
 
 class Refiner:

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from models.physics_corrector.flow.condition import Condition
-from models.physics_corrector.refinement.refiner import LayoutToRefine, Refiner
+from models.physics_corrector.refinement.layouts import LayoutToRefine
+from models.physics_corrector.refinement.refiner import Refiner
 from models.physics_corrector.training.settings import CorrectorTrainingSettings, PhysicsSchedule, training_preset
 from models.physics_corrector.training.trainer import CorrectorTrainer
 from models.training.distributed import CPU

@@ -275,7 +275,7 @@ socket.socket.connect = refuse
 socket.getaddrinfo = refuse
 from models.text_encoder import load_default
 encoder = load_default()
-print(encoder.fingerprint, "transformers" in sys.modules)
+print(encoder.fingerprint, bool({"torch", "transformers"} & set(sys.modules)))
 print(encoder(["a mug"]).shape, "sentence_transformers" in sys.modules)
 """
     command = [sys.executable, "-W", "error", "-c", code]

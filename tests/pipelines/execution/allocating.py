@@ -1,5 +1,7 @@
 """Functions that allocate memory, for other processes; this module imports nothing that takes time."""
 
+MIB = 2**20
+
 
 def allocate(num_bytes: int) -> int:
     """Allocates in Python."""

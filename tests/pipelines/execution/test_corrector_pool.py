@@ -15,7 +15,8 @@ import ray
 
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.learned_flow import load_flow
-from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout, Refiner
+from models.physics_corrector.refinement.layouts import LayoutToRefine, RefinedLayout
+from models.physics_corrector.refinement.refiner import Refiner
 from pipelines.correct.job import correct
 from pipelines.correct.settings import CorrectorJobSettings, CorrectSettings
 from pipelines.edit.settings import EditSettings

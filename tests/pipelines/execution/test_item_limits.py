@@ -2,11 +2,9 @@
 
 import shutil
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +16,7 @@ from pipelines.edit.shard import EditWork
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, _runtime
 from pipelines.execution.resume import check_resume, new_manifest
-from pipelines.execution.shard_step import ItemStep, Rows, Shard, failed_process, rows_or_failure
+from pipelines.execution.shard_step import Shard, failed_process, rows_or_failure
 from pipelines.generate import shard as generation
 from pipelines.generate.settings import GenerateSettings
 from pipelines.generate.shard import GenerateWork
@@ -33,9 +31,10 @@ from stable_data.limits import SETTING
 from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
 from tests.bounds import limit
-from tests.pipelines.execution.allocating import allocate, allocate_tensor
+from tests.pipelines.execution.allocating import MIB, allocate, allocate_tensor
+from tests.pipelines.execution.allocating_batch import Batch
+from tests.pipelines.execution.allocating_step import Allocating
 
-MIB = 2**20
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
 
 
@@ -68,22 +67,6 @@ def test_the_row_of_an_item_names_what_it_exceeded() -> None:
     assert "item.max_memory_bytes" in failed_process(ProcessFailure.CRASHED, "mug", 60)["failures"][0]["message"]
 
 
-@dataclass(frozen=True, slots=True)
-class Allocating(ItemStep[int]):
-    """Allocates so many MiB for an item, with torch and without, where an item has 64 MiB."""
-
-    TABLES: ClassVar = ("failures",)
-
-    def item_rows(self, item: int, progress: ItemProgress) -> Rows:
-        (allocate_tensor if item % 2 else allocate)(item * MIB)
-        return {}
-
-    def __call__(self, shard: Shard[int], *, isolated: bool = False) -> list[tuple[str, str]]:
-        with pytest.MonkeyPatch.context() as patch:
-            limit(patch, "item", max_memory_bytes=64 * MIB)  # the workers have the limits of the session
-            return [(row["id"], row["code"]) for row in self.shard(shard, isolated=isolated).rows.get("failures", ())]
-
-
 @pytest.mark.ray
 def test_what_needs_more_memory_in_a_worker_fails_alone() -> None:
     work, shard = Allocating(), Shard("0" * 16, (8, 257, 9, 256, 8))
@@ -103,19 +86,6 @@ def test_a_reader_that_needs_more_memory_is_not_said_to_find_a_broken_file(
     (row,) = step.shard(Shard("0" * 16, (use,)), isolated=True).rows["failures"]
     assert (row["id"], row["code"]) == (asset_id, "out_of_memory")
     assert "item.max_memory_bytes" in row["message"]
-
-
-@pytest.mark.slow
-@dataclass(frozen=True, slots=True)
-class Batch(CorrectWork):
-    """A batched computation that holds 20 MiB for each scene."""
-
-    def prepare_to_ask(self) -> None:
-        """Nothing."""
-
-    def answers(self, items: Sequence[str]) -> list[Any]:
-        held = [bytearray(20 * MIB) for _ in items]
-        return [None for _ in held]
 
 
 def test_a_batch_has_the_memory_of_its_items(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,7 +80,7 @@ class Slow:
     """Hangs over one shard unless its items are run alone."""
 
     def __call__(self, shard: int, *, isolated: bool = False) -> str:
-        with item_limited(2.0):
+        with item_limited(1.0):
             if shard == 2 and not isolated:
                 time.sleep(600)
         return f"{shard} {'alone' if isolated else 'together'}"
@@ -103,6 +103,7 @@ def test_this_process_gives_results_in_order() -> None:
 
 
 @pytest.mark.ray
+@pytest.mark.usefixtures("local_ray")
 def test_ray_does_every_shard_once() -> None:
     assert sorted(WorkerPool(2).run(Double(), list(range(12)))) == list(range(0, 24, 2))
 

@@ -54,7 +54,7 @@ def settings(run: str, tmp_path_factory: pytest.TempPathFactory) -> GenerateSett
     }
     path = tmp_path_factory.mktemp("script") / "script.json"
     path.write_text(json.dumps(script))
-    return GenerateSettings(EngineSettings(f"scripted:{path}"), weights="none", num_pictures=1)
+    return GenerateSettings(EngineSettings(f"scripted:{path}"), weights="none", num_pictures=0)
 
 
 @pytest.fixture(scope="module", params=list(Axis))

@@ -12,7 +12,8 @@ from models.physics_corrector.certify.mesh_queries import MeshQueries
 from models.physics_corrector.certify.static_stability import steadiness
 from models.physics_corrector.corrector import PhysicsCorrector, Polish
 from models.physics_corrector.refinement import refiner
-from models.physics_corrector.refinement.refiner import LayoutToRefine, RefinedLayout, Refiner
+from models.physics_corrector.refinement.layouts import LayoutToRefine, RefinedLayout
+from models.physics_corrector.refinement.refiner import Refiner
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.geometry.mesh import Mesh
 from stable_data.metrics.audit import audit_scene
