@@ -224,7 +224,7 @@ TABLES = (
     PaperTable(
         "Rearrangement",
         "rearrangement.json",
-        "python -m benchmarks.rearrangement RUN --json FOLDER/rearrangement.json; for another world than the embedded one, with --lego-net, "
+        "python -m benchmarks.rearrangement RUN --json FOLDER/rearrangement.json; for another world, with --lego-net, "
         "--struct-diffusion and --equal-flow: weights of python -m pipelines train-rearranger and train-corrector",
         rearrangement_lines,
         [["method", "moved", "EMD", "OC"], *([name, *(f"{x:g}" for x in values)] for name, values in REARRANGEMENT.items())],

@@ -13,7 +13,7 @@ from tests.pipelines.runs import content
 
 pytestmark = pytest.mark.sim
 
-TASKS = sample_tasks(2)
+TASKS = sample_tasks(1)
 SETTINGS = GenerateSettings(num_pictures=0)
 
 

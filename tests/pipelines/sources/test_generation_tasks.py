@@ -77,7 +77,7 @@ def test_drawn_tasks_ask_only_for_what_is_served() -> None:
     for task in tasks:
         assert task.reference is not None
         assert all(SERVED & set(r.categories) for r in task.reference.required if r.categories)
-    more = served_tasks(sample_tasks(9, 5, ["dressing_table", "dining_table"]), SERVED.__contains__, "").tasks
+    more = served_tasks(sample_tasks(3, 5, ["dressing_table", "dining_table"]), SERVED.__contains__, "").tasks
     assert [task.sample(SERVED.__contains__) for task in more[:2] if isinstance(task, SampledTask)] == tasks
     (only,) = sample_tasks(1, 5, ["dressing_table"]).tasks
     assert isinstance(only, SampledTask)
