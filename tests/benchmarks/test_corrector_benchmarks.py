@@ -48,6 +48,7 @@ def test_every_kind_of_error_is_made(clean_run: Path, layouts: tuple[list[StartL
         assert {o.support for o in layout.start.objects} == {o.support for o in layout.target.objects}
 
 
+@pytest.mark.slow
 def test_the_parts_of_the_corrector_do_what_they_say(layouts: tuple[list[StartLayout], AssetStore]) -> None:
     found, store = layouts
     jitter = next(layout for layout in found if layout.bucket == "jitter")

@@ -79,7 +79,9 @@ LEARNS = {
 }
 
 
-@pytest.mark.parametrize(("method", "steps"), [("lego_net", 150), ("struct_diffusion", 500)])
+@pytest.mark.parametrize(
+    ("method", "steps"), [("lego_net", 150), pytest.param("struct_diffusion", 500, marks=pytest.mark.slow)]
+)
 def test_a_tiny_network_learns_a_scene(method: Method, steps: int) -> None:
     """Overfitted on one scene, what it gives is nearer to the clean scene than what it got."""
     data = training_set(1, 0)

@@ -376,7 +376,7 @@ def test_variants_are_not_laid_out_by_another_system(placed: Callable[[str], Pat
     assert "leave out --vary" in result.output
 
 
-@pytest.mark.parametrize("name", ["zero_shot", "mesatask_refined"])
+@pytest.mark.parametrize("name", [pytest.param("zero_shot", marks=pytest.mark.slow), "mesatask_refined"])
 def test_the_embedded_model_stands_in_for_other_models_and_the_run_says_so(name: str, tmp_path: Path) -> None:
     settings = settings_of(name, "embedded")
     generate(sample_tasks(1), str(tmp_path), replace(settings, engine=EngineSettings()), ALONE)
