@@ -47,7 +47,7 @@ from benchmarks.audit import readable_scenes
 from benchmarks.corrector_parts import CorrectorTerms, corrector_parts
 from benchmarks.layouts import (
     StartLayout,
-    audited,
+    audit_layout,
     held_out_scenes,
     perturbed_layouts,
     proposed_layouts,
@@ -170,14 +170,14 @@ def judged(name: str, method: Baseline, layout: StartLayout, store: AssetStore, 
     except StableDataError as error:
         outcome = BaselineResult(scene, False, time.process_time() - begin, str(error))
     left, left_shapes, _ = store.resolved(outcome.scene)
-    audit = audited(left, left_shapes)
+    audit = audit_layout(left, left_shapes)
     start = replace(scene, objects=tuple(scene[o.instance] for o in left.objects))
     moves = 1e3 * np.linalg.norm(left.poses()[:, :3] - start.poses()[:, :3], axis=1)
     sunk, count = audit.tolerance + ROUNDING, len(left.objects)
     num_collisions = sum(p.penetration is None or p.penetration > audit.tolerance for p in audit.pairs)
     is_whole = count == len(scene.objects)
     target = layout.target if is_whole else None
-    kept = relations_kept(scene, left, shapes, left_shapes, audits=(audited(scene, shapes), audit))
+    kept = relations_kept(scene, left, shapes, left_shapes, audits=(audit_layout(scene, shapes), audit))
     card = add_sampled_collisions(audit.card(), left, left_shapes, audit)
     return Result(
         method=name,
@@ -213,7 +213,7 @@ def _meant(target: Scene | None, left: Scene, shapes: Sequence[Shape], audit: Au
     if target is None:
         return 0, 0
     meant = replace(target, relations=())
-    kept = relations_kept(meant, left, shapes, audits=(audited(meant, shapes), audit))
+    kept = relations_kept(meant, left, shapes, audits=(audit_layout(meant, shapes), audit))
     return kept.directional_held, kept.directional_kept
 
 

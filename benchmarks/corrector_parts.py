@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from benchmarks.layouts import audited
+from benchmarks.layouts import audit_layout
 from models.baselines.outcome import Baseline, BaselineResult
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus
 from models.physics_corrector.certify.correction import CorrectionOptions, Fixed
@@ -107,7 +107,7 @@ class CorrectorParts:
         corrector = PhysicsCorrector(flow, limits, judges_raw=False, refiner=refiner, polish=polish, purpose=terms.purpose)
         options = CorrectionOptions(asks_engine=terms.settles and self.certifies)
         self._prepare(flow, corrector, scene, shapes, store)
-        audit = audited(scene, shapes)  # a correction needs it only for its figures
+        audit = audit_layout(scene, shapes)  # a correction needs it only for its figures
         told = scene if terms.is_told else replace(scene, relations=())
         begin = self._now()
         known = scene

@@ -83,10 +83,13 @@ def outcome(case: Mapping[str, Any], scene: Scene | None, notices: Sequence[tupl
     broken = [claim for claim, is_held in zip(case["claims"], held, strict=True) if not is_held]
     missing = [name for name in case["objects"] if name not in category.values()]
 
+    def names(message: str, category: str) -> bool:
+        return category in message or category.replace("_", " ") in message  # as in instances, or in words
+
     def tells(code: str, message: str) -> bool:
         if code in OF_CLAIMS:
-            return any(one in message and other in message for one, _, other in broken)
-        return (code == UNUSABLE and scene is None) or (code in OF_THINGS and any(name in message for name in missing))
+            return any(names(message, one) and names(message, other) for one, _, other in broken)
+        return (code == UNUSABLE and scene is None) or (code in OF_THINGS and any(names(message, name) for name in missing))
 
     return {
         "instruction": case["instruction"],

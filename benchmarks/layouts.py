@@ -261,13 +261,13 @@ def proposed_layouts(run: RunFolder, *, is_whole: bool = False, store: AssetStor
         yield StartLayout(layout, None, str(turn["stage"]), 0)
 
 
-def audited(scene: Scene, shapes: Sequence[Shape]) -> Audit:
+def audit_layout(scene: Scene, shapes: Sequence[Shape]) -> Audit:
     """Audits a layout, see :func:`~stable_data.metrics.audit.audit_scene`; the last audits are kept: all methods have one start."""
-    return _audited(scene, tuple(shapes))
+    return _audit_layout(scene, tuple(shapes))
 
 
 @lru_cache(maxsize=4)  # the start, its target, and the results of one or two methods
-def _audited(scene: Scene, shapes: tuple[Shape, ...]) -> Audit:
+def _audit_layout(scene: Scene, shapes: tuple[Shape, ...]) -> Audit:
     return audit_scene(scene, shapes)
 
 

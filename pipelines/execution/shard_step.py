@@ -234,7 +234,10 @@ class ShardWriter:
         made = step.shard(items, isolated=isolated)
         try:
             tables = _arrow_tables(made.rows, step.TABLES)
-        except _NO_ROWS:  # one by one, the items whose rows cannot be written are found, and fail alone
+        except _NO_ROWS:
+            if isolated:
+                raise
+            # One by one, the items whose rows cannot be written are found, and fail alone.
             made = step.shard(items, isolated=True)
             tables = _arrow_tables(made.rows, step.TABLES)
         for name, content in made.files.items():

@@ -108,6 +108,9 @@ def test_a_contradiction_counts_as_followed_only_where_the_scene_holds_it() -> N
     lost = outcome(case, turned, notices)
     assert (lost["claims_held"], lost["said"]) == (0, ["not_as_said"])
     assert outcome(case, held, notices)["said"] == []  # it holds after all
+    glass = {**case, "objects": ["plate", "wine_glass"], "claims": [["plate", "in", "wine_glass"]]}
+    in_words = [("not_as_said", "the instruction states relations that do not hold: plate in wine glass")]
+    assert outcome(glass, replace(held, relations=()), in_words)["said"] == ["not_as_said"]
     others = [("asset_unmatched", "nothing is like elephant"), ("not_as_said", "what does not hold: cup_0 on mug_0")]
     assert outcome(case, turned, others)["said"] == []  # of other things
     failed = outcome(case, None, [("reply_unusable", "no reply can be used")])

@@ -211,9 +211,13 @@ class MeshQueries:
         return not any(self._bodies_cross(moving, self._body(j, poses[j])) for j in near)
 
     def raise_free(self, k: int, pose: FloatArray, others: Sequence[int], poses: FloatArray) -> FloatArray:
-        """Returns the pose (4,), as much higher as the object needs to touch none of the others, but no more than one at rest may be.
+        """Returns the pose (4,) of an object, raised by up to 0.4 mm, which one at rest may be above its carriers, to touch none of them.
 
-        If it touches others at all of these heights, the pose stays.
+        Args:
+            k: The object.
+            pose: Its pose, metres and radians; returned as it is if the object touches others at all of the heights.
+            others: The objects that it shall not touch.
+            poses: Poses of all objects, (N, 4).
         """
         heights = (pose + np.array([0.0, 0.0, rise, 0.0]) for rise in _RISES)
         return next((there for there in heights if self.is_free(k, there, others, poses)), pose)

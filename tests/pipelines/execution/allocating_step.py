@@ -13,7 +13,7 @@ from tests.pipelines.execution.allocating import MIB, allocate, allocate_tensor
 
 
 @dataclass(frozen=True, slots=True)
-class Allocating(ItemStep[int]):
+class AllocationStep(ItemStep[int]):
     """Allocates so many MiB for an item, with torch and without, where an item has 64 MiB."""
 
     TABLES: ClassVar = ("failures",)

@@ -33,7 +33,7 @@ from stable_data.storage.run_folder import RunFolder
 from tests.bounds import limit
 from tests.pipelines.execution.allocating import MIB, allocate, allocate_tensor
 from tests.pipelines.execution.allocating_batch import Batch
-from tests.pipelines.execution.allocating_step import Allocating
+from tests.pipelines.execution.allocating_step import AllocationStep
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
 
@@ -69,7 +69,7 @@ def test_the_row_of_an_item_names_what_it_exceeded() -> None:
 
 @pytest.mark.ray
 def test_what_needs_more_memory_in_a_worker_fails_alone() -> None:
-    work, shard = Allocating(), Shard("0" * 16, (8, 257, 9, 256, 8))
+    work, shard = AllocationStep(), Shard("0" * 16, (8, 257, 9, 256, 8))
     assert list(WorkerPool(1).run(work, [shard])) == [[("257", "out_of_memory"), ("256", "out_of_memory")]]
 
 

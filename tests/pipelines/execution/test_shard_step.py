@@ -17,7 +17,7 @@ SHARD = "0" * 16
 
 
 @dataclass(frozen=True, slots=True)
-class Remarking(ItemStep[tuple[str, Any]]):
+class RemarkStep(ItemStep[tuple[str, Any]]):
     """Remarks on an item, which has a name and a message that is whatever it is."""
 
     TABLES: ClassVar = ("failures", "warnings")
@@ -30,7 +30,7 @@ class Remarking(ItemStep[tuple[str, Any]]):
 
 
 @dataclass(frozen=True, slots=True)
-class Trusting(Remarking):
+class UncheckedRemarkStep(RemarkStep):
     """The same without a look at the rows of single items."""
 
     def _isolated_rows(self, item: tuple[str, Any]) -> Rows:
@@ -39,7 +39,7 @@ class Trusting(Remarking):
 
 @pytest.mark.parametrize("bad", ["half of a pair \ud800", 3, ["a list"]], ids=["text", "number", "list"])
 def test_an_item_whose_rows_cannot_be_written_fails_alone(tmp_path: Path, bad: Any) -> None:
-    written = ShardWriter(str(tmp_path), (Remarking(),))(ShardTask(0, Shard(SHARD, (("a", "one"), ("b", bad), ("c", "two")))))
+    written = ShardWriter(str(tmp_path), (RemarkStep(),))(ShardTask(0, Shard(SHARD, (("a", "one"), ("b", bad), ("c", "two")))))
     assert (written.num_items, written.num_failures) == (3, 1)
     run = RunFolder(tmp_path)
     assert run.table("warnings")["message"].to_pylist() == ["one", "two"]
@@ -50,5 +50,5 @@ def test_an_item_whose_rows_cannot_be_written_fails_alone(tmp_path: Path, bad: A
 
 def test_rows_that_cannot_be_written_and_are_of_no_item_end_the_job(tmp_path: Path) -> None:
     with pytest.raises(pa.ArrowTypeError):
-        ShardWriter(str(tmp_path), (Trusting(),))(ShardTask(0, Shard(SHARD, (("a", "one"), ("b", 3)))))
+        ShardWriter(str(tmp_path), (UncheckedRemarkStep(),))(ShardTask(0, Shard(SHARD, (("a", "one"), ("b", 3)))))
     assert not RunFolder(tmp_path).shard_ids("warnings")
