@@ -1,7 +1,8 @@
 """All tables of the paper from figures that were measured before, each with the command that measures it.
 
-``python -m benchmarks.paper_tables [FOLDER]``. Without FOLDER, the tables are of the figures in the repository (benchmarks/results, whose
-README says how they were measured). FOLDER has the outputs of these commands, under these names:
+``python -m benchmarks.paper_tables [FOLDER] [--page PAGE]``. Without FOLDER, the tables are of the figures in the repository
+(benchmarks/results, whose README says how they were measured). With ``--page``, they replace the text blocks of a Markdown file, each in
+the section of its title, as in docs/paper_tables.md. FOLDER has the outputs of these commands, under these names:
 
 - ``systems``: ``python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems`` (Tables 1 and 3 b);
 - ``correction.json``: ``python -m benchmarks.correction DATA --json FOLDER/correction.json`` (Table 2);
@@ -17,8 +18,9 @@ DATA is a folder in the MesaTask-10K format, RUN a preprocess run. What was not 
 below the measured ones, apart from them: they are of other scenes, assets, models and judges.
 """
 
+import argparse
 import json
-import sys
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +31,7 @@ from benchmarks.generalisation import show as generalisation_lines
 from pipelines.evaluate.figures import FIGURES, RULES, TABLE_1_COLUMNS, Estimate
 from pipelines.evaluate.published import MANIPULABILITY, REARRANGEMENT, SOURCE, TABLE_1, TABLE_2, TABLE_3A, TABLE_3B
 from pipelines.reports.text_table import align_columns
+from stable_data.atomic_files import write_file_atomically
 from stable_data.rating.criteria import CRITERIA
 from stable_data.scores.intervals import mean_text, wilson_interval
 
@@ -62,11 +65,10 @@ class PaperTable:
 
     def command_for(self, folder: Path) -> str:
         """What measures the table for a folder."""
-        return self.command.replace("FOLDER", str(folder))
+        return self.command.replace("FOLDER", _name(folder))
 
     def lines(self, folder: Path) -> Iterable[str]:
-        """Yields the table as text."""
-        yield f"== {self.title}"
+        """Yields the table as text, without its title."""
         path = folder / self.file
         if not path.is_file():
             yield f"not measured; {self.command_for(folder)}"
@@ -74,14 +76,12 @@ class PaperTable:
             try:
                 found = list(self.measured(json.loads(path.read_text("utf-8"))))
             except (ValueError, KeyError, TypeError, AttributeError) as error:
-                found = [
-                    f"{path} has other content than expected ({type(error).__name__}: {error}); measure again: {self.command_for(folder)}"
-                ]
+                reason = f"{type(error).__name__}: {error}"
+                found = [f"{_name(path)} has other content than expected ({reason}); measure again: {self.command_for(folder)}"]
             yield from found
         if self.published:
             yield f"published ({SOURCE}), not measured here:"
             yield from _aligned(self.published)
-        yield ""
 
 
 def systems_lines(found: Mapping[str, Any]) -> Iterable[str]:
@@ -163,6 +163,28 @@ def edits_lines(found: Mapping[str, Any]) -> Iterable[str]:
     rows += [[kind, f"{summary['right_by_kind'][kind]}/{count}"] for kind, count in summary["edits_by_kind"].items()]
     yield from _aligned([*rows, ["all", f"{summary['right']}/{summary['edits']}"]])
     yield f"engine {found['engine']}"
+
+
+def fill_page(page: str, folder: Path) -> str:
+    """Returns a Markdown page with all tables in the first text blocks of the sections of their titles.
+
+    Raises:
+        ValueError: If a table has no such section or its section no text block.
+    """
+    for table in TABLES:
+        pattern = rf"(^## {re.escape(table.title)}\n(?:(?!^## ).*\n)*?```text\n)(?:.*\n)*?```$"
+        parts = re.split(pattern, page, maxsplit=1, flags=re.MULTILINE)
+        if len(parts) == 1:
+            raise ValueError(f"no section '## {table.title}' with a block that begins with ```text")
+        before, head, after = parts
+        page = before + head + "\n".join(table.lines(folder)) + "\n```" + after
+    return page
+
+
+def _name(path: Path) -> str:
+    """A path as in commands; in the repository from its root, so that pages are the same wherever it lies."""
+    root = RESULTS.parent.parent
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
 
 
 def _estimate(system: Mapping[str, Any], key: str) -> str:
@@ -259,16 +281,24 @@ TABLES = (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Prints all tables."""
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    if len(words) > 1 or any(word.startswith("-") for word in words):
-        print(__doc__)
-        raise SystemExit(0 if words in (["--help"], ["-h"]) else 2)
-    folder = Path(words[0]) if words else RESULTS
-    if not folder.is_dir():
-        raise SystemExit(f"error: {folder}: no such folder, expected one with measured figures")
-    for table in TABLES:
-        print("\n".join(table.lines(folder)))
+    """Prints all tables, or writes them into a page."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.paper_tables", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", metavar="FOLDER", nargs="?", type=Path, default=RESULTS, help="folder of measured figures")
+    parser.add_argument("--page", metavar="PAGE", type=Path, help="Markdown file whose text blocks get the tables")
+    options = parser.parse_args(arguments)
+    if not options.folder.is_dir():
+        parser.error(f"{options.folder}: no such folder, expected one with measured figures")
+    if options.page is None:
+        for table in TABLES:
+            print("\n".join([f"== {table.title}", *table.lines(options.folder), ""]))
+        return
+    try:
+        filled = fill_page(options.page.read_text("utf-8"), options.folder)
+    except (OSError, ValueError) as error:
+        parser.error(f"{options.page}: {error}")
+    write_file_atomically(options.page, filled.encode())
 
 
 if __name__ == "__main__":

@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
-from benchmarks.paper_tables import RESULTS, TABLES, main
+from benchmarks.paper_tables import RESULTS, TABLES, fill_page, main
 from pipelines.evaluate.figures import FIGURES, Repetition, estimate_figures
 from stable_data.scores.detection import DetectionScore
+
+PAGE = RESULTS.parents[1] / "docs" / "paper_tables.md"
 
 
 def printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
@@ -98,12 +100,13 @@ def test_other_words_are_answered_with_what_it_needs(words: list[str], status: i
     with pytest.raises(SystemExit) as caught:
         main(words)
     assert caught.value.code == status
-    assert "FOLDER" in capsys.readouterr().out
+    assert "FOLDER" in "".join(capsys.readouterr())
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match="no such folder"):
+def test_a_folder_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
         main([str(tmp_path / "none")])
+    assert "no such folder" in capsys.readouterr().err
 
 
 def test_the_figures_of_the_repository_can_be_read(capsys: pytest.CaptureFixture[str]) -> None:
@@ -115,3 +118,28 @@ def test_the_figures_of_the_repository_can_be_read(capsys: pytest.CaptureFixture
         assert f"`{path.relative_to(RESULTS).as_posix()}`" in described
     for table in TABLES:
         assert (RESULTS / table.file).is_file() == (f"not measured; {table.command_for(RESULTS)}" not in printed_text)
+
+
+def test_the_page_of_all_tables_has_the_figures_of_the_repository() -> None:
+    text = PAGE.read_text("utf-8")
+    assert fill_page(text, RESULTS) == text, "write it again: python -m benchmarks.paper_tables --page docs/paper_tables.md"
+
+
+def test_a_page_gets_the_tables_of_a_folder_and_keeps_its_sentences(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("".join(f"## {table.title}\n\nA sentence.\n\n```text\nold\n```\n\n" for table in TABLES))
+    main([str(tmp_path), "--page", str(page)])
+    text = page.read_text()
+    assert text.count("not measured;") == text.count("A sentence.") == len(TABLES)
+    assert "old" not in text
+    main([str(tmp_path), "--page", str(page)])
+    assert page.read_text() == text
+
+
+def test_a_page_without_a_section_for_a_table_is_refused_and_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(f"## {TABLES[0].title}\n\nno block\n")
+    with pytest.raises(SystemExit, match="2"):
+        main([str(tmp_path), "--page", str(page)])
+    assert f"no section '## {TABLES[0].title}'" in capsys.readouterr().err
+    assert page.read_text() == f"## {TABLES[0].title}\n\nno block\n"
