@@ -23,7 +23,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.commands.command_line import with_clear_errors
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import Scene
-from stable_data.scores.taste import POOLED, STATISTICS, StatisticComparison, TrainingScenes, compare_scenes, read_scenes
+from stable_data.scores.taste import POOLED, STATISTICS, StatisticComparison, TrainingStatistics, compare_scenes, read_scenes
 from stable_data.simulation.offscreen import Picture
 from stable_data.simulation.render import contact_sheet, object_colour, render_scene
 from stable_data.storage.row_groups import SPLITS
@@ -106,7 +106,7 @@ def main(
         sets.append((name, run, list(read_scenes(run, splits))))
         if not sets[-1][2]:
             raise typer.BadParameter(f"{run}: no scenes{f' of the splits {text}' if splits else ''}, expected some")
-    training = TrainingScenes(read_scenes(held_out, ["train"]))
+    training = TrainingStatistics(read_scenes(held_out, ["train"]))
     scenes, others = (found for _, _, found in sets)
     comparisons = compare_scenes(scenes, others, training)
     print(f"{len(scenes)} generated scenes, {len(others)} held-out ones ({split}), {training.num_scenes} of training\n")

@@ -13,7 +13,7 @@ from stable_data.errors import ConfigError
 from stable_data.rating.criteria import KEYS
 from stable_data.scene import Scene
 from stable_data.scores.set_distance import FeatureStatistics, frechet_distance, kernel_distance, vendi_at
-from stable_data.scores.taste import POOLED, TrainingScenes, compare_scenes, placement_ratio, read_scenes
+from stable_data.scores.taste import POOLED, TrainingStatistics, compare_scenes, placement_ratio, read_scenes
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
@@ -35,7 +35,7 @@ class Reference:
 
     pictures: PictureSet | None
     table_types: frozenset[str]
-    training: TrainingScenes
+    training: TrainingStatistics
     held_out: tuple[Scene, ...]
 
 
@@ -51,7 +51,7 @@ def read_reference(run: str, views: str, where: str) -> Reference:
     names = {name for group in range(len(types.groups)) for name in types.read([group])["table_type"].to_pylist()}
     pictures = PictureSet.read(views) if views else None
     held_out = tuple(read_scenes(run, ["validation", "test"], where))
-    return Reference(pictures, frozenset(names), TrainingScenes(read_scenes(run, ["train"], where)), held_out)
+    return Reference(pictures, frozenset(names), TrainingStatistics(read_scenes(run, ["train"], where)), held_out)
 
 
 @dataclass(frozen=True, slots=True)

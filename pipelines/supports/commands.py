@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from pipelines.supports import SECONDS_PER_ITEM
 from stable_data.commands.command_line import SOME_FAILED, echo, with_clear_errors
 
 
@@ -25,7 +26,7 @@ def supports(
     surface: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="A surface, such as top or shelf_1; may be repeated. Default: all.")
     ] = None,
-    seconds_per_item: Annotated[float, typer.Option(min=0.001, help="Time limit of one asset, seconds.")] = 300.0,
+    seconds_per_item: Annotated[float, typer.Option(min=0.001, help="Time limit of one asset, seconds.")] = SECONDS_PER_ITEM,
 ) -> None:
     """Find the surfaces of furniture on which scenes can stand: table tops, boards of shelves, counters with sinks.
 

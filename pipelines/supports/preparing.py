@@ -17,6 +17,7 @@ from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
 from pipelines.preprocess.plan import file_digest
 from pipelines.sources.asset_copies import CopyAssets
 from pipelines.sources.assets import AssetLibraries, absolute_places
+from pipelines.supports import SECONDS_PER_ITEM
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
@@ -62,9 +63,6 @@ class SupportOptions:
 
 OBSTACLES = "supports"
 """The source of assets that are bodies in the way on a support, made of its mesh."""
-
-SECONDS_PER_ITEM = 300.0
-"""Time limit of an asset, if no other one is given."""
 
 _DEFAULT = SupportOptions()
 _TABLES = ("warnings", "textures", "meshes", "assets", "scenes")

@@ -58,7 +58,7 @@ Values: TypeAlias = Sequence[float]
 """The values of one scene: one, or one for each object, or none if the scene has no such value."""
 
 
-class TrainingScenes:
+class TrainingStatistics:
     """What the statistics know of the training scenes.
 
     Args:
@@ -93,7 +93,7 @@ class SceneTaste:
         training: The training scenes.
     """
 
-    def __init__(self, scene: Scene, training: TrainingScenes) -> None:
+    def __init__(self, scene: Scene, training: TrainingStatistics) -> None:
         self.scene, self.training = scene, training
         self.objects = {o.instance: o for o in scene.objects}
         self.carried = {
@@ -291,7 +291,7 @@ def _distance(statistic: Statistic, one: Sequence[FloatArray], other: Sequence[F
 
 
 def compare_scenes(
-    generated: Sequence[Scene], held_out: Sequence[Scene], training: TrainingScenes
+    generated: Sequence[Scene], held_out: Sequence[Scene], training: TrainingStatistics
 ) -> dict[str, dict[str, StatisticComparison]]:
     """Returns the comparison of each statistic, by kind of table, first of all tables together."""
     values = [

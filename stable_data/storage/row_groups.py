@@ -105,7 +105,7 @@ class TableFiles:
         self._schema, self._places = leaf_schema(SCHEMAS[table], leaves), places
         query = self._query()  # once, before the threads: concurrent parsing in Python 3.11 may fail
         expected = [*self._schema, *(SCHEMAS[table].field(name) for name in (query.columns if query else ()))]
-        check = SchemaCheck(table, expected)
+        check = ColumnCheck(table, expected)
         with ThreadPoolExecutor(_REQUESTS) as pool:
             listed = list(pool.map(lambda found: self._list_groups(found[0], found[1], query, check), paths))
         self.groups = [group for groups, _ in listed for group in groups]
@@ -157,7 +157,7 @@ class TableFiles:
         return paths
 
     def _list_groups(
-        self, run: int, path: str, query: FilterExpression | None, check: "SchemaCheck"
+        self, run: int, path: str, query: FilterExpression | None, check: "ColumnCheck"
     ) -> tuple[list[RowGroup], list[str]]:
         """Lists the row groups of a file that have selected rows, and the requested columns that it lacks."""
         folder, schema = self._folders[run], SCHEMAS[self._table]
@@ -184,7 +184,7 @@ class TableFiles:
         return parse_filter(" and ".join(parts), SCHEMAS[self._table]) if parts else None
 
 
-class SchemaCheck:
+class ColumnCheck:
     """Checks the files of a table against its schema; a schema that the file before has is not checked again.
 
     The files of a run nearly always have one schema, and its conversion to Arrow takes as long as opening a small file.

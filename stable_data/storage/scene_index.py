@@ -25,7 +25,7 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, cannot_read
 from stable_data.scene import IntArray, Scene
 from stable_data.storage.id_hashes import Hashes, id_hashes
-from stable_data.storage.row_groups import Places, SchemaCheck, leaf_schema
+from stable_data.storage.row_groups import ColumnCheck, Places, leaf_schema
 from stable_data.storage.run_folder import RunFolder, Uri, absolute_uri, read_row_groups
 from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 from stable_data.storage.schema_checks import conform_to_schema, warn_of_missing_columns
@@ -79,7 +79,7 @@ class SceneIndex:
         self._stamps = self._run.file_stamps(table)
         if not self._stamps:
             self._run.dataset(table)  # raises the error that describes the missing table
-        self._check = SchemaCheck(table, SCHEMAS[table])
+        self._check = ColumnCheck(table, SCHEMAS[table])
         self._files, self._file_bytes, self._lock = OrderedDict[str, pq.ParquetFile](), 0, Lock()
         self._schemas: dict[tuple[str, ...] | None, pa.Schema] = {}  # of recent reads
         self._opened = self._open() or self._make()

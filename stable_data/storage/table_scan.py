@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from stable_data.errors import cannot_read
 from stable_data.storage.filter_expression import parse_filter
-from stable_data.storage.row_groups import SchemaCheck, chosen_rows, possible_groups
+from stable_data.storage.row_groups import ColumnCheck, chosen_rows, possible_groups
 from stable_data.storage.run_folder import RunFolder, read_row_groups
 from stable_data.storage.schema_checks import conform_to_schema, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS
@@ -64,7 +64,7 @@ class TableScan:
 
     def _each(self, read: Callable[[pq.ParquetFile, str, list[int]], T]) -> Iterator[T]:
         """Applies a function to each file, in order; the next few files are read meanwhile."""
-        check, missing, waiting = SchemaCheck(self._table, self._schema), dict[str, None](), deque[Future[T]]()
+        check, missing, waiting = ColumnCheck(self._table, self._schema), dict[str, None](), deque[Future[T]]()
         ahead = _AHEAD_LOCAL if self._run.is_local else _AHEAD
 
         def apply(path: str) -> T:

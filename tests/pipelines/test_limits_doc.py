@@ -5,7 +5,7 @@ from itertools import groupby
 from pathlib import Path
 
 from pipelines.settings import JOBS
-from pipelines.supports.preparing import SECONDS_PER_ITEM
+from pipelines.supports import SECONDS_PER_ITEM
 from stable_data.limits import list_limits
 
 PAGE = Path(__file__).parents[2] / "docs" / "limits.md"

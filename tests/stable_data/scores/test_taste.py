@@ -13,7 +13,7 @@ from stable_data.scores.taste import (
     STATISTICS,
     SceneTaste,
     Statistic,
-    TrainingScenes,
+    TrainingStatistics,
     compare,
     compare_scenes,
     placement_ratio,
@@ -25,7 +25,7 @@ LABELS = Statistic("label", lambda _: [], is_label=True)
 
 
 def values(name: str, scene: Scene, *training: Scene) -> list[float]:
-    return list(STATISTICS[name].measure(SceneTaste(scene, TrainingScenes(training))))
+    return list(STATISTICS[name].measure(SceneTaste(scene, TrainingStatistics(training))))
 
 
 ON = RelationKind.ON
@@ -135,10 +135,10 @@ def test_equal_held_out_values_have_no_unit() -> None:
 
 def test_equal_scenes_have_no_distance_and_larger_things_only_that_of_size() -> None:
     data = scenes(40)
-    equal = compare_scenes(data, data, TrainingScenes(data))
+    equal = compare_scenes(data, data, TrainingStatistics(data))
     assert list(equal) == [POOLED, "desk"]
     assert all(c.distance == 0 for c in equal[POOLED].values())
-    larger = compare_scenes(scenes(40, scale=1.3), data, TrainingScenes(data))["desk"]
+    larger = compare_scenes(scenes(40, scale=1.3), data, TrainingStatistics(data))["desk"]
     spread = np.std([v for s in data for v in values("size", s, *data)])
     assert larger["size"].distance == pytest.approx(3 * math.log(1.3) / spread)
     assert larger["objects"].distance == larger["yaw"].distance == larger["cells"].distance == 0
@@ -146,7 +146,7 @@ def test_equal_scenes_have_no_distance_and_larger_things_only_that_of_size() -> 
 
 def test_kinds_of_table_are_compared_alone() -> None:
     data = [*scenes(20, "desk"), *scenes(4, "shelf")]
-    found = compare_scenes(data, data, TrainingScenes(data))
+    found = compare_scenes(data, data, TrainingStatistics(data))
     assert list(found) == [POOLED, "desk", "shelf"]
     assert found["desk"]["objects"].num_held_out == 20
     assert found["shelf"]["objects"].distance is None
@@ -154,10 +154,10 @@ def test_kinds_of_table_are_compared_alone() -> None:
 
 def test_the_placement_is_how_much_farther_than_held_out_scenes_are_from_each_other() -> None:
     data = scenes(60)
-    near = placement_ratio(compare_scenes(data[:30], data[30:], TrainingScenes(data))[POOLED])
+    near = placement_ratio(compare_scenes(data[:30], data[30:], TrainingStatistics(data))[POOLED])
     moved = [replace(s, objects=tuple(replace(o, yaw=0.0, position=(0.1, 0.1, 0.0)) for o in s.objects)) for s in data[:30]]
-    far = placement_ratio(compare_scenes(moved, data[30:], TrainingScenes(data))[POOLED])
+    far = placement_ratio(compare_scenes(moved, data[30:], TrainingStatistics(data))[POOLED])
     assert near is not None
     assert far is not None
     assert 0.5 < near < 2.5 < far
-    assert placement_ratio(compare_scenes(data[:3], data, TrainingScenes(data))[POOLED]) is None  # too few scenes
+    assert placement_ratio(compare_scenes(data[:3], data, TrainingStatistics(data))[POOLED]) is None  # too few scenes
