@@ -97,6 +97,18 @@ def systems_lines(found: Mapping[str, Any]) -> Iterable[str]:
     yield from (f"{label}: {note}" for label, system in found["systems"].items() for note in system["notes"])
 
 
+def figures_lines(found: Mapping[str, Any]) -> Iterable[str]:
+    """Yields all figures of the systems that were run, a row for each figure that some system has."""
+    run = {label: system["figures"] for label, system in found["systems"].items() if system["repetitions"]}
+    rows = [["", *run]]
+    for figure in FIGURES:
+        found_here = [Estimate(**figures[figure.key]) for figures in run.values()]
+        if any(one.value is not None for one in found_here):
+            rows.append([found["names"].get(figure.key, figure.label), *(one.text(figure.digits) for one in found_here)])
+    yield from _aligned(rows)
+    yield f"{found['num_tasks']} tasks in each repetition; brackets: 95 % intervals"
+
+
 def stages_lines(found: Mapping[str, Any]) -> Iterable[str]:
     """Yields Table 3 (b)."""
     by_name = {system["system"]: system for system in found["systems"].values()}
@@ -221,6 +233,13 @@ TABLES = (
             ["system", "FID", *(c.key.upper() for c in CRITERIA), "average", "OC", "AwT", "AwS"],
             *([r.name, *(f"{x:.1f}" for x in (r.fid, *r.criteria, r.average, r.oc, r.awt, r.aws))] for r in TABLE_1.values()),
         ],
+    ),
+    PaperTable(
+        "All figures of the systems (not in the paper)",
+        "systems/evaluation.json",
+        "python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems",
+        figures_lines,
+        [],
     ),
     PaperTable(
         "Table 2: layouts without collisions, by collisions at the start",

@@ -42,7 +42,7 @@ def test_what_is_missing_is_named_with_its_command_beside_what_is_published(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = printed(tmp_path, capsys)
-    assert len(found) == len(TABLES) == 8
+    assert len(found) == len(TABLES) == 9
     for table in TABLES:
         text = found[table.title]
         assert f"not measured; {table.command_for(tmp_path)}" in text
@@ -73,6 +73,10 @@ def test_measured_figures_stand_before_published_ones(tmp_path: Path, capsys: py
     assert "99.4" not in measured
     assert "99.4" in published
     assert "files: not run: needs PLACE" in measured
+    lines = found["All figures of the systems (not in the paper)"].splitlines()
+    assert lines[1].split() == ["stable"]  # files was not run
+    assert not any(line.startswith("OC, %") for line in lines)  # unknown for all
+    assert next(line for line in lines if line.startswith("AwT, %")).split()[2] == "100.0"
     assert "1/2 [9, 91]" in found["Table 2: layouts without collisions, by collisions at the start"]
     text = found["Table 3 (a): the losses of the Physics Corrector"]
     arm = next(line for line in text.splitlines() if line.startswith("without L_sup"))
@@ -92,7 +96,7 @@ def test_a_file_with_other_content_is_named_and_the_other_tables_are_printed(
     found = printed(tmp_path, capsys)
     assert "has other content than expected" in found["Table 2: layouts without collisions, by collisions at the start"]
     assert "has other content than expected" in found["Manipulability"]
-    assert len(found) == 8
+    assert len(found) == len(TABLES)
 
 
 @pytest.mark.parametrize(("words", "status"), [(["--all"], 2), (["--help"], 0), (["a", "b"], 2)])
