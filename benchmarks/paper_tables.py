@@ -4,7 +4,7 @@
 (benchmarks/results, whose README says how they were measured). With ``--page``, they replace the text blocks of a Markdown file, each in
 the section of its title, as in docs/paper_tables.md. FOLDER has the outputs of these commands, under these names:
 
-- ``systems``: ``python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems`` (Tables 1 and 3 b);
+- ``systems``: ``python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems`` (Tables 1 and 3 b);
 - ``correction.json``: ``python -m benchmarks.correction DATA --json FOLDER/correction.json`` (Table 2);
 - ``corrector_ablation.json``: ``python -m benchmarks.corrector_ablation RUN --json FOLDER/corrector_ablation.json`` (Table 3 a);
 - ``rearrangement.json``: ``python -m benchmarks.rearrangement RUN --json FOLDER/rearrangement.json``;
@@ -227,7 +227,7 @@ TABLES = (
     PaperTable(
         "Table 1: systems",
         "systems/evaluation.json",
-        "python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems",
+        "python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems",
         systems_lines,
         [
             ["system", "FID", *(c.key.upper() for c in CRITERIA), "average", "OC", "AwT", "AwS"],
@@ -237,7 +237,7 @@ TABLES = (
     PaperTable(
         "All figures of the systems (not in the paper)",
         "systems/evaluation.json",
-        "python -m pipelines evaluate --count 200 --repetitions 3 --out FOLDER/systems",
+        "python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems",
         figures_lines,
         [],
     ),
@@ -258,7 +258,7 @@ TABLES = (
     PaperTable(
         "Table 3 (b): one request or stages",
         "systems/evaluation.json",
-        "python -m pipelines evaluate --count 200 --repetitions 3 --system one_shot --system stable --out FOLDER/systems",
+        "python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems",
         stages_lines,
         [["system", "AwT", "distractors"], *([name, f"{awt:.1f}", f"{rate:.1f}"] for name, (awt, rate) in TABLE_3B.items())],
     ),

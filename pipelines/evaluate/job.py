@@ -54,6 +54,9 @@ def evaluate(
     names = {"frechet": "Frechet distance", "kernel": "kernel distance", "judge": settings.rate.rating.judge}
     for result in results:
         if lacking := result.system.lacks(settings.generate):
+            result.has_failed = (
+                settings.systems != EvaluateSettings().systems
+            )  # of all systems, those that can be run are enough
             result.note(f"not run: needs {lacking}")
     with connection(workers):
         reference, notes = _reference(out, settings, workers)
@@ -180,8 +183,10 @@ def _run_system(
                 result.note(f"seed {seed}: {verb} are unknown: {error}")
         else:
             if lost := manifest["counts"]["failures"]:
+                result.has_failed = True
                 result.note(f"seed {seed}: {verb} of {lost} scenes are unknown, see the table failures")
             if codes := manifest["counts"].get("unknown_by_code"):
+                result.has_failed = True
                 told = ", ".join(f"{code} {n}" for code, n in codes.items())
                 result.note(f"seed {seed}: some averages of ratings are unknown: {told} (docs/scene_rating.md)")
     made_of = job.tasks  # drawn tasks get other names where they are limited to what the libraries serve

@@ -129,6 +129,13 @@ def test_all_systems_are_judged_on_all_tasks(evaluated: tuple[Path, dict[str, An
     assert found["systems"]["one_shot"]["figures"]["ready"]["value"] == pytest.approx(200 / 3)
 
 
+def test_a_named_system_that_cannot_be_run_is_a_failure(
+    tasks: TaskSource, settings: EvaluateSettings, dataset: Path, tmp_path: Path
+) -> None:
+    found = evaluate(lambda _: tasks, str(tmp_path / "out"), replace(settings, systems=("files",)), ALONE, [str(dataset)])
+    assert found.has_failed
+
+
 def test_what_is_missing_is_unknown_with_what_to_do(evaluated: tuple[Path, dict[str, Any]]) -> None:
     out, found = evaluated
     systems = found["systems"]
