@@ -195,7 +195,10 @@ def _read_object(entry: Any, k: int) -> tuple[str, str, Vec3, int]:
         raise SceneError(f"object {k} is {quote_value(entry)}, expected a JSON object", "reply_malformed")
     category, words = entry.get("category"), entry.get("description")
     word = category_word(category) if isinstance(category, str) and category.strip()[:1].isalpha() else ""
-    word = re.sub(r"(_[0-9]+)+$", "", word)
+    parts = word.split("_")  # not by a regular expression, which would take quadratic time
+    while parts and parts[-1].isascii() and parts[-1].isdigit():
+        parts.pop()
+    word = "_".join(parts)
     if not CATEGORY.fullmatch(word):
         raise SceneError(f'object {k} has "category" {quote_value(category)}, expected a noun', "reply_malformed")
     description = sanitise_words(words) if isinstance(words, str) else ""

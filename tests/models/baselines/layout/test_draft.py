@@ -176,6 +176,14 @@ def test_objects_that_no_relation_names_are_told() -> None:
     assert (fault.code, fault.message) == ("unrelated", "no relation says where tray_0, pen_0, cup_0 are")
 
 
+def test_numbers_at_the_end_of_a_category_are_dropped_in_linear_time() -> None:
+    long = "a" + "_1" * 60_000  # by a backtracking regular expression, minutes
+    names = [("mug_1", "mug_0"), ("mp3_2_3", "mp3_0"), (long, "a_0"), (f"{long}_x", f"{long}_x_0")]
+    for category, instance in names:
+        (found,) = read_objects({"objects": [entry(category=category)]}, DESK)
+        assert found.instance == instance
+
+
 def test_a_long_chain_of_carriers_with_a_circle_ends() -> None:
     boxes = [LayoutObject(f"box_{k}", "a box", (10.0, 10.0, 5.0), (0.0, 0.0, 0.0), 0) for k in range(60)]
     stated = [RelationText(f"box_{k}", "on", f"box_{(k + 1) % 60}") for k in range(60)]
