@@ -15,6 +15,7 @@ import json
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ def outcome(case: Mapping[str, Any], scene: Scene | None, notices: Sequence[tupl
     """
     category = {} if scene is None else {o.instance: o.category for o in scene.objects}
     relations = frozenset[Relation]() if scene is None else frozenset(scene.relations)
-    held = [_relation_holds(relations, category, *claim) for claim in case["claims"]]
+    held = _claims_held(case["claims"], relations, category)
     broken = [claim for claim, is_held in zip(case["claims"], held, strict=True) if not is_held]
     missing = [name for name in case["objects"] if name not in category.values()]
 
@@ -103,10 +104,14 @@ def outcome(case: Mapping[str, Any], scene: Scene | None, notices: Sequence[tupl
     }
 
 
-def _relation_holds(relations: Set[Relation], category: Mapping[str, str], one: str, kind: str, other: str) -> bool:
-    """Whether a relation holds between any objects of two categories; ``in`` also counts as ``on``."""
-    kinds = {kind, "in"} if kind == "on" else {kind}
-    return any(str(r.kind) in kinds and category.get(r.subject) == one and category.get(r.target) == other for r in relations)
+def _claims_held(claims: Sequence[Sequence[str]], relations: Set[Relation], category: Mapping[str, str]) -> list[bool]:
+    """Which claims hold for one object of each category, those of which the most hold; ``in`` also counts as ``on``."""
+    there = {(r.subject, str(r.kind), r.target) for r in relations}
+    there |= {(one, "on", other) for one, kind, other in there if kind == "in"}
+    words = dict.fromkeys(word for one, _, other in claims for word in (one, other))
+    choices = ([name for name, of in category.items() if of == word] or [""] for word in words)
+    found = (dict(zip(words, names, strict=True)) for names in product(*choices))
+    return max(([(at[one], kind, at[other]) in there for one, kind, other in claims] for at in found), key=sum)
 
 
 def contradictory(num_cases: int, workers: WorkerPool) -> list[dict[str, Any]]:

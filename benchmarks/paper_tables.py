@@ -41,6 +41,8 @@ RESULTS = Path(__file__).parent / "results"
 """The figures of the repository."""
 
 _UNKNOWN = "unknown"
+_SYSTEMS_FILE = "systems/evaluation.json"
+_SYSTEMS = "python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems"
 _LABELS = {figure.key: figure for figure in FIGURES}
 _ARMS = {"no support": "without L_sup", "no table": "without L_obj-table", "no objects": "without L_obj-obj", "full": "full"}
 
@@ -102,11 +104,11 @@ def figures_lines(found: Mapping[str, Any]) -> Iterable[str]:
     run = {label: system["figures"] for label, system in found["systems"].items() if system["repetitions"]}
     rows = [["", *run]]
     for figure in FIGURES:
-        found_here = [Estimate(**figures[figure.key]) for figures in run.values()]
-        if any(one.value is not None for one in found_here):
-            rows.append([found["names"].get(figure.key, figure.label), *(one.text(figure.digits) for one in found_here)])
+        estimates = [Estimate(**figures[figure.key]) for figures in run.values()]
+        if any(one.value is not None for one in estimates):
+            rows.append([found["names"].get(figure.key, figure.label), *(one.text(figure.digits) for one in estimates)])
     yield from _aligned(rows)
-    yield f"{found['num_tasks']} tasks in each repetition; brackets: 95 % intervals"
+    yield f"{found['num_tasks']} tasks in each repetition; 1 to 10: rated by {found['names']['judge']}; brackets: 95 % intervals"
 
 
 def stages_lines(found: Mapping[str, Any]) -> Iterable[str]:
@@ -226,8 +228,8 @@ def _mark(solved: bool) -> str:
 TABLES = (
     PaperTable(
         "Table 1: systems",
-        "systems/evaluation.json",
-        "python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems",
+        _SYSTEMS_FILE,
+        _SYSTEMS,
         systems_lines,
         [
             ["system", "FID", *(c.key.upper() for c in CRITERIA), "average", "OC", "AwT", "AwS"],
@@ -236,8 +238,8 @@ TABLES = (
     ),
     PaperTable(
         "All figures of the systems (not in the paper)",
-        "systems/evaluation.json",
-        "python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems",
+        _SYSTEMS_FILE,
+        _SYSTEMS,
         figures_lines,
         [],
     ),
@@ -257,8 +259,8 @@ TABLES = (
     ),
     PaperTable(
         "Table 3 (b): one request or stages",
-        "systems/evaluation.json",
-        "python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems",
+        _SYSTEMS_FILE,
+        _SYSTEMS,
         stages_lines,
         [["system", "AwT", "distractors"], *([name, f"{awt:.1f}", f"{rate:.1f}"] for name, (awt, rate) in TABLE_3B.items())],
     ),

@@ -117,6 +117,15 @@ def test_a_contradiction_counts_as_followed_only_where_the_scene_holds_it() -> N
     assert (failed["made"], failed["objects_there"], failed["claims_held"], failed["said"]) == (False, 0, 0, ["reply_unusable"])
 
 
+def test_claims_count_together_only_if_they_hold_for_one_object_of_each_category() -> None:
+    claims = [["mug", "on", "book"], ["book", "on", "mug"]]
+    case = {"instruction": "", "possible": False, "objects": ["mug", "book"], "claims": claims}
+    names = (("mug_0", "mug"), ("mug_1", "mug"), ("book_0", "book"))
+    things = tuple(SceneObject(name, of, (0.5, 0.3, 0.1), 0.0, (0.1, 0.1, 0.1)) for name, of in names)
+    on = (Relation("mug_0", RelationKind.ON, "book_0"), Relation("book_0", RelationKind.ON, "mug_1"))
+    assert outcome(case, Scene("one", Tabletop("office_table", (1.0, 0.6)), things, relations=on), [])["claims_held"] == 1
+
+
 def test_contradictory_cases_are_whole() -> None:
     cases = [json.loads(line) for line in CASES.read_text("utf-8").splitlines()]
     assert len(cases) == 20
