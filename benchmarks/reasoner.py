@@ -120,7 +120,7 @@ def figures(layouts: Sequence[StagedLayout], truth: Sequence[Scene], seconds: fl
         "left": dict(Counter(f.code for p in proposals for f in p.faults).most_common()),
         "failures": dict(Counter(p.code for p in proposals if p.reply is None)),
         "layouts_a_minute": round(60 * len(layouts) / seconds, 1),
-        "tokens_a_second": round(sum(p.reply_tokens for p in proposals) / seconds),
+        "tokens_a_second": round(sum(p.reply_tokens or 0 for p in proposals) / seconds),
     }
 
 

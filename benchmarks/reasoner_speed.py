@@ -131,7 +131,7 @@ def grammar_share(engine: LocalEngine, free: LocalEngine, asked: Sequence[Reques
         read = time.perf_counter() - began
         began = time.perf_counter()
         completions = of.complete(many)
-        return (time.perf_counter() - began - read) / sum(c.reply_tokens for c in completions)
+        return (time.perf_counter() - began - read) / sum(c.reply_tokens or 0 for c in completions)
 
     pairs = [(seconds_a_token(engine), seconds_a_token(free)) for _ in range(rounds)]
     return median(bound / loose for bound, loose in pairs) - 1
@@ -158,7 +158,7 @@ def main(
     completions = engine.complete(asked)
     seconds = time.perf_counter() - began
     their_seconds, their_tokens = by_generate(model, asked)
-    figures["tokens_a_second"] = round(sum(c.reply_tokens for c in completions) / seconds)
+    figures["tokens_a_second"] = round(sum(c.reply_tokens or 0 for c in completions) / seconds)
     figures["generate_tokens_a_second"] = round(their_tokens / their_seconds)
     figures["requests_ratio"] = round(their_seconds / seconds, 2)
     figures["tokens_ratio"] = round(figures["tokens_a_second"] / max(1, figures["generate_tokens_a_second"]), 2)

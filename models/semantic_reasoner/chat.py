@@ -15,6 +15,7 @@ from models.semantic_reasoner.text.prompt import Message, refusal_messages
 from models.semantic_reasoner.text.reply_json import json_of_reply
 from stable_data.errors import SceneError
 from stable_data.random_seeds import named_seed
+from stable_data.scores.totals import total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,9 +45,9 @@ class ChatReply:
         failure: Why there is no content, one line; empty if there is.
         code: Short machine-readable reason of the failure.
         tries: How often the engine was asked.
-        prompt_tokens: Tokens read, over all tries.
-        reply_tokens: Tokens written, over all tries.
-        cost: Cost of all tries, in the currency of the engine's prices.
+        prompt_tokens: Tokens read, over all tries; None if the engine did not count them.
+        reply_tokens: Tokens written, over all tries; None likewise.
+        cost: Cost of all tries, in the currency of the engine's prices; None if it is not known.
     """
 
     content: object = None
@@ -54,9 +55,9 @@ class ChatReply:
     failure: str = ""
     code: str = ""
     tries: int = 0
-    prompt_tokens: int = 0
-    reply_tokens: int = 0
-    cost: float = 0.0
+    prompt_tokens: int | None = 0
+    reply_tokens: int | None = 0
+    cost: float | None = 0.0
 
 
 @dataclass(slots=True, eq=False)
@@ -78,9 +79,9 @@ class PendingChat:
     tells_reasons: bool
     refused: list[RefusedReply] = field(default_factory=list)
     tries: int = 0
-    prompt_tokens: int = 0
-    reply_tokens: int = 0
-    cost: float = 0.0
+    prompt_tokens: int | None = 0
+    reply_tokens: int | None = 0
+    cost: float | None = 0.0
 
     def request(self) -> Request:
         """Returns the next request."""
@@ -92,9 +93,9 @@ class PendingChat:
     def judge(self, completion: Completion) -> ChatReply | None:
         """Returns the reply that an answer gives; None if the chat has to be asked again."""
         self.tries += 1
-        self.prompt_tokens += completion.prompt_tokens
-        self.reply_tokens += completion.reply_tokens
-        self.cost += completion.cost
+        self.prompt_tokens = total((self.prompt_tokens, completion.prompt_tokens))
+        self.reply_tokens = total((self.reply_tokens, completion.reply_tokens))
+        self.cost = total((self.cost, completion.cost))
         if completion.code.startswith("reply_"):  # the engine answered, but the answer cannot be used
             return self._refuse(completion.text, completion.code, completion.failure)
         if completion.failure:

@@ -24,6 +24,7 @@ from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, 
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Relation, Stage
+from stable_data.scores.totals import total
 
 _LEFT_OUT = "left_out"
 _SMALL_SHARE = 1 / 8  # of the objects of a reply: so few are removed without another try
@@ -49,9 +50,9 @@ class Proposal:
         code: Short machine-readable reason of the failure.
         notices: Unknown words of the question, and how each was interpreted.
         tries: How often the engine was asked; 0 if the question is invalid.
-        prompt_tokens: Tokens read, over all tries.
-        reply_tokens: Tokens written, over all tries.
-        cost: Cost of all tries, in the currency of the engine's prices.
+        prompt_tokens: Tokens read, over all tries; None if the engine did not count them.
+        reply_tokens: Tokens written, over all tries; None likewise.
+        cost: Cost of all tries, in the currency of the engine's prices; None if it is not known.
     """
 
     reply: LayoutReply | None
@@ -61,9 +62,9 @@ class Proposal:
     code: str = ""
     notices: tuple[Notice, ...] = ()
     tries: int = 0
-    prompt_tokens: int = 0
-    reply_tokens: int = 0
-    cost: float = 0.0
+    prompt_tokens: int | None = 0
+    reply_tokens: int | None = 0
+    cost: float | None = 0.0
 
     @property
     def objects(self) -> tuple[LayoutObject, ...]:
@@ -112,9 +113,9 @@ class _PendingQuestion:
     usable: list[_UsableReply] = field(default_factory=list)
     num_objects: int = 0
     tries: int = 0
-    prompt_tokens: int = 0
-    reply_tokens: int = 0
-    cost: float = 0.0
+    prompt_tokens: int | None = 0
+    reply_tokens: int | None = 0
+    cost: float | None = 0.0
 
     def refuse(self, answer: str, faults: Sequence[ReplyFault]) -> None:
         """Records a refused answer."""
@@ -294,9 +295,9 @@ class SemanticReasoner:
     def _judge(self, pending: _PendingQuestion, completion: Completion) -> Proposal | None:
         """The proposal that an answer gives; None if the question has to be asked again."""
         pending.tries += 1
-        pending.prompt_tokens += completion.prompt_tokens
-        pending.reply_tokens += completion.reply_tokens
-        pending.cost += completion.cost
+        pending.prompt_tokens = total((pending.prompt_tokens, completion.prompt_tokens))
+        pending.reply_tokens = total((pending.reply_tokens, completion.reply_tokens))
+        pending.cost = total((pending.cost, completion.cost))
         if completion.code.startswith("reply_"):  # the engine answered, but the answer cannot be used
             pending.refuse(completion.text, [ReplyFault(completion.code, completion.failure)])
             return None

@@ -1,7 +1,7 @@
 """Reads what a system gave in one repetition from the runs of its scenes, pictures and ratings."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pipelines.evaluate.figures import FIGURES, Repetition
@@ -14,6 +14,7 @@ from stable_data.rating.criteria import KEYS
 from stable_data.scene import Scene
 from stable_data.scores.set_distance import FeatureStatistics, frechet_distance, kernel_distance, vendi_at
 from stable_data.scores.taste import POOLED, TrainingStatistics, compare_scenes, placement_ratio, read_scenes
+from stable_data.scores.totals import total
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
@@ -71,12 +72,15 @@ class RunsOfSystem:
     is_priced: bool = True
 
 
-def read_repetition(runs: RunsOfSystem, tasks: Sequence[str], reference: Reference | None) -> tuple[Repetition, list[str]]:
+def read_repetition(
+    runs: RunsOfSystem, tasks: Sequence[str], reference: Reference | None, unlabelled: Collection[str] = ()
+) -> tuple[Repetition, list[str]]:
     """Reads a repetition.
 
     Args:
         runs: Its runs.
         tasks: Ids of all tasks.
+        unlabelled: Those without labels.
         reference: What its scenes are compared with; None: nothing.
 
     Returns:
@@ -97,14 +101,23 @@ def read_repetition(runs: RunsOfSystem, tasks: Sequence[str], reference: Referen
         else:
             pictures, notes = _picture_values(runs.views, reference)
             values |= pictures | _taste_values(runs.scenes, reference)
-    made = {row["scene_id"]: _row(row, rated.get(row["scene_id"], {})) for row in found}
-    return Repetition(tuple(tasks), made, values), notes
+    made = {row["scene_id"]: figures_row(row, rated.get(row["scene_id"], {})) for row in found}
+    return Repetition(tuple(tasks), made, values, frozenset(unlabelled)), notes
 
 
-def _row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str, Any]:
+def figures_row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the values of a scene that figures are means of.
+
+    Args:
+        card: Its columns of the table ``scenes``.
+        rating: Those of its rating; empty without one.
+    """
     verdicts = (card["clean"], card["stable"])
     ready = False if False in verdicts else None if None in verdicts else True
-    return {**card, **{key: rating.get(key) for key in _RATED}, "made": True, "ready": ready}
+    rated = {key: rating.get(key) for key in _RATED}
+    if rated["average"] is None:  # else the criteria and their average would be means over different scenes
+        rated |= dict.fromkeys(KEYS)
+    return {**card, **rated, "made": True, "ready": ready}
 
 
 def _picture_values(views: str, reference: Reference) -> tuple[dict[str, float | None], list[str]]:
@@ -138,13 +151,13 @@ def _spent(scenes: RunFolder, num_tasks: int, *, is_priced: bool) -> dict[str, f
     """Time, tokens and cost for each task, whether it got a scene or not."""
     spent = TimeSpent.of_run(scenes)
     turns = scenes.table("turns", ["prompt_tokens", "reply_tokens", "cost"]).to_pylist()
-    tokens = sum((turn["prompt_tokens"] or 0) + (turn["reply_tokens"] or 0) for turn in turns)
-    n, cost = max(1, num_tasks), sum(turn["cost"] or 0.0 for turn in turns)
+    tokens = total(turn[key] for turn in turns for key in ("prompt_tokens", "reply_tokens"))
+    n, cost = max(1, num_tasks), total(turn["cost"] for turn in turns)
     return {
         "processor_seconds": None if spent.processor is None else spent.processor / n,
         "seconds": spent.seconds / n,
-        "tokens": tokens / n,
-        "cost": cost / n if is_priced or not tokens else None,
+        "tokens": None if tokens is None else tokens / n,
+        "cost": cost / n if cost is not None and (is_priced or tokens == 0) else None,
     }
 
 
@@ -177,8 +190,13 @@ def set_diversity(repetitions: Sequence[tuple[Repetition, RunsOfSystem]]) -> tup
         for k in drawn:
             values[k]["vendi_pictures"] = vendi_at(pictures[k].features, size).mean
         notes.append(f"Vendi scores of pictures are of {size} scenes of each system, by {pictures[drawn[0]].extractor}")
-    changed = [Repetition(one.tasks, one.rows, value) for (one, _), value in zip(repetitions, values, strict=True)]
-    return changed, notes
+    numbers = sorted({len(own) for k, own in pictures.items() if values[k].get("frechet") is not None})
+    if len(numbers) > 1:
+        notes.append(
+            f"the Frechet distances (FID) of systems are of {numbers[0]} to {numbers[-1]} pictures, and that of fewer pictures is larger; "
+            "compare kernel distances"
+        )
+    return [replace(one, values=value) for (one, _), value in zip(repetitions, values, strict=True)], notes
 
 
 def of_similar_size(sizes: Mapping[int, int]) -> list[int]:

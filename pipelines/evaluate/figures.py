@@ -124,6 +124,7 @@ class Repetition:
 
     Attributes:
         tasks: Ids of all tasks.
+        unlabelled: Those without labels, which ask for nothing that is compared with these.
         rows: Scene id -> column -> value, for the scenes that were made; only columns whose values were computed.
         values: Key -> value of the figures of the whole set; None where it is not known.
     """
@@ -131,6 +132,7 @@ class Repetition:
     tasks: tuple[str, ...]
     rows: Mapping[str, Mapping[str, Any]]
     values: Mapping[str, float | None]
+    unlabelled: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuses scenes of other tasks, whose tasks would count as without a scene (ValueError)."""
@@ -138,16 +140,20 @@ class Repetition:
             raise ValueError(f"{strange[0]} is no task of the repetition, expected scenes of its tasks alone")
 
 
-def estimate(samples: Sequence[Sequence[float | None]], factor: float = 1.0, *, are_verdicts: bool = False) -> Estimate:
+def estimate(
+    samples: Sequence[Sequence[float | None]], factor: float = 1.0, *, are_verdicts: bool = False, are_same: bool = False
+) -> Estimate:
     """Returns the mean of values and its interval.
 
     The interval of verdicts is Wilson's over all of them. That of other values is Student's t for the mean over repetitions, of one
     repetition for the mean over its values; equal values have none, because they do not show how values spread.
 
     Args:
-        samples: The values of each repetition, taken as independent.
+        samples: The values of each repetition.
         factor: What the values are multiplied by.
         are_verdicts: Whether all values are 0 or 1.
+        are_same: Whether all repetitions are of the same tasks. Their verdicts are then not independent, and the interval is as wide as
+            that of the same rate in a single one.
     """
     filled = [values for sample in samples if (values := [float(v) for v in sample if v is not None])]
     unknown = sum(v is None for sample in samples for v in sample)
@@ -155,7 +161,8 @@ def estimate(samples: Sequence[Sequence[float | None]], factor: float = 1.0, *, 
     if not every:
         return Estimate(None, None, None, 0, unknown)
     if are_verdicts:
-        value, (low, high) = sum(every) / len(every), wilson_interval(round(sum(every)), len(every))
+        value, num = sum(every) / len(every), len(every) // len(filled) if are_same else len(every)
+        low, high = wilson_interval(round(value * num), num)
     else:
         means = [sum(values) / len(values) for values in filled]
         value, low, high = mean_interval(means if len(samples) > 1 else filled[0])
@@ -168,8 +175,8 @@ def estimate(samples: Sequence[Sequence[float | None]], factor: float = 1.0, *, 
 def estimate_figures(systems: Mapping[str, Sequence[Repetition]]) -> dict[str, dict[str, Estimate]]:
     """Returns the figures of systems that had the same tasks.
 
-    A task asks for AwS, for example, if a scene of some system has a value; of a task without any scene it is not known, and it counts as
-    if it did.
+    A task asks for AwS, for example, if a scene of some system has a value. Of a labelled task without any scene it is not known, and it
+    counts as if it did.
 
     Args:
         systems: Label -> the repetitions of a system, none if it was not run.
@@ -179,14 +186,16 @@ def estimate_figures(systems: Mapping[str, Sequence[Repetition]]) -> dict[str, d
     """
     found: dict[str, dict[str, Estimate]] = {label: {} for label in systems}
     every = [one for repetitions in systems.values() for one in repetitions]
-    made = {name for one in every for name in one.rows}
+    told = {name for one in every for name in (*one.rows, *one.unlabelled)}
     for figure in FIGURES:
         silent = set[str]()
         if figure.per == "request":
-            silent = made - {name for one in every for name, row in one.rows.items() if row.get(figure.key) is not None}
+            silent = told - {name for one in every for name, row in one.rows.items() if row.get(figure.key) is not None}
         for label, repetitions in systems.items():
             samples = [_values(figure, one, silent) for one in repetitions]
-            found[label][figure.key] = _within(figure, estimate(samples, figure.factor, are_verdicts=figure.is_verdict))
+            are_same = len({name for one in repetitions for name in one.tasks}) < sum(len(one.tasks) for one in repetitions)
+            mean = estimate(samples, figure.factor, are_verdicts=figure.is_verdict, are_same=are_same)
+            found[label][figure.key] = _within(figure, mean)
     return found
 
 

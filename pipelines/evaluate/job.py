@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 from models.picture_features.inception import InceptionFeatures
 from models.scene_rating.judge import SYMBOLIC
+from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.evaluate.collect import Reference, RunsOfSystem, read_reference, read_repetition, set_diversity
 from pipelines.evaluate.evaluation import Evaluation, SystemResult, to_json
 from pipelines.evaluate.figures import estimate_figures
@@ -189,10 +190,23 @@ def _run_system(
                 result.has_failed = True
                 told = ", ".join(f"{code} {n}" for code, n in codes.items())
                 result.note(f"seed {seed}: some averages of ratings are unknown: {told} (docs/scene_rating.md)")
-    made_of = job.tasks  # drawn tasks get other names where they are limited to what the libraries serve
-    ids = [*(task.scene_id for task in made_of.tasks), *(notice.item_id for notice in made_of.lost)]
-    repetition, found = read_repetition(runs, ids, reference)
-    if repetition.values["cost"] is None:
+    # Drawn tasks have other names in the job, where they are limited to what the libraries serve.
+    _add_repetition(result, job.tasks, runs, reference)
+
+
+def _add_repetition(result: SystemResult, source: TaskSource, runs: RunsOfSystem, reference: Reference | None) -> None:
+    """Reads what a system gave for the tasks of its run, and adds it to the result."""
+    tasks, lost = source.tasks, [notice.item_id for notice in source.lost]
+    labels = {task.scene_id: task.reference for task in tasks if isinstance(task, LayoutTask)}  # sampled ones have theirs later
+    unlabelled = [name for name, one in labels.items() if one is None]
+    if len(unlabelled) == len(tasks):  # then the invalid ones had none either
+        unlabelled += lost
+    repetition, found = read_repetition(runs, [*(task.scene_id for task in tasks), *lost], reference, unlabelled)
+    if num := sum(one is not None and one.graph is None for one in labels.values()):
+        found.append(f"AwS of the whole graph is unknown for {num} of {len(tasks)} tasks: their labels have no scene graph")
+    if repetition.values["tokens"] is None:
+        found.append("tokens and cost are unknown: the endpoint did not count the tokens of all replies (no usage)")
+    elif repetition.values["cost"] is None:
         found.append("the cost is unknown: --set generate.engine.http.prompt_price and reply_price give prices")
     for text in found:
         result.note(text)

@@ -28,6 +28,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.diversity.comparison import compare_sets
 from stable_data.diversity.scene_set import SceneSet
 from stable_data.errors import ConfigError
+from stable_data.scores.totals import total
 from stable_data.simulation.render import contact_sheet
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
@@ -166,9 +167,9 @@ def _tiles(
     seconds = spent.seconds if spent.processor is None else spent.processor
     unit = "worker" if spent.processor is None else "core"
     accepted = max(1, scenes.height)
-    asked = float(turns["cost"].sum() or 0.0) / accepted
+    asked, tokens = total(turns["cost"]), total([*turns["prompt_tokens"], *turns["reply_tokens"]])
     machine = seconds / 3600 / accepted * settings.core_hour_price
-    cost = f"{1000 * (asked + machine):.2f}" if asked + machine else "no price given"
+    cost = "unknown" if asked is None else f"{1000 * (asked / accepted + machine):.2f}" if asked + machine else "no price given"
     return tiles(
         [
             (f"{scenes.height} / {manifest['num_tasks']}", "scenes accepted"),
@@ -178,7 +179,7 @@ def _tiles(
             (f"{seconds / num_scenes:.2f}", f"{unit} seconds per scene"),
             (f"{1000 * seconds / 3600 / accepted:.2f}", f"{unit} hours per 1,000 accepted scenes"),
             (cost, "cost per 1,000 accepted scenes"),
-            (f"{int((turns['prompt_tokens'] + turns['reply_tokens']).sum() or 0):,}", "prompt and reply tokens"),
+            ("unknown" if tokens is None else f"{tokens:,}", "prompt and reply tokens"),
             (str(counts["assets"]), "used assets"),
         ]
     )

@@ -8,6 +8,7 @@ import polars as pl
 from pipelines.reports.html import head, histogram, notices, page, table, tiles
 from stable_data.rating.criteria import CRITERIA, HIGHEST, KEYS, LOWEST
 from stable_data.rating.rating import PASS_MARK, rating_of_row, summarise_ratings
+from stable_data.scores.totals import total
 from stable_data.storage.run_folder import RunFolder
 
 _WORST = 12  # scenes that the page lists
@@ -43,6 +44,7 @@ def write_rate_report(folder: RunFolder, manifest: dict[str, Any]) -> None:
     counts, rows = manifest["counts"], folder.table("ratings").to_pylist()
     known = [row for row in rows if row["average"] is not None]
     columns = [*(c.key.upper() for c in CRITERIA), "Avg."]
+    tokens = total((counts["prompt_tokens"], counts["reply_tokens"]))
     averages = [_shown(counts["averages"].get(key)) for key in KEYS] + [_shown(counts["average"])]
     unknown = [str(counts["unknown"][key]) for key in KEYS] + [str(len(rows) - counts["rated"])]
     edges = [*np.arange(LOWEST, HIGHEST).tolist(), HIGHEST + 1e-6]
@@ -54,7 +56,7 @@ def write_rate_report(folder: RunFolder, manifest: dict[str, Any]) -> None:
                 (f"{counts['rated']} / {manifest['num_scenes']}", "scenes with a known average"),
                 (_shown(counts["average"]), "their average"),
                 (f"{counts['passed']} / {counts['passes_known']}", f"clean with an average above {PASS_MARK:g}"),
-                (f"{counts['prompt_tokens'] + counts['reply_tokens']:,}", "tokens"),
+                ("unknown" if tokens is None else f"{tokens:,}", "tokens"),
             ]
         ),
         "<h2>Averages</h2>",

@@ -16,7 +16,7 @@ from stable_data.embedded_world.settling import instance_names
 from stable_data.errors import SceneError
 from stable_data.instructions.deriving import derive_task
 from stable_data.scene import Scene, Tabletop
-from stable_data.scene_graph.relations import scene_graph, supports
+from stable_data.scene_graph.relations import relations_of, scene_graph, supports
 
 _STREAM = 7  # makes the random stream differ from that of the scene with the same seed and number
 _ATTEMPTS = 30
@@ -35,8 +35,8 @@ def sample_task(
         table: The table; None draws one of its kind. Compositions that are higher than its clearance are left out.
 
     Returns:
-        The composition for which the task was made, with the task, the same for the same arguments; no composition of a scene is
-        used again. Its objects rest on each other's boxes alone: it is no scene to be used.
+        The composition for which the task was made, with its relations and the task, the same for the same arguments; no composition
+        of a scene is used again. Its objects rest on each other's boxes alone: it is no scene to be used.
 
     Raises:
         ConfigError: A kind of table is unknown (``unknown_table``).
@@ -60,5 +60,5 @@ def sample_task(
         containers = {name: obj.asset.hollow is not None for name, obj in zip(names, placed, strict=True)}
         carriers = supports(scene, {}, containers=containers)
         graph = scene_graph(scene, {name: (carrier,) for name, carrier in carriers.items() if carrier}, containers=containers)
-        return replace(scene, task=derive_task(scene, graph, rng))
+        return replace(scene, task=derive_task(scene, graph, rng), relations=relations_of(graph))
     raise SceneError(f"task {number} of seed {seed}: no composition has {FEWEST} objects; use another seed", "synth_failed")

@@ -93,12 +93,14 @@ class MetricCard:
     )
     awt_annotated: float | None = field(
         default=None,
-        metadata=_about("awt where the labels are the annotation of a scene that exists; null for other tasks"),
+        metadata=_about(
+            "awt where the labels are of a scene, or of the composition for which a task was drawn; null for other tasks"
+        ),
     )
     aws_graph: float | None = field(
         default=None,
         metadata=_about(
-            "share of the scene graph between the annotated task objects that holds; null where the labels are of no scene"
+            "share of the labelled scene graph between the task objects that holds; null where the labels have no graph"
         ),
     )
     awt_understood: float | None = field(

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from stable_data.rating.criteria import HIGHEST, KEYS, LOWEST
+from stable_data.scores.totals import total
 
 PASS_MARK = 7.0
 """A scene passes if its average is above this and it is clean. The quality-pass of PhyScene3D (arXiv 2606.01649), with the same mark,
@@ -48,9 +49,9 @@ class Rating:
         code: Short reason why the average is unknown; empty if it is known.
         reason: The same in one line.
         tries: How often an engine was asked.
-        prompt_tokens: Tokens that it read.
-        reply_tokens: Tokens that it wrote.
-        cost: Cost, in the currency of the engine's prices.
+        prompt_tokens: Tokens that it read; None if it did not count them.
+        reply_tokens: Tokens that it wrote; None likewise.
+        cost: Cost, in the currency of the engine's prices; None if it is not known.
     """
 
     scene_id: str
@@ -61,9 +62,9 @@ class Rating:
     code: str = ""
     reason: str = ""
     tries: int = 0
-    prompt_tokens: int = 0
-    reply_tokens: int = 0
-    cost: float = 0.0
+    prompt_tokens: int | None = 0
+    reply_tokens: int | None = 0
+    cost: float | None = 0.0
 
     def __post_init__(self) -> None:
         """Refuses an unknown average without a reason, and a reason for a known one."""
@@ -101,9 +102,9 @@ class RatingSummary:
         num_passed: Scenes that pass.
         num_judged: Scenes of which it is known whether they pass.
         codes: Why averages are unknown: code -> number of scenes.
-        prompt_tokens: Tokens that an engine read.
-        reply_tokens: Tokens that it wrote.
-        cost: Cost of all ratings.
+        prompt_tokens: Tokens that an engine read; None if those of a rating are not known.
+        reply_tokens: Tokens that it wrote; None likewise.
+        cost: Cost of all ratings; None likewise.
     """
 
     num_scenes: int
@@ -114,9 +115,9 @@ class RatingSummary:
     num_passed: int
     num_judged: int
     codes: Mapping[str, int]
-    prompt_tokens: int = 0
-    reply_tokens: int = 0
-    cost: float = 0.0
+    prompt_tokens: int | None = 0
+    reply_tokens: int | None = 0
+    cost: float | None = 0.0
 
     @property
     def pass_rate(self) -> float | None:
@@ -142,9 +143,9 @@ def summarise_ratings(ratings: Iterable[Rating]) -> RatingSummary:
         num_passed=passes.count(True),
         num_judged=len(passes) - passes.count(None),
         codes=codes,
-        prompt_tokens=sum(rating.prompt_tokens for rating in every),
-        reply_tokens=sum(rating.reply_tokens for rating in every),
-        cost=sum(rating.cost for rating in every),
+        prompt_tokens=total(rating.prompt_tokens for rating in every),
+        reply_tokens=total(rating.reply_tokens for rating in every),
+        cost=total(rating.cost for rating in every),
     )
 
 

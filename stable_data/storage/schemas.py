@@ -334,9 +334,13 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("tries", _count, "number of requests to the reasoner"),
             _column("refused", pa.list_(_texts), "error codes of each rejected reply, one list for each reply"),
             _column("reply", _text, "accepted reply, in the form that later prompts repeat; null without an accepted reply"),
-            _column("prompt_tokens", _count, "number of tokens in the prompts of the turn"),
-            _column("reply_tokens", _count, "number of tokens in the replies of the turn"),
-            _column("cost", _number, "cost of all requests, in the currency of the engine's prices"),
+            _column(
+                "prompt_tokens", _count, "number of tokens in the prompts of the turn; null if the engine did not count them"
+            ),
+            _column(
+                "reply_tokens", _count, "number of tokens in the replies of the turn; null if the engine did not count them"
+            ),
+            _column("cost", _number, "cost of all requests, in the currency of the engine's prices; null if it is not known"),
             _column("unmatched", _texts, "instances without a matching asset"),
             _column("coarse", pa.list_(POSE), "object poses before the correction; null without a correction", "m, rad"),
             _column("corrected", pa.list_(POSE), "object poses after the correction; null if none or infeasible", "m, rad"),
@@ -401,9 +405,9 @@ SCHEMAS: dict[str, pa.Schema] = {
             _column("code", _text, "short reason why the average is unknown; empty if it is known"),
             _column("reason", _text, "the same in one line; empty if it is known"),
             _column("tries", _count, "how often a model was asked"),
-            _column("prompt_tokens", _count, "number of tokens that it read"),
-            _column("reply_tokens", _count, "number of tokens that it wrote"),
-            _column("cost", _number, "cost of all requests, in the currency of the engine's prices"),
+            _column("prompt_tokens", _count, "number of tokens that it read; null if it did not count them"),
+            _column("reply_tokens", _count, "number of tokens that it wrote; null if it did not count them"),
+            _column("cost", _number, "cost of all requests, in the currency of the engine's prices; null if it is not known"),
         ]
     ),
     "samples": pa.schema(

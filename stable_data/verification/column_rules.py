@@ -127,7 +127,7 @@ def _rules() -> dict[str, ColumnRules]:
         ),
         "turns": ColumnRules(
             (
-                *("scene_id", "turn", "stage", "tries", "refused", "prompt_tokens", "reply_tokens", "cost", "unmatched"),
+                *("scene_id", "turn", "stage", "tries", "refused", "unmatched"),
                 *("code", "reason", "dropped", *_below("dropped", "instance", "reason")),
                 *(*_below("coarse", *_POSE), *_below("corrected", *_POSE), *of_turns[0]),
             ),
@@ -149,7 +149,7 @@ def _rules() -> dict[str, ColumnRules]:
             units=("quat_xyzw",),
         ),
         "ratings": ColumnRules(
-            ("scene_id", "judge", "judge_version", "code", "reason", "tries", "prompt_tokens", "reply_tokens", "cost"),
+            ("scene_id", "judge", "judge_version", "code", "reason", "tries"),
             counts=("tries", "prompt_tokens", "reply_tokens", "cost"),
         ),
         "samples": ColumnRules(

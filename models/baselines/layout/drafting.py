@@ -25,6 +25,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.errors import SceneError
 from stable_data.random_seeds import named_seed
+from stable_data.scores.totals import total
 
 T = TypeVar("T")
 Asking: TypeAlias = Generator[Request, Answer, T]
@@ -104,9 +105,9 @@ class Exchanges:
         notices = tuple(n for answer in self.answers if isinstance(answer, Proposal) for n in answer.notices)
         counts = (
             sum(a.tries for a in self.answers),
-            sum(a.prompt_tokens for a in self.answers),
-            sum(a.reply_tokens for a in self.answers),
-            sum(a.cost for a in self.answers),
+            total(a.prompt_tokens for a in self.answers),
+            total(a.reply_tokens for a in self.answers),
+            total(a.cost for a in self.answers),
         )
         reply = None if layout is None else LayoutReply(tuple(layout))
         return Proposal(reply, tuple(self.faults), refused, self.failure, self.code, notices, *counts)

@@ -27,6 +27,7 @@ from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, one_line
 from stable_data.limits import LIMITS, at_most
+from stable_data.scores.totals import total
 
 AMBIGUOUS = ("connection_failed", "endpoint_error", "endpoint_timeout", "request_refused")
 """Codes of failures that either the endpoint or a single request may cause."""
@@ -275,7 +276,7 @@ def completion_of(answer: Any, prompt_price: float = 0.0, reply_price: float = 0
     text = _LONE_SURROGATE.sub("\ufffd", content)  # which UTF-8 cannot encode
     usage = answer.get("usage")
     counts = [usage.get(key) if isinstance(usage, dict) else None for key in ("prompt_tokens", "completion_tokens")]
-    read, written = (c if type(c) is int and 0 <= c < 2**53 else 0 for c in counts)
+    read, written = (c if type(c) is int and 0 <= c < 2**53 else None for c in counts)
     failure, code = "", ""
     if choice.get("finish_reason") == "length":
         failure, code = "reply was cut at max_tokens; raise it", "reply_cut"
@@ -285,7 +286,8 @@ def completion_of(answer: Any, prompt_price: float = 0.0, reply_price: float = 0
         failure, code = f"model refused: {first_line(str(refusal))}; reword the instruction", "reply_refused"
     elif not text.strip():
         failure, code = "reply is empty; ask again with another seed", "reply_empty"
-    cost = (read * prompt_price + written * reply_price) / 1e6
+    priced = ((read, prompt_price), (written, reply_price))
+    cost = total(0.0 if not price else None if count is None else count * price / 1e6 for count, price in priced)
     return Completion("" if failure else text, read, written, failure, code, cost=cost)
 
 

@@ -77,21 +77,21 @@ class Completion:
 
     Attributes:
         text: The reply; empty after a failure.
-        prompt_tokens: Tokens read.
-        reply_tokens: Tokens written.
+        prompt_tokens: Tokens read; None if the endpoint did not say.
+        reply_tokens: Tokens written; None likewise.
         failure: Why there is no reply, one line; empty if there is one.
         code: Short machine-readable reason of the failure, such as ``endpoint_down``; empty if there is none.
         is_cached: Whether it was read from a cache.
-        cost: Cost in the currency of the engine's prices; 0 if these are unknown.
+        cost: Cost in the currency of the engine's prices: 0 without prices, None if tokens with a price were not counted.
     """
 
     text: str
-    prompt_tokens: int = 0
-    reply_tokens: int = 0
+    prompt_tokens: int | None = 0
+    reply_tokens: int | None = 0
     failure: str = ""
     code: str = ""
     is_cached: bool = False
-    cost: float = 0.0
+    cost: float | None = 0.0
 
 
 def is_too_long(num_prompt: int, longest: int) -> Completion:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any, Protocol, runtime_checkable
 
 from models.semantic_reasoner.engines.protocol import Completion, Engine, Request, Sampling, close_engine
@@ -24,7 +25,12 @@ CACHE_VERSION = 1
 
 _MAX_BYTES = 64 * 2**20  # of an entry
 _MOST = 2**53  # of tokens, and of a cost
-_TYPES: Mapping[str, tuple[type, ...]] = {"text": (str,), "prompt_tokens": (int,), "reply_tokens": (int,), "cost": (int, float)}
+_TYPES: Mapping[str, tuple[type, ...]] = {
+    "text": (str,),
+    "prompt_tokens": (int, NoneType),
+    "reply_tokens": (int, NoneType),
+    "cost": (int, float, NoneType),
+}
 
 
 @runtime_checkable
@@ -140,7 +146,7 @@ def _completion(entry: Any, key: str) -> Completion:
     if entry.keys() != _TYPES.keys() or not all(type(entry[name]) in types for name, types in _TYPES.items()):
         raise ValueError("its content is no completion")  # whoever writes to the folder can state a sum that fits
     counts = entry["prompt_tokens"], entry["reply_tokens"], entry["cost"]
-    if not (is_unicode(entry["text"]) and all(0 <= count < _MOST for count in counts)):
+    if not (is_unicode(entry["text"]) and all(count is None or 0 <= count < _MOST for count in counts)):
         raise ValueError("its content has a number out of range, or text that is not UTF-8")
     return Completion(**entry, is_cached=True)
 

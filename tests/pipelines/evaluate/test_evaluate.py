@@ -26,15 +26,17 @@ from pipelines.generate.settings import GenerateSettings
 from pipelines.rate.settings import RateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource
+from pipelines.views import shard
 from pipelines.views.settings import ViewsSettings
 from stable_data.cli import app as stable_data
 from stable_data.commands.command_line import DONE, SOME_FAILED
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, SceneError
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject
 from stable_data.rating.criteria import KEYS
 from stable_data.scene import Stage, Tabletop
 from stable_data.simulation.offscreen import can_render
+from stable_data.simulation.views import draw_scored_views
 from stable_data.storage.run_folder import RunFolder
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import entry
@@ -240,6 +242,29 @@ def test_old_ratings_do_not_stand_for_those_of_another_judge(
     assert any("ratings" in note for note in found.results[0].notes)
     again = evaluate(lambda _: tasks, str(out), replace(settings, systems=("one_shot",)), ALONE, [str(dataset)])
     assert again.estimates["one_shot"]["average"].value == evaluated[1]["systems"]["one_shot"]["figures"]["average"]["value"]
+
+
+def test_lost_pictures_are_unknown_and_a_failure(
+    tasks: TaskSource,
+    settings: EvaluateSettings,
+    dataset: Path,
+    evaluated: tuple[Path, dict[str, Any]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = Path(shutil.copytree(evaluated[0], tmp_path / "copy"))
+    shutil.rmtree(out / "seed_0" / "one_shot" / "views")
+    draw, lost = draw_scored_views, iter([True])
+
+    def fails_once(*args: Any, **more: Any) -> Any:
+        if next(lost, False):
+            raise SceneError("the driver draws nothing", "render_failed")
+        return draw(*args, **more)
+
+    monkeypatch.setattr(shard, "draw_scored_views", fails_once)
+    found = evaluate(lambda _: tasks, str(out), replace(settings, systems=("one_shot",)), ALONE, [str(dataset)])
+    assert found.has_failed
+    assert "seed 0: pictures of 1 scenes are unknown, see the table failures" in found.results[0].notes
 
 
 def test_sets_that_are_much_smaller_do_not_make_the_number_of_scenes_small_for_all() -> None:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipelines.evaluate.collect import figures_row
 from pipelines.evaluate.figures import FIGURES, Estimate, Repetition, estimate, estimate_figures
 from pipelines.evaluate.published import TABLE_1, TABLE_3B
 from stable_data.scores.intervals import wilson_interval
@@ -89,6 +90,35 @@ def test_a_task_that_states_no_relation_is_left_out_for_all_and_one_without_scen
     found = estimate_figures({"first": [first], "second": [second]})
     assert (found["first"]["aws"].value, found["first"]["aws"].known) == (50.0, 2)
     assert found["second"]["aws"].value is None  # its only scene was not asked, and zeros alone are no mean
+
+
+def test_tasks_without_labels_ask_for_nothing_also_of_a_system_without_scenes() -> None:
+    tasks = ("labelled", "bare")
+    first = Repetition(tasks, {"bare": row(awt=None)}, {}, frozenset({"bare"}))
+    second = Repetition(tasks, {}, {}, frozenset({"bare"}))
+    found = estimate_figures({"first": [first], "second": [second]})
+    assert (found["second"]["awt"].value, found["second"]["awt"].known) == (0.0, 1)
+    assert found["second"]["made"].known == 2
+    alone = figures_of(Repetition(tasks, {}, {}, frozenset(tasks)))
+    assert (alone["awt"].value, alone["aws"].value, alone["made"].value) == (None, None, 0.0)
+
+
+def test_verdicts_of_the_same_tasks_do_not_make_the_interval_narrow() -> None:
+    rows = {"a": row(clean=True), "b": row(clean=False)}
+    once, twice = figures_of(Repetition(("a", "b"), rows, {})), figures_of(*[Repetition(("a", "b"), rows, {})] * 2)
+    others = figures_of(
+        Repetition(("a", "b"), rows, {}), Repetition(("c", "d"), dict(zip("cd", rows.values(), strict=True)), {})
+    )
+    for key in ("clean", "made"):
+        assert (twice[key].value, twice[key].low, twice[key].high) == (once[key].value, once[key].low, once[key].high)
+        assert (others[key].low or 0.0) > (once[key].low or 0.0)
+
+
+def test_criteria_are_means_over_the_scenes_whose_average_is_known() -> None:
+    card = {"clean": True, "stable": True}
+    whole = figures_row(card, {"cwt": 9.0, "average": 8.0, "quality_pass": True})
+    partial = figures_row(card, {"cwt": 2.0, "average": None, "quality_pass": None})
+    assert (whole["cwt"], partial["cwt"], partial["average"]) == (9.0, None, None)
 
 
 def test_an_unknown_verdict_is_counted_apart() -> None:

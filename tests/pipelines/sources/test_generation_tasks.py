@@ -28,7 +28,7 @@ from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.embedded_world.sampling import sample_task
 from stable_data.errors import ConfigError, SceneError
 from stable_data.mesatask import MesaTaskDataset
-from stable_data.scene import Tabletop
+from stable_data.scene import RelationKind, Tabletop
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
 
@@ -215,3 +215,12 @@ def test_what_cannot_start_says_so_in_one_line(words: list[str], message: str, t
     (line,) = result.output.strip().splitlines()
     assert message in line
     assert not (tmp_path / "out").exists()
+
+
+def test_the_labels_of_a_drawn_task_have_its_scene_graph() -> None:
+    for number in range(8):
+        task = SampledTask(number, 3).sample(lambda _: True)
+        assert task.reference is not None
+        graph = set(task.reference.graph or ())
+        assert task.reference.graph is not None
+        assert {relation for relation in task.reference.entailed if relation.kind == RelationKind.ON} <= graph

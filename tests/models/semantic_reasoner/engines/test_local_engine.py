@@ -156,8 +156,8 @@ def test_an_untrained_model_says_only_what_the_form_allows(
             assert 0 <= o.position_cm[0] <= 112.0
             assert 0 <= o.position_cm[1] <= 59.3
         assert render_objects(parse_reply(completion.text).objects) == completion.text
-        assert completion.reply_tokens > 0
-        assert completion.prompt_tokens > 0
+        assert completion.reply_tokens
+        assert completion.prompt_tokens
 
 
 def test_a_reply_depends_on_its_seed_and_not_on_its_neighbours(
@@ -196,7 +196,7 @@ def test_an_error_of_a_shared_batch_reaches_every_thread_and_the_engine_goes_on(
         for future in [pool.submit(engine.complete, [request(seed)]) for seed in range(2)]:
             with pytest.raises(MemoryError, match="full"):
                 future.result()
-    assert engine.complete([request(0)])[0].reply_tokens > 0
+    assert engine.complete([request(0)])[0].reply_tokens
 
 
 ASKS = (*(RequiredObject(k, ("mug", "teacup")) for k in "ab"), RequiredObject("c", ("pen",)))
@@ -328,7 +328,7 @@ def test_what_cannot_be_answered_does_not_touch_the_others(
     assert long.code == "prompt_too_long"
     assert "shorten" in long.failure
     assert fine.code in ("", "reply_cut")
-    assert fine.reply_tokens > 0
+    assert fine.reply_tokens
     assert engine.complete([]) == []
 
 

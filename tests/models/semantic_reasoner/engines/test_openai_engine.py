@@ -279,9 +279,13 @@ def test_costs_are_counted_by_the_million() -> None:
     assert completion == Completion("x", 1000, 3000, cost=0.0325)
 
 
-def test_an_endpoint_that_says_no_tokens_is_used() -> None:
+def test_an_endpoint_that_counts_no_tokens_is_used_and_they_are_unknown() -> None:
     with endpoint(lambda *_: Act(body=said("x", usage=None))) as server:
-        assert OpenAIEngine(server.settings(prompt_price=1.0)).complete([ask("x")]) == [Completion("x")]
+        assert OpenAIEngine(server.settings(prompt_price=1.0)).complete([ask("x")]) == [Completion("x", None, None, cost=None)]
+        assert OpenAIEngine(server.settings()).complete([ask("x")]) == [Completion("x", None, None, cost=0.0)]
+    with endpoint(lambda *_: Act(body=said("x", usage={"prompt_tokens": 2000}))) as server:
+        (completion,) = OpenAIEngine(server.settings(prompt_price=1.0)).complete([ask("x")])
+    assert completion == Completion("x", 2000, None, cost=0.002)
 
 
 def test_it_works_within_a_running_event_loop() -> None:
