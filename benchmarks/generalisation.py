@@ -145,12 +145,13 @@ def measure(data: str, num_scenes: int, num_cases: int, workers: WorkerPool) -> 
 
 def show(found: dict[str, Any]) -> Iterable[str]:
     """Yields the lines of tables of the figures."""
-    yield f"{'':16}{'made':>10}" + "".join(f"{head:>11}" for head in _HEAD) + f"{'own assets %':>14}"
+    yield f"{'':16}{'made':>10}" + "".join(f"{head:>11}" for head in _HEAD) + f"{'left out':>10}{'own assets %':>14}"
     for name, one in found.items():
         if name != "contradictory":
-            values = ("unknown" if one[key] is None else f"{one[key]:.1f}" for key in (*_MEASURES, "own_assets"))
+            values = ("unknown" if one[key] is None else f"{one[key]:.1f}" for key in _MEASURES)
             shown = "".join(f"{v:>11}" for v in values)
-            yield f"{name:16}{one['made']:>5}/{one['tasks']:<4}{shown}"
+            yield f"{name:16}{one['made']:>5}/{one['tasks']:<4}{shown}{one['dropped']:>10}{one['own_assets']:>14.1f}"
+    yield "left out: objects of all scenes for which the corrector found no place, although the layout had them"
     yield ""
     yield f"{'made':6}{'objects':>8}{'claims':>8}  {'':12}instruction; reported codes"
     for one in found["contradictory"]:

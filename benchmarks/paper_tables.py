@@ -7,7 +7,7 @@ the section of its title, as in docs/paper_tables.md. FOLDER has the outputs of 
 - ``systems``: ``python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems`` (Tables 1 and 3 b);
 - ``correction.json``: ``python -m benchmarks.correction DATA --json FOLDER/correction.json`` (Table 2);
 - ``corrector_ablation.json``: ``python -m benchmarks.corrector_ablation RUN --json FOLDER/corrector_ablation.json`` (Table 3 a);
-- ``rearrangement.json``: ``python -m benchmarks.rearrangement RUN --json FOLDER/rearrangement.json``;
+- ``rearrangement.json``: ``python -m benchmarks.rearrangement RUN --lego-steps 25 --diffusion-steps 50 --json FOLDER/rearrangement.json``;
 - ``boxes.json``: ``stable-data score-boxes LABELS BOXES --json FOLDER/boxes.json`` (manipulability);
 - ``generalisation.json``: ``python -m benchmarks.generalisation DATA --json FOLDER/generalisation.json`` (unseen tables and assets, and
   conflicting instructions);
@@ -113,11 +113,11 @@ def figures_lines(found: Mapping[str, Any]) -> Iterable[str]:
 
 def stages_lines(found: Mapping[str, Any]) -> Iterable[str]:
     """Yields Table 3 (b)."""
-    by_name = {system["system"]: system for system in found["systems"].values()}
     rows = [["system", "AwT %", "distractors %"]]
     for name in TABLE_3B:
-        known = name in by_name
-        rows.append([name, *(_estimate(by_name[name], key) if known else "not run" for key in ("awt", "distractor_rate"))])
+        own = {label: one for label, one in found["systems"].items() if one["system"] == name}
+        rows += [[label, *(_estimate(one, key) for key in ("awt", "distractor_rate"))] for label, one in own.items()]
+        rows += [] if own else [[name, "not run", "not run"]]
     yield from _aligned(rows)
 
 
@@ -125,10 +125,13 @@ def collision_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     """Yields Table 2: layouts that end without a collision, of all with so many at the start."""
     buckets, methods = (list(dict.fromkeys(row[key] for row in found)) for key in ("bucket", "method"))
     buckets.sort(key=lambda bucket: int(bucket.partition("-")[0]))
-    rows = [["method", *buckets]]
+    rows = [["method", *buckets, "objects left out"]]
     for method in methods:
         own = {bucket: [r for r in found if (r["method"], r["bucket"]) == (method, bucket)] for bucket in buckets}
-        rows.append([method, *(_share([r["num_collisions"] == 0 for r in of]) for of in own.values())])
+        left_out, objects = (sum(r[key] for of in own.values() for r in of) for key in ("num_dropped", "num_objects"))
+        rows.append(
+            [method, *(_share([r["num_collisions"] == 0 for r in of]) for of in own.values()), f"{left_out} of {objects}"]
+        )
     yield from _aligned(rows)
     yield "scenes without a collision of all; a pair that cannot be judged counts as colliding; brackets: 95 % intervals (Wilson), in %"
 
@@ -152,12 +155,14 @@ def ablation_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 def rearrangement_lines(found: Mapping[str, Any]) -> Iterable[str]:
     """Yields the table of rearrangement, objects of one category matched as in the paper."""
     columns = {"moved_category": "moved m", "emd_category": "EMD m", "oc_sampled": "OC", "oc": "exact OC", "clean": "clean"}
-    rows = [["method", *columns.values(), "seeds"]]
+    rows = [["method", *columns.values(), "scenes", "failed", "seeds"]]
     for method in dict.fromkeys(f["method"] for f in found["figures"]):
         own = [f for f in found["figures"] if f["method"] == method]
-        rows.append([method, *(mean_text([f[key] for f in own], 3) or _UNKNOWN for key in columns), str(len(own))])
+        counts = [str(sum(f[key] for f in own)) for key in ("scenes", "failed")]
+        rows.append([method, *(mean_text([f[key] for f in own], 3) or _UNKNOWN for key in columns), *counts, str(len(own))])
     yield from _aligned(rows)
     yield "means over the seeds with half of the width of their 95 % intervals; OC and exact OC: colliding pairs, as in Table 1"
+    yield "failed: the method gave no layout, and the scene counts as it was at the start"
 
 
 def boxes_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
@@ -267,8 +272,8 @@ TABLES = (
     PaperTable(
         "Rearrangement",
         "rearrangement.json",
-        "python -m benchmarks.rearrangement RUN --json FOLDER/rearrangement.json; for another world, with --lego-net, "
-        "--struct-diffusion and --equal-flow: weights of python -m pipelines train-rearranger and train-corrector",
+        "python -m benchmarks.rearrangement RUN --lego-steps 25 --diffusion-steps 50 --json FOLDER/rearrangement.json; for another world, "
+        "with --lego-net, --struct-diffusion and --equal-flow: weights of python -m pipelines train-rearranger and train-corrector",
         rearrangement_lines,
         [["method", "moved", "EMD", "OC"], *([name, *(f"{x:g}" for x in values)] for name, values in REARRANGEMENT.items())],
     ),

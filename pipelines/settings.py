@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib import import_module
-from itertools import groupby
+from itertools import accumulate, groupby
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, TypeVar
@@ -211,10 +211,12 @@ def _nested(path: list[str], value: Any) -> dict[str, Any]:
 
 
 def _near(key: str, defaults: Mapping[str, Any], section: str) -> str:
-    """A hint at the expected setting: one with a similar name, or with the same name in another table."""
+    """A hint at the expected setting: one with a similar name, or a table or a setting with the same name in another table."""
     known = flatten_config(defaults)
+    tables = dict.fromkeys(table for name in known for table in accumulate(name.split(".")[:-1], "{}.{}".format))
     last = key.rpartition(".")[2]
-    near = difflib.get_close_matches(key, known, 1) or [name for name in known if name.rpartition(".")[2] == last]
+    near = difflib.get_close_matches(key, known, 1)
+    near = near or [name for name in (*tables, *known) if name.rpartition(".")[2] == last]
     verb = section.replace("_", "-")
     every = f"; python -m pipelines settings {verb} lists all" if verb in JOBS else f"; known are {', '.join(known)}"
     return f"; did you mean {near[0]}?" if near else every

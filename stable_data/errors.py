@@ -4,9 +4,11 @@ A message is one line: which item, what was found, what was expected and what to
 ``office_table_0031: object 2_desk_lamp_0 has quaternion norm 0.82, expected 1 +- 1e-3; is the file in [w, x, y, z] order?``
 """
 
+import re
 from dataclasses import dataclass
 
 _MOST_TEXT, _END = 2000, 500  # characters of a message, and of its end if it is cut
+_MOST_QUOTED, _MARKUP = 1000, re.compile(r"[\\`*\[\]<>#|!~&]")
 _CUT = " ... "
 
 
@@ -25,6 +27,13 @@ def one_line(text: str) -> str:
     A message may quote names from files, and a name may contain anything.
     """
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def plain_markdown(text: str) -> str:
+    """Returns text from outside as a Markdown page shows it: on one line, of bounded length, none of it markup."""
+    shown = one_line(" ".join(text.split()))
+    shown = shown if len(shown) <= _MOST_QUOTED else f"{shown[:_MOST_QUOTED]}…"
+    return _MARKUP.sub(lambda found: f"\\{found[0]}", shown)
 
 
 class StableDataError(ValueError):

@@ -15,7 +15,7 @@ from models.semantic_reasoner.text.prompt import Message, refusal_messages
 from models.semantic_reasoner.text.reply_json import json_of_reply
 from stable_data.errors import SceneError
 from stable_data.random_seeds import named_seed
-from stable_data.scores.totals import total
+from stable_data.totals import total
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, 
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Relation, Stage
-from stable_data.scores.totals import total
+from stable_data.totals import total
 
 _LEFT_OUT = "left_out"
 _SMALL_SHARE = 1 / 8  # of the objects of a reply: so few are removed without another try

@@ -13,11 +13,19 @@ from stable_data.errors import ConfigError
 from stable_data.rating.criteria import KEYS
 from stable_data.scene import Scene
 from stable_data.scores.set_distance import FeatureStatistics, frechet_distance, kernel_distance, vendi_at
-from stable_data.scores.taste import POOLED, TrainingStatistics, compare_scenes, placement_ratio, read_scenes
-from stable_data.scores.totals import total
+from stable_data.scores.taste import (
+    LEAST,
+    LEAST_TRAINING,
+    POOLED,
+    TrainingStatistics,
+    compare_scenes,
+    placement_ratio,
+    read_scenes,
+)
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
+from stable_data.totals import total
 
 _CARD = [figure.key for figure in FIGURES if figure.key in SCHEMAS["scenes"].names]
 _RATED = [*KEYS, "average", "quality_pass"]
@@ -48,11 +56,26 @@ def read_reference(run: str, views: str, where: str) -> Reference:
         views: The run of their pictures; empty if they could not be drawn.
         where: The condition on its scenes.
     """
-    types = TableFiles(run, "scenes", ["table_type"], where=where or None)
-    names = {name for group in range(len(types.groups)) for name in types.read([group])["table_type"].to_pylist()}
     pictures = PictureSet.read(views) if views else None
     held_out = tuple(read_scenes(run, ["validation", "test"], where))
-    return Reference(pictures, frozenset(names), TrainingStatistics(read_scenes(run, ["train"], where)), held_out)
+    return Reference(pictures, table_types(run, where), TrainingStatistics(read_scenes(run, ["train"], where)), held_out)
+
+
+def table_types(run: str, where: str) -> frozenset[str]:
+    """Returns the types of the tables of a run's scenes.
+
+    Args:
+        run: The run.
+        where: The condition on its scenes; empty: all.
+
+    Raises:
+        ConfigError: It is no run with scenes, none fulfils the condition, or the condition cannot be used.
+    """
+    types = TableFiles(run, "scenes", ["table_type"], where=where or None)
+    found = {name for group in range(len(types.groups)) for name in types.read([group])["table_type"].to_pylist()}
+    if not found:
+        raise ConfigError(f"{run}: no scene to compare with, expected at least one; change reference_where", "source_empty")
+    return frozenset(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,10 +164,10 @@ def _has_pictures(views: str) -> bool:
 
 def _taste_values(run: str, reference: Reference) -> dict[str, float | None]:
     """What occurs together and how it lies, compared with the reference."""
-    if not reference.training.num_scenes or not reference.held_out:
-        return {}
     found = compare_scenes(list(read_scenes(run, [])), reference.held_out, reference.training)[POOLED]
-    return {"pairs_unseen": found["pairs_unseen"].generated, "placement": placement_ratio(found)}
+    pairs = found["pairs_unseen"]
+    is_known = reference.training.num_scenes >= LEAST_TRAINING and pairs.num_generated >= LEAST
+    return {"pairs_unseen": pairs.generated if is_known else None, "placement": placement_ratio(found)}
 
 
 def _spent(scenes: RunFolder, num_tasks: int, *, is_priced: bool) -> dict[str, float | None]:

@@ -14,6 +14,7 @@ class SystemResult:
 
     Attributes:
         system: The system.
+        row: What it is in the paper's tables.
         repetitions: Its repetitions; none if it was not run.
         notes: What is unknown and why, and what to know about its figures.
         runs: The runs of each repetition.
@@ -21,6 +22,7 @@ class SystemResult:
     """
 
     system: EvaluatedSystem
+    row: str
     repetitions: list[Repetition] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     runs: list[RunsOfSystem] = field(default_factory=list)
@@ -69,7 +71,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         }
         systems[label] = {
             "system": result.system.name,
-            "row": result.system.compared.row,
+            "row": result.row,
             "given": result.system.given,
             "repetitions": len(result.repetitions),
             "figures": figures,

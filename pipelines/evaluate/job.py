@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 from models.picture_features.inception import InceptionFeatures
 from models.scene_rating.judge import SYMBOLIC
 from models.semantic_reasoner.staged_layout import LayoutTask
-from pipelines.evaluate.collect import Reference, RunsOfSystem, read_reference, read_repetition, set_diversity
+from pipelines.evaluate.collect import Reference, RunsOfSystem, read_reference, read_repetition, set_diversity, table_types
 from pipelines.evaluate.evaluation import Evaluation, SystemResult, to_json
 from pipelines.evaluate.figures import estimate_figures
 from pipelines.evaluate.report import write_evaluation_report
@@ -28,6 +28,7 @@ from pipelines.rate.job import rate
 from pipelines.sources.generation_tasks import TaskSource
 from pipelines.views.job import draw_views
 from stable_data.errors import ConfigError
+from stable_data.scores.taste import LEAST, LEAST_TRAINING
 from stable_data.storage.manifest import DIGEST, manifest_digest
 from stable_data.storage.run_folder import RunFolder
 from stable_data.verification.evaluation_folder import EVALUATION
@@ -49,11 +50,13 @@ def evaluate(
     Raises:
         ConfigError: The settings cannot be used, or the reference is no run with scenes.
     """
-    results = [SystemResult(system) for system in parse_systems(settings.systems)]
+    results = [SystemResult(system, system.row(settings.generate)) for system in parse_systems(settings.systems)]
     seeds = [settings.generate.seed + k for k in range(settings.repetitions)]
     sources = {seed: tasks(seed) for seed in seeds}
     names = {"frechet": "Frechet distance", "kernel": "kernel distance", "judge": settings.rate.rating.judge}
     for result in results:
+        if settings.repetitions > 1 and not result.system.is_repeated():
+            result.note("its layouts are the same in each repetition, and are read once; {seed} in PLACE names those of each")
         if lacking := result.system.lacks(settings.generate):
             result.has_failed = (
                 settings.systems != EvaluateSettings().systems
@@ -85,8 +88,14 @@ def evaluate(
 
 
 def plan(tasks: Tasks, settings: EvaluateSettings, assets: Sequence[str] = ()) -> dict[str, Any]:
-    """Describes what an evaluation would do, for ``--dry-run``."""
+    """Describes what an evaluation would do, for ``--dry-run``.
+
+    Raises:
+        ConfigError: The settings or the tasks cannot be used, or the reference is no run with scenes.
+    """
     seed, found = settings.generate.seed, {}
+    if settings.reference:
+        table_types(settings.reference, settings.reference_where)
     for system in parse_systems(settings.systems):
         lacking = system.lacks(settings.generate)
         if lacking:
@@ -140,7 +149,10 @@ def _reference(out: str, settings: EvaluateSettings, workers: WorkerPool) -> tup
             about += f"; with fewer than {_ENOUGH:,} the Frechet distance (FID) is far too large, the kernel distance is not"
         notes.append(about)
     about = f"{reference.training.num_scenes} scenes of the split train and {len(reference.held_out)} of validation and test"
-    notes.append(f"pairs of categories and placement are compared with {about} of the reference; too few are unknown")
+    notes.append(
+        f"pairs of categories and placement are compared with {about} of the reference; pairs are unknown with fewer than "
+        f"{LEAST_TRAINING} of train, placement with fewer than {2 * LEAST} held-out ones, and both with fewer than {LEAST} of a system"
+    )
     return reference, notes
 
 

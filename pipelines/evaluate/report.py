@@ -90,7 +90,7 @@ def _paper_table(evaluation: Evaluation) -> Iterable[str]:
     head = ["system", evaluation.names["frechet"], *TABLE_1_COLUMNS.values()]
     rows = [
         [
-            f"{r.system.label} ({r.system.compared.row})",
+            f"{r.system.label} ({r.row})",
             *(_text(r, evaluation.estimates[r.system.label][f.key], f) for f in figures),
         ]
         for r in evaluation.results
@@ -119,15 +119,16 @@ def _paper_table(evaluation: Evaluation) -> Iterable[str]:
 
 
 def _ablation_table(evaluation: Evaluation) -> Iterable[str]:
-    by_name = {result.system.name: result for result in evaluation.results}
     rows = []
     for name, (awt, distractors) in TABLE_3B.items():
-        result = by_name.get(name)
-        measured = [
-            "not asked for" if result is None else _text(result, evaluation.estimates[result.system.label][key], _BY_KEY[key])
-            for key in ("awt", "distractor_rate")
-        ]
-        rows.append([name, *measured, f"{awt:.1f}", f"{distractors:.1f}"])
+        published = [f"{awt:.1f}", f"{distractors:.1f}"]
+        own = [result for result in evaluation.results if result.system.name == name]
+        for result in own:
+            of = evaluation.estimates[result.system.label]
+            measured = [_text(result, of[key], _BY_KEY[key]) for key in ("awt", "distractor_rate")]
+            rows.append([result.system.label, *measured, *published])
+        if not own:
+            rows.append([name, "not asked for", "not asked for", *published])
     yield table(("system", "AwT, %", "distractors, %", f"AwT, published ({SOURCE})", "distractors, published"), rows)
 
 

@@ -51,6 +51,14 @@ class EvaluatedSystem:
         """Its row."""
         return SYSTEMS[self.name]
 
+    def row(self, shared: GenerateSettings) -> str:
+        """Its row in the paper's Table 1, and what differs from that: the embedded model in place of a language model, or other files."""
+        if self.name == "files":
+            return self.compared.row if self.compared.row.lower() in self.label.lower() else "layouts of files"
+        if self.compared.needs and not self.settings(shared, shared.seed).chats:
+            return f"{self.compared.row} without its model"
+        return self.compared.row
+
     def is_repeated(self) -> bool:
         """Whether its scenes differ between repetitions: files of one place are the same for all of them."""
         return self.name != "files" or _SEED in self.given

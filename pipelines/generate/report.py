@@ -28,10 +28,10 @@ from stable_data.assets.store import AssetStore
 from stable_data.diversity.comparison import compare_sets
 from stable_data.diversity.scene_set import SceneSet
 from stable_data.errors import ConfigError
-from stable_data.scores.totals import total
 from stable_data.simulation.render import contact_sheet
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
+from stable_data.totals import total
 
 SHEET = "report/contact_sheet.png"
 """Contact sheet of the pictures."""

@@ -8,8 +8,8 @@ import polars as pl
 from pipelines.reports.html import head, histogram, notices, page, table, tiles
 from stable_data.rating.criteria import CRITERIA, HIGHEST, KEYS, LOWEST
 from stable_data.rating.rating import PASS_MARK, rating_of_row, summarise_ratings
-from stable_data.scores.totals import total
 from stable_data.storage.run_folder import RunFolder
+from stable_data.totals import total
 
 _WORST = 12  # scenes that the page lists
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from stable_data.assets.annotation import AssetAnnotation
-from stable_data.markdown_text import plain
+from stable_data.errors import plain_markdown
 
 _MOST_CHARACTERS = 1000  # a longer text, without the texts of licences that are known, is no name of a licence
 _MOST_READ = 1 << 16  # characters: no licence is longer
@@ -248,13 +248,13 @@ def attribution_text(assets: Sequence[AssetAnnotation]) -> str:
         "",
     ]
     for licence, own in sorted(of_licence.items()):
-        lines += [f"## {plain(licence)}", "", _asked(licence), ""]
+        lines += [f"## {plain_markdown(licence)}", "", _asked(licence), ""]
         for a in own:
             said = "".join(f"; {a.raw[name]}" for name in ("author", "source_url") if a.raw.get(name))
             if a.licence and " ".join(a.licence.split()) != licence:
                 said += f"; stated as {a.licence}"
             text = f"{a.asset_id}: {a.category or 'no category'}; {a.source or 'source not known'}{said}"
-            lines.append(f"- {plain(text)}")
+            lines.append(f"- {plain_markdown(text)}")
         lines.append("")
     return "\n".join(lines)
 

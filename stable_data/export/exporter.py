@@ -18,10 +18,9 @@ from stable_data.atomic_files import write_file_atomically
 from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, StableDataError, cannot_write, one_line
+from stable_data.errors import ConfigError, StableDataError, cannot_write, one_line, plain_markdown
 from stable_data.export.formats import ExportFormat, format_named
 from stable_data.export.scene_cache import SceneCache
-from stable_data.markdown_text import plain
 from stable_data.mesatask import write_annotations
 from stable_data.mesatask.library import ANNOTATION_FILE
 from stable_data.scene import Scene
@@ -201,7 +200,10 @@ def _line(scene_id: str, message: str) -> str:
 
 def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:
     licences = Counter((a.licence or "not known", a.source or "not known") for a in assets)
-    rows = [f"| {plain(licence)} | {plain(source)} | {count} |" for (licence, source), count in sorted(licences.items())]
+    rows = [
+        f"| {plain_markdown(licence)} | {plain_markdown(source)} | {count} |"
+        for (licence, source), count in sorted(licences.items())
+    ]
     return "\n".join(
         [
             f"# {num_scenes} tabletop scenes",

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from stable_data.markdown_text import plain
+from stable_data.errors import plain_markdown
 from stable_data.storage.row_groups import SPLITS
 
 UNSPLIT = "unsplit"
@@ -201,15 +201,15 @@ def _head(content: CardContent) -> dict[str, Any]:
 
 def _body(content: CardContent) -> str:
     origin, main = content.origin, content.main
-    dataset = plain(str(origin.get("dataset")))
+    dataset = plain_markdown(str(origin.get("dataset")))
     lines = [
-        f"# {plain(content.title)}",
+        f"# {plain_markdown(content.title)}",
         "",
         f"{main.num_rows:,} rows of {ABOUT[main.name]}, made by `{origin.get('job')}` of stable-data from {dataset}.",
         "",
         *(f"![{name}]({name})" for name in content.previews),
         *([""] if content.previews else []),
-        f"Checked before it was published: {plain(content.verdict)}",
+        f"Checked before it was published: {plain_markdown(content.verdict)}",
         "",
         *(f"- {line}" for line in content.figures),
         *([""] if content.figures else []),
@@ -249,7 +249,7 @@ def _body(content: CardContent) -> str:
         "",
         "## Licences",
         "",
-        f"Of the rows themselves: {plain(content.row_licence or '') or 'not stated by the publisher'}.",
+        f"Of the rows themselves: {plain_markdown(content.row_licence or '') or 'not stated by the publisher'}.",
         "",
     ]
     if content.licences:
@@ -258,7 +258,7 @@ def _body(content: CardContent) -> str:
             "",
             "| licence | assets |",
             "|---|---|",
-            *(f"| {plain(licence)} | {count:,} |" for licence, count in sorted(content.licences.items())),
+            *(f"| {plain_markdown(licence)} | {count:,} |" for licence, count in sorted(content.licences.items())),
             "",
         ]
     if content.citation:

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from stable_data.rating.criteria import HIGHEST, KEYS, LOWEST
-from stable_data.scores.totals import total
+from stable_data.totals import total
 
 PASS_MARK = 7.0
 """A scene passes if its average is above this and it is clean. The quality-pass of PhyScene3D (arXiv 2606.01649), with the same mark,

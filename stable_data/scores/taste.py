@@ -45,6 +45,9 @@ from stable_data.storage.table_rows import scene_from_row
 LEAST = 10
 """Fewest scenes with a value on either side of a distance."""
 
+LEAST_TRAINING = 100
+"""Fewest training scenes in which a pair of categories that is not there says anything."""
+
 POOLED = "all tables"
 
 _MAT_HEIGHT, _MAT_WIDTH = 0.01, 0.05  # metres

@@ -25,7 +25,7 @@ from models.semantic_reasoner.text.prompt import ReasonerQuestion
 from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply
 from stable_data.errors import SceneError
 from stable_data.random_seeds import named_seed
-from stable_data.scores.totals import total
+from stable_data.totals import total
 
 T = TypeVar("T")
 Asking: TypeAlias = Generator[Request, Answer, T]

@@ -27,7 +27,7 @@ from models.semantic_reasoner.replies.grammar import ReplyGrammar
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, one_line
 from stable_data.limits import LIMITS, at_most
-from stable_data.scores.totals import total
+from stable_data.totals import total
 
 AMBIGUOUS = ("connection_failed", "endpoint_error", "endpoint_timeout", "request_refused")
 """Codes of failures that either the endpoint or a single request may cause."""

@@ -294,6 +294,21 @@ def _with_other_tables(run: str, to: Path) -> str:
 
 
 @pytest.mark.parametrize(
+    ("text", "row"),
+    [
+        ("stable", "Ours"),
+        ("holodeck", "Holodeck-Table without its model"),
+        ("holodeck=openai:gpt-4o", "Holodeck-Table"),
+        ("mesatask_refined=embedded", "MesaTask+refine without its model"),
+        ("mine:files=place", "layouts of files"),
+        ("tabletopgen:files=place", "TabletopGen"),
+    ],
+)
+def test_a_row_of_the_paper_is_named_only_where_it_is_one(text: str, row: str) -> None:
+    assert EvaluatedSystem.parse(text).row(GenerateSettings()) == row
+
+
+@pytest.mark.parametrize(
     ("texts", "code"),
     [
         ((), "config_invalid"),
@@ -325,6 +340,8 @@ def test_the_settings_of_a_system_win_over_those_of_all() -> None:
         (["--count", "2", "--where", "clean"], "--where chooses scenes of --scenes"),
         (["--count", "2", "--system", "gpt"], "expected one of stable"),
         (["--count", "2", "--set", "views.colour=red"], "views.colour is not known"),
+        (["--count", "2", "--set", "rating.judge=openai:m"], "evaluate.rating is not known; did you mean rate.rating?"),
+        (["--count", "2", "--set", "engine.http.base_url=x"], "evaluate.engine is not known; did you mean generate.engine?"),
     ],
 )
 def test_what_cannot_start_is_refused(words: list[str], says: str, tmp_path: Path) -> None:
@@ -332,6 +349,14 @@ def test_what_cannot_start_is_refused(words: list[str], says: str, tmp_path: Pat
     assert result.exit_code == 2
     assert says in result.output
     assert not (tmp_path / "out").exists()
+
+
+def test_a_dry_run_refuses_a_reference_that_is_none(tiny_run: Path, tmp_path: Path) -> None:
+    words = ["evaluate", "--count", "2", "--out", str(tmp_path / "out"), "--system", "stable", "--dry-run", "--reference"]
+    for place, where, says in ((tmp_path, "", "no table scenes"), (tiny_run, "num_objects > 99", "no scene to compare with")):
+        chosen = ["--set", f'reference_where="{where}"'] if where else []
+        result = CliRunner().invoke(app, [*words, str(place), *chosen])
+        assert (result.exit_code, says in result.output) == (2, True), result.output
 
 
 def test_a_dry_run_says_what_would_be_done(dataset: Path, tmp_path: Path) -> None:
