@@ -55,13 +55,13 @@ def evaluate(
     sources = {seed: tasks(seed) for seed in seeds}
     names = {"frechet": "Frechet distance", "kernel": "kernel distance", "judge": settings.rate.rating.judge}
     for result in results:
-        if settings.repetitions > 1 and not result.system.is_repeated():
-            result.note("its layouts are the same in each repetition, and are read once; {seed} in PLACE names those of each")
         if lacking := result.system.lacks(settings.generate):
             result.has_failed = (
                 settings.systems != EvaluateSettings().systems
             )  # of all systems, those that can be run are enough
             result.note(f"not run: needs {lacking}")
+        elif settings.repetitions > 1 and not result.system.is_repeated():
+            result.note("its layouts are the same in each repetition, and are read once; {seed} in PLACE names those of each")
     with connection(workers):
         reference, notes = _reference(out, settings, workers)
         for seed in seeds:

@@ -53,6 +53,8 @@ class EvaluatedSystem:
 
     def row(self, shared: GenerateSettings) -> str:
         """Its row in the paper's Table 1, and what differs from that: the embedded model in place of a language model, or other files."""
+        if self.lacks(shared):
+            return self.compared.row
         if self.name == "files":
             return self.compared.row if self.compared.row.lower() in self.label.lower() else "layouts of files"
         if self.compared.needs and not self.settings(shared, shared.seed).chats:

@@ -300,6 +300,8 @@ def _with_other_tables(run: str, to: Path) -> str:
         ("holodeck", "Holodeck-Table without its model"),
         ("holodeck=openai:gpt-4o", "Holodeck-Table"),
         ("mesatask_refined=embedded", "MesaTask+refine without its model"),
+        ("zero_shot", "GPT-4o"),  # not run
+        ("files", "TabletopGen"),  # likewise
         ("mine:files=place", "layouts of files"),
         ("tabletopgen:files=place", "TabletopGen"),
     ],
