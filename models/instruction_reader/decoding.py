@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from models.instruction_reader.double_claims import double_claims
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.network import CELLS, CHANGES, GOAL, GROUPS, START
 from models.instruction_reader.nouns import is_hollow
@@ -136,6 +137,7 @@ def decode(
     entities = [_entity(cluster, phrases, nouns, said, ranges, bare) for cluster in clusters]
     parts = _parts(clusters, start, entities)
     found = _relations(clusters, start, START[1:7], parts)
+    found += list(double_claims(words, spans, clusters, found))
     aims = _relations(clusters, goal, GOAL[1:], parts)
     carriers = {j for _, _, kind, j in (*found, *aims) if kind in _CARRIES}
     _name_ones(entities, clusters, parts, carriers)
