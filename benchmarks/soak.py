@@ -16,39 +16,44 @@ processes are still growing. A line with one slope and an own height for each se
 
 The wall time of a scene is shown too, but not judged: it depends on what else the machine does.
 
-Status 0: all runs are complete and whole, and every quantity is flat or falls. 1: something grows or is unknown, or a run is not whole. 3:
-not complete yet.
+The outcomes of the scenes are those of the manifests: how many were accepted, and how many failed, by code. A scene that failed through
+the toolkit itself is told as such: ``unexpected``, ``out_of_memory``, ``timed_out`` or ``crashed``.
+
+Status 0: all runs are complete and whole, every quantity is flat or falls, and no scene failed through the toolkit itself. 1: not so. 2:
+the benchmark itself could not start or continue. 3: not complete yet. 130: Ctrl-C.
 """
 
 import argparse
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
-from benchmarks.chaos import NOT_COMPLETE, is_complete, verified
-from benchmarks.faults.processes import Usage, below, started, usage_of
+from benchmarks.chaos import NOT_COMPLETE, is_complete, status_of, verified
+from benchmarks.faults.processes import Usage, below, end, started, usage_of
 from stable_data.atomic_files import write_file_atomically
 from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.config_diff import refuse_changed
 from stable_data.errors import ConfigError
+from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_folder import RunFolder
 
 LIBRARIES = ("real", "embedded")
 WALL_TIME = "seconds a scene"
+FAULTS_OF_THE_TOOLKIT = ("unexpected", "out_of_memory", "timed_out", "crashed")
+"""Codes of scenes that failed through the toolkit itself, and not through their task."""
+
 _WORKERS = 2
 _LOOK_SECONDS = 10.0
-_END_SECONDS = 60.0  # for the job to end after it is interrupted
 _BLOCK, _TIME_BLOCK = 100, 500
 _FEWEST_BLOCKS = 8
 _FLAT, _KNOWN = 0.05, 0.20
@@ -95,12 +100,16 @@ class SoakedRun:
         is_complete: Whether it has them.
         is_whole: Whether it was verified then.
         samples: The samples, in order.
+        accepted: Scenes that were accepted.
+        failures: Scenes that failed, by code.
     """
 
     num_scenes: int
     is_complete: bool
     is_whole: bool
     samples: Sequence[Sample]
+    accepted: int = 0
+    failures: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path) -> "SoakedRun":
@@ -114,6 +123,12 @@ class SoakedRun:
             return cls(**{**found, "samples": [Sample.of(row) for row in found["samples"]]})
         except (OSError, ValueError, LookupError, TypeError) as error:
             raise ConfigError(f"{path}: cannot be read ({error}), expected the output of --json", "soak_invalid") from error
+
+
+def outcomes(run: RunFolder) -> tuple[int, dict[str, int]]:
+    """Reads the manifest of a run; returns the number of accepted scenes, and of failed ones by code; none before it is complete."""
+    counts = (read_manifest(run) or {}).get("counts", {})
+    return int(counts.get("scenes", 0)), dict(counts.get("failures_by_code", {}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,7 +314,7 @@ class Soak:
                     except subprocess.TimeoutExpired:
                         continue
             finally:
-                _end(job)
+                end(job)
         if job.returncode in (DONE, SOME_FAILED) and is_complete(self.run):
             return True
         if time.monotonic() < until:
@@ -315,22 +330,16 @@ class Soak:
         return Sample(session, round(seconds, 1), scenes, usage_of([driver]), usage_of(workers), usage_of(rest))
 
 
-def _end(job: subprocess.Popen[bytes]) -> None:
-    """Ends a job that still runs, with all that it has started."""
-    if job.poll() is None:
-        job.send_signal(signal.SIGINT)
-        with suppress(subprocess.TimeoutExpired):
-            job.wait(_END_SECONDS)
-    if job.poll() is None:
-        os.killpg(job.pid, signal.SIGKILL)
-        job.wait()
-
-
 def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
     """Prints the table."""
     scenes = sum(run.samples[-1].scenes for run in runs if run.samples)
     sessions = sum(len({sample.session for sample in run.samples}) for run in runs)
     print(f"{scenes:,} scenes in {len(runs)} runs and {sessions} sessions, {sum(len(run.samples) for run in runs)} samples")
+    failures = sum((Counter(run.failures) for run in runs), Counter[str]())
+    by_code = ", ".join(f"{code} {count}" for code, count in failures.most_common()) or "none"
+    print(f"{sum(run.accepted for run in runs):,} accepted, {failures.total():,} failed: {by_code}")
+    if own := [code for code in FAULTS_OF_THE_TOOLKIT if failures[code]]:
+        print(f"failed through the toolkit itself: {', '.join(f'{code} {failures[code]}' for code in own)}")
     print(f"{'':28} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
     for one in found:
         if one.slope is None:
@@ -340,8 +349,19 @@ def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
         print(f"{one.name:28} {one.mean:10.3f} {interval:>34} {one.change:+11.1%} {one.blocks:7d}  {one.verdict}")
 
 
-def main() -> None:
-    """Prints the figures; see the status in the text of the module."""
+def is_good(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> bool:
+    """Whether complete runs are whole, nothing that is judged grows or is unknown, and no scene failed through the toolkit itself."""
+    is_steady = all(one.verdict in ("flat", "falls") for one in found if one.name != WALL_TIME)
+    return is_steady and all(run.is_whole and not any(map(run.failures.get, FAULTS_OF_THE_TOOLKIT)) for run in runs)
+
+
+def run_campaign() -> int:
+    """Prints the figures; returns the status that the text of the module tells.
+
+    Raises:
+        ConfigError: The benchmark cannot start.
+        RuntimeError: It cannot continue.
+    """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("libraries", nargs="*", default=LIBRARIES, metavar="LIBRARY", help="as --assets of generate")
     parser.add_argument("--out", type=Path, required=True, metavar="WORK")
@@ -354,18 +374,17 @@ def main() -> None:
     parser.add_argument(
         "--with", type=Path, action="append", default=[], dest="others", metavar="FILE", help="output of --json of another run"
     )
-    arguments = parser.parse_args()
+    parser.epilog = "after --: further options of the job"
+    last = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
+    arguments, more = parser.parse_args(sys.argv[1:last]), sys.argv[last + 1 :]
     os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}
     until = float("inf") if arguments.minutes is None else time.monotonic() + 60 * arguments.minutes
     seed = ["--seed", str(arguments.seed)]
-    try:
-        others = [SoakedRun.read(path) for path in arguments.others]
-        soak = Soak(arguments.out.absolute(), arguments.scenes, arguments.per_shard, arguments.libraries, seed)
-    except ConfigError as error:
-        raise SystemExit(f"error: {error}") from error
+    others = [SoakedRun.read(path) for path in arguments.others]
+    soak = Soak(arguments.out.absolute(), arguments.scenes, arguments.per_shard, arguments.libraries, [*seed, *more])
     is_complete = soak.go(until)
     verdict: dict[str, Any] = verified(soak.run.uri) if is_complete else {"is_whole": False, "verify": []}
-    run = SoakedRun(arguments.scenes, is_complete, verdict["is_whole"], soak.samples)
+    run = SoakedRun(arguments.scenes, is_complete, verdict["is_whole"], soak.samples, *outcomes(soak.run))
     runs = [*others, run]
     found = trends(runs, arguments.warm_up)
     show(found, runs)
@@ -375,12 +394,9 @@ def main() -> None:
         arguments.json.write_text(json.dumps(figures) + "\n", "utf-8")
     if not all(one.is_complete for one in runs):
         print("not complete: run the same command again to continue")
-        raise SystemExit(NOT_COMPLETE)
-    if not all(one.is_whole for one in runs) or any(
-        one.verdict in ("grows", "unknown") for one in found if one.name != WALL_TIME
-    ):
-        raise SystemExit(1)
+        return NOT_COMPLETE
+    return DONE if is_good(found, runs) else 1
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(status_of(run_campaign))
