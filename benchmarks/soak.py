@@ -7,12 +7,15 @@ are of all sessions. Several runs, each with a seed and a folder of its own, may
 one wrote.
 
 The criterion: a quantity is the mean over blocks of 100 scenes (500 for times), without the first scenes of each session, in which
-processes are still growing. A line with one slope and an own height for each session is fitted. The quantity
+processes are still growing. A line with one slope and an own height for each session is fitted. Its 95 % interval is wider where what is
+left of neighbouring blocks is alike: such blocks are not independent. Memory
 
-- is *flat* if the 95 % interval of the slope predicts a change of less than 20 % of its mean over all scenes of all runs, and contains 0
-  or the slope itself predicts a change of less than 5 %;
+- is *flat* if the whole interval of its slope is within 5 MB per 1,000 scenes: over 20,000 scenes less than 100 MB;
 - *grows* or *falls* if it is not flat and the interval does not contain 0;
 - is *unknown* otherwise, and with fewer than eight blocks.
+
+Every other quantity is *flat* if the interval predicts a change of less than 20 % of its mean over all scenes of all runs, and contains 0
+or the slope itself predicts a change of less than 5 %. The rest is as for memory.
 
 The wall time of a scene is shown too, but not judged: it depends on what else the machine does.
 
@@ -57,6 +60,8 @@ _LOOK_SECONDS = 10.0
 _BLOCK, _TIME_BLOCK = 100, 500
 _FEWEST_BLOCKS = 8
 _FLAT, _KNOWN = 0.05, 0.20
+_MOST_ALIKE = 0.95
+_MOST_MB = 5.0  # that memory may change per 1,000 scenes
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,13 +173,18 @@ QUANTITIES: Mapping[str, Callable[[Sample], float]] = {
 }
 
 
-def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int) -> Trend:
+MEMORY = tuple(name for name in QUANTITIES if name.endswith(", MB"))
+"""The quantities that are memory."""
+
+
+def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int, allowed: float | None = None) -> Trend:
     """Fits a line with one slope and an own height for each session.
 
     Args:
         name: The quantity.
-        blocks: Session, number of scenes and value of each block.
+        blocks: Session, number of scenes and value of each block, in order.
         num_scenes: Scenes of all runs.
+        allowed: Change per 1,000 scenes that a flat quantity may have; None for a share of its mean.
     """
     values = np.array([value for _, _, value in blocks], dtype=np.float64)
     scenes = np.array([where for _, where, _ in blocks], dtype=np.float64)
@@ -190,10 +200,18 @@ def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int
         return Trend(name, mean, None, None, None, None, len(blocks), "unknown")
     slope = float(scenes @ values) / spread
     rest = values - slope * scenes
-    half = float(student.ppf(0.975, freedom)) * float(np.sqrt(rest @ rest / freedom / spread))
+    is_next = sessions[1:] == sessions[:-1]
+    alike = float(rest[1:][is_next] @ rest[:-1][is_next]) / max(float(rest @ rest), np.finfo(float).tiny)
+    alike = min(max(alike, 0.0), _MOST_ALIKE)
+    noise = float(np.sqrt(rest @ rest / freedom / spread * (1 + alike) / (1 - alike)))
+    half = float(student.ppf(0.975, freedom)) * noise
     change, low, high = slope * num_scenes / mean, slope - half, slope + half
-    is_known = max(abs(low), abs(high)) * num_scenes / mean < _KNOWN
-    if is_known and (low <= 0 <= high or abs(change) < _FLAT):
+    farthest = max(abs(low), abs(high))
+    if allowed is not None:
+        is_flat = 1000 * farthest < allowed
+    else:
+        is_flat = farthest * num_scenes / mean < _KNOWN and (low <= 0 <= high or abs(change) < _FLAT)
+    if is_flat:
         verdict = "flat"
     elif low <= 0 <= high:
         verdict = "unknown"
@@ -217,7 +235,7 @@ def trends(runs: Sequence[SoakedRun], warm_up: int) -> list[Trend]:
         for sample in kept:
             blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(value(sample))
         means = [(session, (block + 0.5) * _BLOCK, float(np.mean(own))) for (session, block), own in blocks.items()]
-        found.append(trend(name, means, num_scenes))
+        found.append(trend(name, means, num_scenes, _MOST_MB if name in MEMORY else None))
     for name, clock in (("processor seconds a scene", _cpu), (WALL_TIME, _seconds)):
         found.append(trend(name, list(_times(kept, clock)), num_scenes))
     return found
