@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ class Nodes:
         node = nodes[int(rng.integers(len(nodes)))]
         kill(below([_raylet(node)]))
         self._cluster.remove_node(node, allow_graceful=False)
-        _delete_resources(node)
+        _delete(node.get_runtime_env_dir_path())
         self._absent.append(time.monotonic() + float(rng.uniform(0, _ABSENT_SECONDS)))
         return True
 
@@ -74,7 +75,7 @@ class Nodes:
         with suppress(Exception):  # a head that is killed answers nothing
             self._cluster.shutdown()
         for node in nodes:
-            _delete_resources(node)
+            _delete(node.get_runtime_env_dir_path())
 
     def _start(self) -> None:
         self._cluster = Cluster()
@@ -96,6 +97,7 @@ class Nodes:
         is_there = _is_started(lambda: self._cluster.add_node(num_cpus=1, runtime_env_dir_name=name))
         if not is_there:
             self._cluster.worker_nodes = before
+            _delete(Path(self._cluster.head_node.get_session_dir_path()) / name)
         return is_there
 
 
@@ -111,9 +113,9 @@ def _is_started(start: Callable[[], object]) -> bool:
     return True
 
 
-def _delete_resources(node: Any) -> None:
+def _delete(resources: str | Path) -> None:
     """Deletes what a lost node has unpacked, tens of megabytes: nobody else does."""
-    shutil.rmtree(node.get_runtime_env_dir_path(), ignore_errors=True)
+    shutil.rmtree(resources, ignore_errors=True)
 
 
 def _raylet(node: Any) -> int:

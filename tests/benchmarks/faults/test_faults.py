@@ -130,9 +130,12 @@ def test_a_node_that_does_not_join_is_started_again_and_a_lost_one_leaves_nothin
         assert not cluster._cluster.worker_nodes
         cluster.restore()
         assert len(cluster._cluster.worker_nodes) == 1
+        session = Path(node.get_session_dir_path())
+        assert [path.name for path in session.glob("resources_of_node_*")] == ["resources_of_node_4"]
     finally:
         cluster.close()
     assert count == [5]
+    assert not list(session.glob("resources_of_node_*"))
 
 
 def test_what_processes_use_is_summed() -> None:
