@@ -8,23 +8,25 @@ the job runs once more from the start, with the faults that are left.
 
 DATA is a dataset in the MesaTask-10K format. ``preprocess`` and ``correct`` read its first scenes; ``generate`` makes the scenes of
 their tasks from its assets. WORK has everything that is made: the same command continues there after ``--minutes``, or after the
-benchmark was killed, and the figures are sums over all sessions. Status 0: complete, every planned fault has hit the job, and the rows are
-equal. 1: they are not, a fault did not end as it must, or one never hit. 3: not complete yet.
+benchmark was killed, and the figures are sums over all sessions. All that the faults need is tried before the undisturbed run. Status 0:
+complete, every planned fault has hit the job, and the rows are equal. 1: they are not, a fault did not end as it must, or one never hit. 2:
+the benchmark itself could not start or continue, which says nothing of the job. 3: not complete yet. 130: Ctrl-C.
 """
 
 import argparse
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
+import traceback
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args
 from unittest.mock import patch
 
@@ -34,12 +36,13 @@ from benchmarks.faults.comparison import compared
 from benchmarks.faults.disturbed_job import Course, DisturbedJob
 from benchmarks.faults.nodes import Nodes
 from benchmarks.faults.plan import LAST, FaultKind, planned, spread
-from benchmarks.faults.processes import ROOT, started
+from benchmarks.faults.processes import ROOT, end, started
 from benchmarks.faults.s3_server import CREDENTIALS
 from benchmarks.faults.shifted_clock import ShiftedClock
 from benchmarks.faults.small_disk import SmallDisk
 from stable_data.atomic_files import write_file_atomically
-from stable_data.commands.command_line import DONE, SOME_FAILED
+from stable_data.code_version import code_version
+from stable_data.commands.command_line import DONE, INTERRUPTED, NOT_STARTED, SOME_FAILED
 from stable_data.config_diff import refuse_changed
 from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
@@ -55,6 +58,7 @@ NOT_COMPLETE = 3
 _STATE = "chaos.json"
 _SCENES = 64
 _SAVE_SECONDS = 600.0  # between two times that the objects of a store are stored, which takes seconds
+_TRIAL_GIGABYTES = 0.02
 _MAX_IDLE_ROUNDS = 3  # rounds in a row without a fault that hits, after which the faults that are left never will
 _STORE_FAULTS = ("failed", "slow", "torn")
 _SAME = ("lost", "different", "doubled", "added", "files_that_differ", "columns_that_differ")
@@ -99,7 +103,7 @@ class ChaosWork:
         until: Moment of ``time.monotonic`` at which the session ends.
 
     Raises:
-        ConfigError: The folder is of other settings, or the dataset has fewer scenes.
+        ConfigError: The folder is of other settings or of other code, or the dataset has fewer scenes.
     """
 
     def __init__(self, data: Path, folder: Path, settings: ChaosSettings, until: float = float("inf")) -> None:
@@ -109,7 +113,7 @@ class ChaosWork:
         state = folder / _STATE
         if state.exists():
             found = json.loads(state.read_text("utf-8"))
-            refuse_changed(str(folder), found["settings"], asdict(settings))
+            refuse_changed(str(folder), found["settings"], self._stored_settings)
             self.course = Course(**found["course"])
             self.clean_seconds, self.is_clean_complete = found["clean_seconds"], found["is_clean_complete"]
             self.requests = Counter(found["requests"])
@@ -117,10 +121,15 @@ class ChaosWork:
         self._data = folder / "data"
         _take_scenes(data, self._data, settings.scenes)
 
+    @property
+    def _stored_settings(self) -> dict[str, Any]:
+        """What must not change from session to session: rows of other code may differ without a fault."""
+        return asdict(self.settings) | {"code_version": code_version()}
+
     def save(self) -> None:
         """Stores what has happened so far."""
         found = {
-            "settings": asdict(self.settings),
+            "settings": self._stored_settings,
             "course": asdict(self.course),
             "clean_seconds": self.clean_seconds,
             "is_clean_complete": self.is_clean_complete,
@@ -144,6 +153,26 @@ class ChaosWork:
         """The undisturbed run."""
         return RunFolder(str(self.folder / "clean"))
 
+    def try_faults(self) -> None:
+        """Tries all that the faults need, so that a run of hours does not end since something is missing.
+
+        Raises:
+            ConfigError: The clock cannot be shifted, no disk can be mounted, or the store on this machine does not answer.
+        """
+        with TemporaryDirectory(dir=self.folder, prefix=".trial_") as aside:
+            if FaultKind.CLOCK in self.settings.faults:
+                ShiftedClock(Path(aside) / "clock")
+            if self._has_disk:
+                SmallDisk(Path(aside), _TRIAL_GIGABYTES).close()
+            if self.settings.faulty_store:
+                _try_store(Path(aside) / "store")
+
+    @property
+    def _has_disk(self) -> bool:
+        """Whether the disturbed run is on a disk of its own."""
+        settings = self.settings
+        return FaultKind.FULL_DISK in settings.faults and not settings.faulty_store and settings.store is None
+
     def run_undisturbed(self) -> bool:
         """Runs the job without faults; returns whether it is complete.
 
@@ -161,13 +190,12 @@ class ChaosWork:
             except subprocess.TimeoutExpired:
                 pass
             finally:
-                if job.poll() is None:
-                    os.killpg(job.pid, signal.SIGKILL)
-                    job.wait()
-        self.clean_seconds = before + time.monotonic() - began
-        self.is_clean_complete = job.returncode in (DONE, SOME_FAILED) and is_complete(self.clean)
-        self.save()
-        if not self.is_clean_complete and job.returncode != -signal.SIGKILL:
+                is_ended_here = job.poll() is None
+                end(job)
+                self.clean_seconds = before + time.monotonic() - began
+                self.is_clean_complete = job.returncode in (DONE, SOME_FAILED) and is_complete(self.clean)
+                self.save()
+        if not self.is_clean_complete and not is_ended_here:
             raise RuntimeError(f"the undisturbed job ended with status {job.returncode}, see {self.folder / 'clean.log'}")
         return self.is_clean_complete
 
@@ -188,7 +216,7 @@ class ChaosWork:
                 out, look = store.uri("disturbed"), store.calm_uri("disturbed")
             elif settings.store is not None:
                 out = look = settings.store
-            elif FaultKind.FULL_DISK in settings.faults:
+            elif self._has_disk:
                 disk = SmallDisk(self.folder, 1.0 + 3e-9 * _size_of(Path(self.clean.root)))
                 stack.callback(disk.close)
                 out = look = str(disk.root / "disturbed")
@@ -272,6 +300,7 @@ class ChaosWork:
             "rounds": course.rounds,
             "requests": dict(self.requests),
             "starts": course.starts,
+            "finished_early": course.finished_early,
             "stops": course.stops,
             "last_words": course.last_words,
             "unclear": course.unclear,
@@ -285,10 +314,44 @@ def is_complete(run: RunFolder) -> bool:
 
 
 def verified(uri: str) -> dict[str, Any]:
-    """Verifies a run: ``is_whole``, and the last lines of ``stable-data verify``."""
+    """Verifies a run: ``is_whole``, and the last lines of ``stable-data verify``.
+
+    Raises:
+        RuntimeError: The command ended without a verdict.
+    """
     command = [sys.executable, "-m", "stable_data", "verify", uri, "--quiet"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    return {"is_whole": done.returncode == DONE, "verify": (done.stdout + done.stderr).strip().splitlines()[-3:]}
+    lines = (done.stdout + done.stderr).strip().splitlines()[-3:]
+    if done.returncode not in (DONE, SOME_FAILED):
+        raise RuntimeError(f"stable-data verify {uri} ended with status {done.returncode}: {'; '.join(lines) or 'no output'}")
+    return {"is_whole": done.returncode == DONE, "verify": lines}
+
+
+def _try_store(folder: Path) -> None:
+    """Starts a store on this machine, and writes and reads an object.
+
+    Raises:
+        ConfigError: A package is missing, or the store does not answer (``store_not_served``).
+    """
+    content = b"a trial"
+    try:
+        from benchmarks.faults.faulty_store import FaultyStore, Rates
+
+        with patch.dict(os.environ, CREDENTIALS):
+            store = FaultyStore(folder, rates=Rates(failed=0.0, slow=0.0, torn=0.0))
+            try:
+                run = RunFolder(store.uri("trial"))
+                run.write_bytes("trial", content)
+                if run.read_bytes("trial") != content:
+                    raise ConfigError("an object was read with another content than it was written with", "store_not_served")
+            finally:
+                store.close()
+    except (ImportError, OSError, EOFError, ConfigError) as error:
+        raise ConfigError(
+            f"no object store can be served on this machine ({error or type(error).__name__}); install the development extra "
+            "(pip install 'stable-data[dev]'), or leave --faulty-store out",
+            "store_not_served",
+        ) from error
 
 
 def _take_scenes(data: Path, target: Path, count: int) -> None:
@@ -339,7 +402,7 @@ def show(figures: Mapping[str, Any]) -> None:
         "faults that never hit": "; ".join(figures["missed"]) or "none",
         "requests to the store": ", ".join(f"{name} {count}" for name, count in requests.items()),
         "starts of the job": figures["starts"],
-        "ended by itself and was started again": figures["stops"],
+        "ended by itself before a fault": f"{figures['finished_early']} times done, {figures['stops']} times with an error",
         "ends that were not clear": len(figures["unclear"]),
         "wall time": wall,
         "rows compared": figures["rows"],
@@ -348,7 +411,7 @@ def show(figures: Mapping[str, Any]) -> None:
         ),
         "columns that differ": ", ".join(figures["columns_that_differ"]) or "none",
         "files of the dataset that differ": figures["files_that_differ"],
-        "stable-data verify": f"{'whole' if figures['is_whole'] else 'NOT WHOLE'}: {figures['verify'][-1]}",
+        "stable-data verify": f"{'whole' if figures['is_whole'] else 'NOT WHOLE'}: {next(reversed(figures['verify']), 'no output')}",
     }
     for name, value in rows.items():
         if value not in (None, ""):
@@ -377,8 +440,31 @@ def faults_of(text: str | None, kills: int, *, in_store: bool) -> tuple[FaultKin
     return kinds
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Prints the figures; see the status in the text of the module."""
+def status_of(campaign: Callable[[], int]) -> int:
+    """Runs a campaign of hours; returns its exit status, which tells an error of the campaign itself from what was measured."""
+    try:
+        return campaign()
+    except ConfigError as error:
+        print(f"error: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("interrupted; run the same command again to continue", file=sys.stderr)
+        return INTERRUPTED
+    except Exception:  # noqa: BLE001 - Ray's errors have no type in common
+        traceback.print_exc()
+        print("the benchmark could not continue, which says nothing of the job; run the same command again", file=sys.stderr)
+    return NOT_STARTED
+
+
+def run_campaign(words: Sequence[str]) -> int:
+    """Prints the figures; returns the status that the text of the module tells.
+
+    Args:
+        words: The arguments of the command.
+
+    Raises:
+        ConfigError: The benchmark cannot start.
+        RuntimeError: It cannot continue.
+    """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path, required=True, metavar="WORK")
@@ -395,38 +481,34 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, help="the session ends then; the same command continues")
     parser.add_argument("--json", type=Path)
     parser.epilog = "after --: further options of the job"
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    end = words.index("--") if "--" in words else len(words)
-    found, more = parser.parse_args(words[:end]), words[end + 1 :]
+    last = list(words).index("--") if "--" in words else len(words)
+    found, more = parser.parse_args(words[:last]), words[last + 1 :]
     os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}  # the nodes' workers have one core each
     until = float("inf") if found.minutes is None else time.monotonic() + 60 * found.minutes
-    try:
-        settings = ChaosSettings(
-            found.job,
-            found.scenes or min(_SCENES, len(MesaTaskDataset(found.data.resolve()).scene_ids)),
-            found.kills,
-            found.seed,
-            faults_of(found.faults, found.kills, in_store=found.store is not None or found.faulty_store),
-            found.store,
-            found.faulty_store,
-            found.nodes,
-            found.per_shard,
-            tuple(more),
-        )
-        work = ChaosWork(found.data, found.out.absolute(), settings, until)
-        figures = work.disturb() if work.run_undisturbed() else None
-    except ConfigError as error:
-        raise SystemExit(f"error: {error}") from error
+    settings = ChaosSettings(
+        found.job,
+        found.scenes or min(_SCENES, len(MesaTaskDataset(found.data.resolve()).scene_ids)),
+        found.kills,
+        found.seed,
+        faults_of(found.faults, found.kills, in_store=found.store is not None or found.faulty_store),
+        found.store,
+        found.faulty_store,
+        found.nodes,
+        found.per_shard,
+        tuple(more),
+    )
+    work = ChaosWork(found.data, found.out.absolute(), settings, until)
+    work.try_faults()
+    figures = work.disturb() if work.run_undisturbed() else None
     if figures is None:
         done = f"{work.course.passed} faults have happened" if work.is_clean_complete else "the undisturbed run is not complete"
         print(f"not complete: {done}; run the same command again to continue")
-        raise SystemExit(NOT_COMPLETE)
+        return NOT_COMPLETE
     show(figures)
     if found.json:
         found.json.write_text(json.dumps(figures, indent=2) + "\n", "utf-8")
-    if not is_same(figures) or figures["unclear"] or figures["missed"]:
-        raise SystemExit(1)
+    return DONE if is_same(figures) and not figures["unclear"] and not figures["missed"] else 1
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(status_of(lambda: run_campaign(sys.argv[1:])))

@@ -7,51 +7,61 @@ are of all sessions. Several runs, each with a seed and a folder of its own, may
 one wrote.
 
 The criterion: a quantity is the mean over blocks of 100 scenes (500 for times), without the first scenes of each session, in which
-processes are still growing. A line with one slope and an own height for each session is fitted. The quantity
+processes are still growing. A line with one slope and an own height for each session is fitted. Its 95 % interval is wider where what is
+left of neighbouring blocks is alike: such blocks are not independent. Memory
 
-- is *flat* if the 95 % interval of the slope predicts a change of less than 20 % of its mean over all scenes of all runs, and contains 0
-  or the slope itself predicts a change of less than 5 %;
+- is *flat* if the whole interval of its slope is within 5 MB per 1,000 scenes: over 20,000 scenes less than 100 MB;
 - *grows* or *falls* if it is not flat and the interval does not contain 0;
 - is *unknown* otherwise, and with fewer than eight blocks.
 
+Every other quantity is *flat* if the interval predicts a change of less than 20 % of its mean over all scenes of all runs, and contains 0
+or the slope itself predicts a change of less than 5 %. The rest is as for memory.
+
 The wall time of a scene is shown too, but not judged: it depends on what else the machine does.
 
-Status 0: all runs are complete and whole, and every quantity is flat or falls. 1: something grows or is unknown, or a run is not whole. 3:
-not complete yet.
+The outcomes of the scenes are those of the manifests: how many were accepted, and how many failed, by code. A scene that failed through
+the toolkit itself is told as such: ``unexpected``, ``out_of_memory``, ``timed_out`` or ``crashed``.
+
+Status 0: all runs are complete and whole, every quantity is flat or falls, and no scene failed through the toolkit itself. 1: not so. 2:
+the benchmark itself could not start or continue. 3: not complete yet. 130: Ctrl-C.
 """
 
 import argparse
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
-from benchmarks.chaos import NOT_COMPLETE, is_complete, verified
-from benchmarks.faults.processes import Usage, below, started, usage_of
+from benchmarks.chaos import NOT_COMPLETE, is_complete, status_of, verified
+from benchmarks.faults.processes import Usage, below, end, started, usage_of
 from stable_data.atomic_files import write_file_atomically
 from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.config_diff import refuse_changed
 from stable_data.errors import ConfigError
+from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_folder import RunFolder
 
 LIBRARIES = ("real", "embedded")
 WALL_TIME = "seconds a scene"
+FAULTS_OF_THE_TOOLKIT = ("unexpected", "out_of_memory", "timed_out", "crashed")
+"""Codes of scenes that failed through the toolkit itself, and not through their task."""
+
 _WORKERS = 2
 _LOOK_SECONDS = 10.0
-_END_SECONDS = 60.0  # for the job to end after it is interrupted
 _BLOCK, _TIME_BLOCK = 100, 500
 _FEWEST_BLOCKS = 8
 _FLAT, _KNOWN = 0.05, 0.20
+_MOST_ALIKE = 0.95
+_MOST_MB = 5.0  # that memory may change per 1,000 scenes
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +105,16 @@ class SoakedRun:
         is_complete: Whether it has them.
         is_whole: Whether it was verified then.
         samples: The samples, in order.
+        accepted: Scenes that were accepted.
+        failures: Scenes that failed, by code.
     """
 
     num_scenes: int
     is_complete: bool
     is_whole: bool
     samples: Sequence[Sample]
+    accepted: int = 0
+    failures: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path) -> "SoakedRun":
@@ -114,6 +128,12 @@ class SoakedRun:
             return cls(**{**found, "samples": [Sample.of(row) for row in found["samples"]]})
         except (OSError, ValueError, LookupError, TypeError) as error:
             raise ConfigError(f"{path}: cannot be read ({error}), expected the output of --json", "soak_invalid") from error
+
+
+def outcomes(run: RunFolder) -> tuple[int, dict[str, int]]:
+    """Reads the manifest of a run; returns the number of accepted scenes, and of failed ones by code; none before it is complete."""
+    counts = (read_manifest(run) or {}).get("counts", {})
+    return int(counts.get("scenes", 0)), dict(counts.get("failures_by_code", {}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,13 +173,18 @@ QUANTITIES: Mapping[str, Callable[[Sample], float]] = {
 }
 
 
-def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int) -> Trend:
+MEMORY = tuple(name for name in QUANTITIES if name.endswith(", MB"))
+"""The quantities that are memory."""
+
+
+def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int, allowed: float | None = None) -> Trend:
     """Fits a line with one slope and an own height for each session.
 
     Args:
         name: The quantity.
-        blocks: Session, number of scenes and value of each block.
+        blocks: Session, number of scenes and value of each block, in order.
         num_scenes: Scenes of all runs.
+        allowed: Change per 1,000 scenes that a flat quantity may have; None for a share of its mean.
     """
     values = np.array([value for _, _, value in blocks], dtype=np.float64)
     scenes = np.array([where for _, where, _ in blocks], dtype=np.float64)
@@ -175,10 +200,18 @@ def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int
         return Trend(name, mean, None, None, None, None, len(blocks), "unknown")
     slope = float(scenes @ values) / spread
     rest = values - slope * scenes
-    half = float(student.ppf(0.975, freedom)) * float(np.sqrt(rest @ rest / freedom / spread))
+    is_next = sessions[1:] == sessions[:-1]
+    alike = float(rest[1:][is_next] @ rest[:-1][is_next]) / max(float(rest @ rest), np.finfo(float).tiny)
+    alike = min(max(alike, 0.0), _MOST_ALIKE)
+    noise = float(np.sqrt(rest @ rest / freedom / spread * (1 + alike) / (1 - alike)))
+    half = float(student.ppf(0.975, freedom)) * noise
     change, low, high = slope * num_scenes / mean, slope - half, slope + half
-    is_known = max(abs(low), abs(high)) * num_scenes / mean < _KNOWN
-    if is_known and (low <= 0 <= high or abs(change) < _FLAT):
+    farthest = max(abs(low), abs(high))
+    if allowed is not None:
+        is_flat = 1000 * farthest < allowed
+    else:
+        is_flat = farthest * num_scenes / mean < _KNOWN and (low <= 0 <= high or abs(change) < _FLAT)
+    if is_flat:
         verdict = "flat"
     elif low <= 0 <= high:
         verdict = "unknown"
@@ -202,7 +235,7 @@ def trends(runs: Sequence[SoakedRun], warm_up: int) -> list[Trend]:
         for sample in kept:
             blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(value(sample))
         means = [(session, (block + 0.5) * _BLOCK, float(np.mean(own))) for (session, block), own in blocks.items()]
-        found.append(trend(name, means, num_scenes))
+        found.append(trend(name, means, num_scenes, _MOST_MB if name in MEMORY else None))
     for name, clock in (("processor seconds a scene", _cpu), (WALL_TIME, _seconds)):
         found.append(trend(name, list(_times(kept, clock)), num_scenes))
     return found
@@ -299,7 +332,7 @@ class Soak:
                     except subprocess.TimeoutExpired:
                         continue
             finally:
-                _end(job)
+                end(job)
         if job.returncode in (DONE, SOME_FAILED) and is_complete(self.run):
             return True
         if time.monotonic() < until:
@@ -315,22 +348,16 @@ class Soak:
         return Sample(session, round(seconds, 1), scenes, usage_of([driver]), usage_of(workers), usage_of(rest))
 
 
-def _end(job: subprocess.Popen[bytes]) -> None:
-    """Ends a job that still runs, with all that it has started."""
-    if job.poll() is None:
-        job.send_signal(signal.SIGINT)
-        with suppress(subprocess.TimeoutExpired):
-            job.wait(_END_SECONDS)
-    if job.poll() is None:
-        os.killpg(job.pid, signal.SIGKILL)
-        job.wait()
-
-
 def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
     """Prints the table."""
     scenes = sum(run.samples[-1].scenes for run in runs if run.samples)
     sessions = sum(len({sample.session for sample in run.samples}) for run in runs)
     print(f"{scenes:,} scenes in {len(runs)} runs and {sessions} sessions, {sum(len(run.samples) for run in runs)} samples")
+    failures = sum((Counter(run.failures) for run in runs), Counter[str]())
+    by_code = ", ".join(f"{code} {count}" for code, count in failures.most_common()) or "none"
+    print(f"{sum(run.accepted for run in runs):,} accepted, {failures.total():,} failed: {by_code}")
+    if own := [code for code in FAULTS_OF_THE_TOOLKIT if failures[code]]:
+        print(f"failed through the toolkit itself: {', '.join(f'{code} {failures[code]}' for code in own)}")
     print(f"{'':28} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
     for one in found:
         if one.slope is None:
@@ -340,8 +367,19 @@ def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
         print(f"{one.name:28} {one.mean:10.3f} {interval:>34} {one.change:+11.1%} {one.blocks:7d}  {one.verdict}")
 
 
-def main() -> None:
-    """Prints the figures; see the status in the text of the module."""
+def is_good(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> bool:
+    """Whether complete runs are whole, nothing that is judged grows or is unknown, and no scene failed through the toolkit itself."""
+    is_steady = all(one.verdict in ("flat", "falls") for one in found if one.name != WALL_TIME)
+    return is_steady and all(run.is_whole and not any(map(run.failures.get, FAULTS_OF_THE_TOOLKIT)) for run in runs)
+
+
+def run_campaign() -> int:
+    """Prints the figures; returns the status that the text of the module tells.
+
+    Raises:
+        ConfigError: The benchmark cannot start.
+        RuntimeError: It cannot continue.
+    """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("libraries", nargs="*", default=LIBRARIES, metavar="LIBRARY", help="as --assets of generate")
     parser.add_argument("--out", type=Path, required=True, metavar="WORK")
@@ -354,18 +392,17 @@ def main() -> None:
     parser.add_argument(
         "--with", type=Path, action="append", default=[], dest="others", metavar="FILE", help="output of --json of another run"
     )
-    arguments = parser.parse_args()
+    parser.epilog = "after --: further options of the job"
+    last = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
+    arguments, more = parser.parse_args(sys.argv[1:last]), sys.argv[last + 1 :]
     os.environ |= {"OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1"}
     until = float("inf") if arguments.minutes is None else time.monotonic() + 60 * arguments.minutes
     seed = ["--seed", str(arguments.seed)]
-    try:
-        others = [SoakedRun.read(path) for path in arguments.others]
-        soak = Soak(arguments.out.absolute(), arguments.scenes, arguments.per_shard, arguments.libraries, seed)
-    except ConfigError as error:
-        raise SystemExit(f"error: {error}") from error
+    others = [SoakedRun.read(path) for path in arguments.others]
+    soak = Soak(arguments.out.absolute(), arguments.scenes, arguments.per_shard, arguments.libraries, [*seed, *more])
     is_complete = soak.go(until)
     verdict: dict[str, Any] = verified(soak.run.uri) if is_complete else {"is_whole": False, "verify": []}
-    run = SoakedRun(arguments.scenes, is_complete, verdict["is_whole"], soak.samples)
+    run = SoakedRun(arguments.scenes, is_complete, verdict["is_whole"], soak.samples, *outcomes(soak.run))
     runs = [*others, run]
     found = trends(runs, arguments.warm_up)
     show(found, runs)
@@ -375,12 +412,9 @@ def main() -> None:
         arguments.json.write_text(json.dumps(figures) + "\n", "utf-8")
     if not all(one.is_complete for one in runs):
         print("not complete: run the same command again to continue")
-        raise SystemExit(NOT_COMPLETE)
-    if not all(one.is_whole for one in runs) or any(
-        one.verdict in ("grows", "unknown") for one in found if one.name != WALL_TIME
-    ):
-        raise SystemExit(1)
+        return NOT_COMPLETE
+    return DONE if is_good(found, runs) else 1
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(status_of(run_campaign))

@@ -44,6 +44,7 @@ class Course:
         idle_rounds: Number of last rounds in a row in which none happened.
         hits: Number of them by kind; only those that really hit the job.
         starts: Number of times that the job was started.
+        finished_early: Number of times that it was done by itself while faults of its round were still to come.
         stops: Number of times that it ended by itself with an error although no fault asked for it.
         last_words: The error line of each stop, and of each second driver in a store that ended with one.
         unclear: What was expected to end with one line and did not: the fault, and what was found.
@@ -58,6 +59,7 @@ class Course:
     idle_rounds: int = 0
     hits: dict[str, int] = field(default_factory=dict)
     starts: int = 0
+    finished_early: int = 0
     stops: int = 0
     last_words: list[str] = field(default_factory=list)
     unclear: list[str] = field(default_factory=list)
@@ -170,7 +172,10 @@ class DisturbedJob:
                         self.save()
                 else:
                     time.sleep(_LOOK_SECONDS)
-            return self._rivals_are_done()
+            if not self._rivals_are_done():
+                return False
+            self.course.finished_early += bool(waiting)
+            return True
         finally:
             for driver in (self._driver, *(rival for rival, _ in self._rivals)):
                 driver.kill()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO
 
 ROOT = Path(__file__).resolve().parents[2]
+_END_SECONDS = 60.0  # for a command to end after it is interrupted
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 
 
@@ -23,23 +24,30 @@ def started(command: Sequence[str], log: IO[bytes], environment: Mapping[str, st
         environment: Its environment; None for that of this process.
     """
     return subprocess.Popen(
-        command, cwd=ROOT, stdout=log, stderr=log, env=environment, start_new_session=True, preexec_fn=_die_with_parent
+        command, cwd=ROOT, stdout=log, stderr=log, env=environment, start_new_session=True, preexec_fn=_prepare
     )
 
 
-def _die_with_parent() -> None:
+def _prepare() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell in the background ignores it, and so would the command
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
 def below(roots: Iterable[int]) -> dict[int, str]:
     """Returns processes and all that they have started, with their command lines."""
-    listing = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True, check=True).stdout
+    listing = subprocess.run(["ps", "-ewwo", "pid,ppid,args"], capture_output=True, text=True, check=True).stdout
     processes = [(int(pid), int(ppid), args) for pid, ppid, args in (x.split(maxsplit=2) for x in listing.splitlines()[1:])]
     found, size = set(roots), 0
     while len(found) > size:
         size = len(found)
         found |= {pid for pid, parent, _ in processes if parent in found}
     return {pid: args for pid, _, args in processes if pid in found}
+
+
+def children(process: int) -> set[int]:
+    """Returns the processes that a process has started itself."""
+    listing = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process)], capture_output=True, text=True).stdout
+    return set(map(int, listing.split()))
 
 
 def busy_workers(roots: Iterable[int]) -> list[int]:
@@ -55,6 +63,17 @@ def kill(processes: Iterable[int]) -> int:
             os.kill(process, signal.SIGKILL)
             killed += 1
     return killed
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """Ends a command of :func:`started` that still runs as Ctrl-C does, so that it can be resumed; kills it if it does not end."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_END_SECONDS)
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.corrector import PhysicsCorrector, SceneMover
 from models.physics_corrector.refinement.layouts import LayoutToRefine, RefinedLayout
 from pipelines.execution.engine_pool import check_gpus, first_answer
+from pipelines.execution.ray_executor import ACTOR
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
@@ -210,7 +211,7 @@ def corrector_pool(open_corrector: OpenCorrector, count: int, gpus: float, *, ma
     """
     if not may_grow:
         check_gpus({"correctors": (count, gpus)})
-    actor = ray.remote(num_gpus=gpus, num_cpus=0, max_restarts=-1, max_task_retries=-1)(_CorrectorActor)
+    actor = ray.remote(num_gpus=gpus, max_task_retries=-1, **ACTOR)(_CorrectorActor)
     pool = PooledCorrector(tuple(actor.remote(open_corrector) for _ in range(count)))
     try:
         parts = [each.parts.remote() for each in pool.actors]

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from models.semantic_reasoner.engines.protocol import Completion, Request, close_engine
 from models.semantic_reasoner.engines.registry import EngineSettings, load_engine
-from pipelines.execution.ray_executor import WorkerPool
+from pipelines.execution.ray_executor import ACTOR, WorkerPool
 from stable_data.errors import ConfigError
 
 _QUIET_SECONDS = 30.0  # of waiting, after which a line tells the reason
@@ -183,7 +183,7 @@ def engine_pool(settings: EngineSettings, count: int, gpus: float, *, may_grow: 
     """
     if not may_grow:
         check_gpus({"engines": (count, gpus)})
-    actor = ray.remote(num_gpus=gpus, num_cpus=0, max_restarts=-1, max_task_retries=-1)(_EngineActor)
+    actor = ray.remote(num_gpus=gpus, max_task_retries=-1, **ACTOR)(_EngineActor)
     pool = PooledEngine(tuple(actor.remote(settings) for _ in range(count)), "", repeats=False)
     try:
         names = [each.name.remote() for each in pool.actors]

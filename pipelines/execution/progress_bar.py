@@ -16,6 +16,8 @@ import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from tqdm import tqdm
 
+from pipelines.execution.ray_executor import ACTOR
+
 Where: TypeAlias = Mapping[str, int]
 """Number of items by the step that they have reached, in the words of the progress bar."""
 
@@ -75,7 +77,7 @@ class SharedTally:
     def started(cls) -> "SharedTally":
         """Starts the actor on the node of this process; it reserves no core."""
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)
-        return cls(ray.remote(num_cpus=0, max_restarts=-1, scheduling_strategy=here)(LocalTally).remote())
+        return cls(ray.remote(scheduling_strategy=here, **ACTOR)(LocalTally).remote())
 
     def note(self, shard_id: str, where: Where) -> None:
         """Sends a worker's report; does not wait."""

@@ -7,7 +7,7 @@ import socket
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from concurrent.futures.process import BrokenProcessPool
@@ -30,6 +30,10 @@ T = TypeVar("T")
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
 T_contra = TypeVar("T_contra", contravariant=True)
+
+# Ray's head keeps a record of 3 kB of each of the last 100,000 calls, and these actors are called several times for each scene.
+ACTOR: Mapping[str, Any] = {"num_cpus": 0, "max_restarts": -1, "enable_task_events": False}
+"""Options of Ray of an actor that serves the workers: it reserves no core, is started again if it is lost, and leaves no records."""
 
 _AHEAD = 2  # shards in flight for each worker: the next shard is ready when one ends, and memory stays bounded
 _ISOLATE_FROM = 2  # worker deaths from which a shard runs isolated: the first death may have an outside cause

@@ -1,13 +1,18 @@
 """Jobs to which faults happen end with the rows of an undisturbed run; what is not the same is told."""
 
 import json
+import os
 import re
+import signal
+import time
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
 
 from benchmarks import chaos
+from benchmarks.faults import shifted_clock
 from benchmarks.faults.comparison import compared
 from benchmarks.faults.plan import FaultKind
 from pipelines.sources.assets import AssetLibraries
@@ -83,9 +88,8 @@ def test_a_fault_that_did_not_hit_is_missed(dataset: Path, tmp_path: Path) -> No
 def test_options_after_two_dashes_are_those_of_the_job(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chaos.ChaosWork, "run_undisturbed", lambda self: False)
     words = [str(dataset), "--out", str(tmp_path / "work"), "--faults", "clock", "--", "--set", "weights=none"]
-    with pytest.raises(SystemExit) as caught:
-        chaos.main(words)
-    assert caught.value.code == chaos.NOT_COMPLETE
+    monkeypatch.setattr(chaos.ChaosWork, "try_faults", lambda self: None)
+    assert chaos.run_campaign(words) == chaos.NOT_COMPLETE
     work = chaos.ChaosWork(
         dataset,
         tmp_path / "work",
@@ -111,6 +115,91 @@ def test_a_folder_of_other_settings_or_too_few_scenes_are_refused(dataset: Path,
         )
 
 
+def test_a_folder_of_other_code_is_refused(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = chaos.ChaosSettings("correct", 3, 4, 0, (FaultKind.CLOCK,), None, False, 2, 8, ())
+    chaos.ChaosWork(dataset, tmp_path / "work", settings).save()
+    monkeypatch.setattr(chaos, "code_version", lambda: "0.1.0+0")
+    with pytest.raises(ConfigError, match=r"code_version: .* -> 0\.1\.0\+0"):
+        chaos.ChaosWork(dataset, tmp_path / "work", settings)
+
+
+@pytest.mark.parametrize("kind", [FaultKind.CLOCK, FaultKind.FULL_DISK])
+def test_a_fault_that_cannot_happen_is_told_before_the_undisturbed_run(
+    kind: FaultKind, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shifted_clock, "_LIBRARIES", ())
+    monkeypatch.delenv("FAKETIME_LIBRARY", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))  # without mkfs and mount
+    words = [str(dataset), "--out", str(tmp_path / "work"), "--scenes", "3", "--kills", "0", "--faults", str(kind)]
+    assert chaos.status_of(lambda: chaos.run_campaign(words)) == 2
+    assert re.search("error: .*(the clock cannot be shifted|no disk can be mounted)", capfd.readouterr().err)
+    assert not (tmp_path / "work" / "clean").exists()
+    assert not list((tmp_path / "work").glob(".trial_*"))
+
+
+def test_a_store_on_this_machine_is_tried(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = chaos.ChaosSettings("correct", 3, 0, 0, (), None, True, 2, 8, ())
+    work = chaos.ChaosWork(dataset, tmp_path / "work", settings)
+    work.try_faults()
+    monkeypatch.setattr(RunFolder, "read_bytes", lambda self, name: None)
+    with pytest.raises(ConfigError, match="no object store can be served on this machine"):
+        work.try_faults()
+
+
+def test_an_error_of_the_campaign_has_a_status_of_its_own(capfd: pytest.CaptureFixture[str]) -> None:
+    def ended(error: BaseException) -> int:
+        def campaign() -> int:
+            raise error
+
+        return chaos.status_of(campaign)
+
+    assert chaos.status_of(lambda: 1) == 1
+    assert ended(TimeoutError("no node")) == 2
+    assert "TimeoutError: no node" in capfd.readouterr().err
+    assert ended(ConfigError("c", "usage")) == 2
+    assert capfd.readouterr().err == "error: c\n"
+    assert ended(KeyboardInterrupt()) == 130
+
+
+def test_a_verification_without_a_verdict_is_an_error(tmp_path: Path) -> None:
+    run = run_of(tmp_path / "run", [notice(0)])
+    assert chaos.verified(run.uri)["is_whole"] is False
+    with pytest.raises(RuntimeError, match="ended with status 2: error: "):
+        chaos.verified(str(tmp_path / "none"))
+
+
+def test_figures_without_an_output_of_verify_are_shown(
+    dataset: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    work = chaos.ChaosWork(
+        dataset, tmp_path / "work", chaos.ChaosSettings("correct", 3, 0, 0, (FaultKind.CLOCK,), None, False, 2, 8, ())
+    )
+    work.course.rounds, work.clean_seconds, work.course.finished_early, work.course.stops = 2, 9.0, 4, 1
+    work.course.rows = {"rows": 4, "is_whole": True, "verify": []} | SAME
+    chaos.show(work.figures())
+    shown = capfd.readouterr().out
+    assert re.search("stable-data verify +whole: no output", shown)
+    assert re.search("ended by itself before a fault +4 times done, 1 times with an error", shown)
+
+
+@pytest.mark.slow
+def test_an_interrupted_undisturbed_run_ends_cleanly_and_is_continued(dataset: Path, tmp_path: Path) -> None:
+    settings = chaos.ChaosSettings("correct", 4, 0, 0, (FaultKind.CLOCK,), None, False, 1, 1, ("--set", "weights=none"))
+    log = tmp_path / "work" / "clean.log"
+    work = chaos.ChaosWork(dataset, tmp_path / "work", settings)
+
+    def interrupt() -> None:
+        while not log.exists() or b"correct:" not in log.read_bytes():
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        work.run_undisturbed()
+    assert "interrupted; finished files stay" in log.read_text("utf-8")
+    assert chaos.ChaosWork(dataset, tmp_path / "work", settings).run_undisturbed()
+
+
 @pytest.fixture(scope="module")
 def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Forty scenes."""
@@ -120,14 +209,15 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def figures_of(data: Path, tmp_path: Path, *words: str, more: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Runs the benchmark to its end; it ends with an error if the rows differ, or if a fault did not hit or did not end as it must."""
+    """Runs the benchmark to its end; its status is not 0 if the rows differ, or if a fault did not hit or did not end as it must."""
     out = tmp_path / "figures.json"
     try:
-        chaos.main([str(data), "--out", str(tmp_path / "work"), "--json", str(out), *words, "--", *more])
-    except SystemExit as error:
-        if re.search("no disk can be mounted|the clock cannot be shifted", str(error)):
+        status = chaos.run_campaign([str(data), "--out", str(tmp_path / "work"), "--json", str(out), *words, "--", *more])
+    except ConfigError as error:
+        if error.code in ("disk_not_mounted", "clock_not_shifted"):
             pytest.skip(str(error))
         raise
+    assert status == 0
     found: dict[str, Any] = json.loads(out.read_text("utf-8"))
     return found
 

@@ -1,15 +1,17 @@
 """What a soak says of its samples: flat, growing, falling or unknown."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.faults.processes import Usage
-from benchmarks.soak import Sample, SoakedRun, trend, trends
+from benchmarks.soak import WALL_TIME, Sample, SoakedRun, is_good, outcomes, show, trend, trends
 from stable_data.errors import ConfigError
+from stable_data.storage.manifest import write_manifest
+from stable_data.storage.run_folder import RunFolder
 
 SCENES = 20000
 
@@ -44,6 +46,51 @@ def test_a_slope_is_found_beneath_the_heights_of_sessions(slope: float, noise: f
     if noise < 10:
         assert found.slope == pytest.approx(slope, abs=1)
         assert found.change == pytest.approx(slope * SCENES / 1000 / found.mean, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("slope", "noise", "verdict"),
+    [(0.0, 15.0, "flat"), (2.0, 10.0, "flat"), (10.0, 30.0, "grows"), (-10.0, 30.0, "falls"), (0.0, 400.0, "unknown")],
+)
+def test_memory_has_an_allowance_that_does_not_depend_on_its_mean(slope: float, noise: float, verdict: str) -> None:
+    found = [(session, scenes, 9000.0 + value) for session, scenes, value in blocks(slope, noise)]
+    assert trend("memory", found, SCENES, allowed=5.0).verdict == verdict
+    assert trend("memory", blocks(10.0, 1.0), SCENES, allowed=5.0).verdict == "grows"
+
+
+def test_noise_that_lasts_makes_a_slope_less_certain() -> None:
+    rng, level = np.random.default_rng(1), 0.0
+    slow, fast = list[tuple[int, float, float]](), list[tuple[int, float, float]]()
+    for number in range(200):
+        level = 0.9 * level + float(rng.normal(0, 10))
+        slow.append((0, 100.0 * number, 1000.0 + level))
+    values = [value for *_, value in slow]
+    fast = [(0, scenes, values[k]) for (_, scenes, _), k in zip(slow, rng.permutation(200), strict=True)]
+    widths = [
+        found.high - found.low for found in (trend("memory", one, SCENES) for one in (slow, fast)) if found.high and found.low
+    ]
+    assert widths[0] > 2 * widths[1]
+
+
+def test_outcomes_are_those_of_the_manifest_and_faults_of_the_toolkit_are_told(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = RunFolder(str(tmp_path / "run"))
+    assert outcomes(folder) == (0, {})
+    write_manifest(folder, {"counts": {"scenes": 90, "failures_by_code": {"rejected": 8, "crashed": 1}}})
+    assert outcomes(folder) == (90, {"rejected": 8, "crashed": 1})
+    bad = SoakedRun(99, True, True, [], *outcomes(folder))
+    good = SoakedRun(99, True, True, [], 91, {"rejected": 8})
+    flat, grows, wall = (trend("m", blocks(slope, 1.0), SCENES, 5.0) for slope in (0.0, 50.0, 50.0))
+    assert is_good([flat], [good])
+    assert not is_good([flat], [good, bad])
+    assert not is_good([flat], [SoakedRun(99, True, False, [])])
+    assert not is_good([flat, grows], [good])
+    assert is_good([flat, replace(wall, name=WALL_TIME)], [good])
+    show([flat], [good, bad])
+    shown = capfd.readouterr().out
+    assert "181 accepted, 17 failed: rejected 16, crashed 1\n" in shown
+    assert "failed through the toolkit itself: crashed 1\n" in shown
 
 
 def test_few_blocks_say_nothing() -> None:

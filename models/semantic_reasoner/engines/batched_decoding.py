@@ -13,6 +13,9 @@ differently for different numbers of rows, so three things are fixed:
   weight 0, in whole blocks of a kernel.
 """
 
+from typing import Any
+from weakref import proxy
+
 import torch
 from torch import Tensor
 from torch.nn.functional import pad, scaled_dot_product_attention
@@ -90,7 +93,8 @@ class _SlotLayer(CacheLayerMixin):  # type: ignore[misc]
 
     def __init__(self, cache: "SlotCache") -> None:
         super().__init__()
-        self._cache = cache
+        # A cycle would keep the tensors, tens of megabytes for each batch, until Python looks for cycles among all of its objects.
+        self._cache: Any = proxy(cache)
 
     def lazy_initialization(self, key_states: Tensor, value_states: Tensor) -> None:
         """Allocates the keys and values."""

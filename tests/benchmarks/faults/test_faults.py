@@ -2,18 +2,22 @@
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from ray.cluster_utils import Cluster
 
-from benchmarks.faults import shifted_clock
+from benchmarks.faults import nodes, shifted_clock
 from benchmarks.faults.disturbed_job import _Driver
+from benchmarks.faults.nodes import Nodes
 from benchmarks.faults.plan import FaultKind, planned, spread
-from benchmarks.faults.processes import below, kill, started, usage_of
+from benchmarks.faults.processes import below, children, end, kill, started, usage_of
 from benchmarks.faults.shifted_clock import ShiftedClock
 from benchmarks.faults.small_disk import SmallDisk
 from stable_data.errors import ConfigError
@@ -70,10 +74,68 @@ def test_a_killed_driver_is_hit_and_a_started_command_ends_with_its_parent(tmp_p
         time.sleep(0.05)
     assert kill([parent.pid]) == 1
     parent.wait()
-    end = time.monotonic() + 20
-    while usage_of([int(words[0])]).processes and time.monotonic() < end:
+    latest = time.monotonic() + 20
+    while usage_of([int(words[0])]).processes and time.monotonic() < latest:
         time.sleep(0.05)
     assert usage_of([int(words[0])]).processes == 0
+
+
+def test_a_command_is_ended_as_ctrl_c_does_even_where_it_is_ignored(tmp_path: Path) -> None:
+    code = """if True:
+        import time
+        try:
+            print("there", flush=True)
+            time.sleep(60)
+        except KeyboardInterrupt:
+            raise SystemExit(7)
+    """
+    log, before = tmp_path / "log", signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a shell
+    try:
+        with log.open("wb") as stream:
+            command = started([sys.executable, "-c", code], stream)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert children(os.getpid()) >= {command.pid}
+    while "there" not in log.read_text("utf-8"):
+        time.sleep(0.05)
+    end(command)
+    assert command.returncode == 7
+    end(command)  # that has ended
+
+
+@pytest.mark.ray
+def test_a_node_that_does_not_join_is_started_again_and_a_lost_one_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nodes, "_ABSENT_SECONDS", 0.0)
+    join, failures = Cluster._wait_for_node, [2, 4]  # the first node, and another one later
+
+    def late(self: Any, node: Any, timeout: float = 30) -> None:
+        count[0] += 1
+        if count[0] in failures:
+            raise TimeoutError("The current node timed out during startup")
+        join(self, node, timeout)
+
+    count = [0]
+    monkeypatch.setattr(Cluster, "_wait_for_node", late)
+    cluster = Nodes(1)
+    try:
+        assert not cluster._cluster.worker_nodes
+        cluster.restore()
+        [node] = cluster._cluster.worker_nodes
+        assert usage_of(below([nodes._raylet(node)])).processes
+        folder = Path(node.get_runtime_env_dir_path())
+        (folder / "unpacked").mkdir(parents=True)
+        assert cluster.lose(list(below([nodes._raylet(node)])), np.random.default_rng(0))
+        assert not folder.exists()
+        cluster.restore()  # fails
+        assert not cluster._cluster.worker_nodes
+        cluster.restore()
+        assert len(cluster._cluster.worker_nodes) == 1
+        session = Path(node.get_session_dir_path())
+        assert [path.name for path in session.glob("resources_of_node_*")] == ["resources_of_node_4"]
+    finally:
+        cluster.close()
+    assert count == [5]
+    assert not list(session.glob("resources_of_node_*"))
 
 
 def test_what_processes_use_is_summed() -> None:

@@ -1,6 +1,7 @@
 """Live progress: where the items of a run are, told by its workers and seen by whoever waits."""
 
 import json
+import os
 import re
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 import ray
 
+from benchmarks.faults.processes import below, usage_of
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
 from pipelines.execution import progress_bar
@@ -154,6 +156,22 @@ def test_workers_tell_a_tally_on_ray_which_is_there_again_when_it_is_lost(local_
     with ProgressReporter(tally, "a", propose=2):
         until(lambda: has({"propose": 2}))
     assert tally.total() == {}
+
+
+@pytest.mark.ray
+def test_the_reports_of_a_long_run_leave_nothing_in_rays_head(local_ray: None) -> None:
+    tally = SharedTally.started()
+    [head] = [pid for pid, words in below([os.getpid()]).items() if "gcs_server" in words.split()[0]]
+
+    def memory_of_head() -> float:
+        for _ in range(5000):
+            tally.note("a", {"propose": 3})
+        tally.total()
+        time.sleep(2)  # the head is told of calls once a second
+        return usage_of([head]).memory_mb
+
+    before = memory_of_head()
+    assert memory_of_head() - before < 5  # it was 15
 
 
 @pytest.mark.ray

@@ -1,9 +1,11 @@
+import gc
 import json
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from weakref import ref
 
 import pytest
 import torch
@@ -71,6 +73,20 @@ def test_slots_give_the_logits_of_whole_sequences(network: Qwen3ForCausalLM) -> 
         for k in slots:
             at[k] += 1
         decoder.step(tokens)
+
+
+def test_the_cache_of_a_batch_is_freed_when_the_batch_ends(network: Qwen3ForCausalLM) -> None:
+    decoder = Decoder(network, 3, pad=0)
+    decoder.admit([1, 2, 3])
+    decoder.step([4])
+    keys = ref(decoder._cache.layers[0].keys)
+    assert keys() is not None
+    gc.disable()  # which would find a cycle, but seldom
+    try:
+        del decoder
+        assert keys() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
