@@ -131,6 +131,19 @@ def test_odd_checksums_are_damage(content: bytes, run: Path, document: dict[str,
     assert CHECKSUMS in done.stdout
 
 
+def test_a_finding_of_a_very_long_name_is_a_line_of_a_bounded_length(
+    run: Path, document: dict[str, Any], tmp_path: Path
+) -> None:
+    copy = Path(shutil.copytree(run, tmp_path / "run"))
+    (copy / "manifest.json").write_text(json.dumps(document), "utf-8")
+    with (copy / CHECKSUMS).open("a") as file:
+        file.write(f"{'0' * 64}  turns/part-{'c' * 16}{'-c' * 5000}.parquet\n")
+    done = CliRunner().invoke(app, ["verify", str(copy), "--verdicts", "none", "--quiet"], catch_exceptions=False)
+    lines = [line for line in done.stdout.splitlines() if line.startswith("turns/part-cccc")]
+    assert lines
+    assert max(map(len, lines)) < 3000
+
+
 def write_sparse(path: Path) -> None:
     """A file of 400 MB that takes no space."""
     with path.open("wb") as file:
