@@ -3,7 +3,7 @@
 ``python -m benchmarks.fuzz OUT [--count 1000000] [--workers 2] [--minutes M] [--target NAME ...] [--seed 0] [--json FILE]``. OUT holds
 the state: the same command continues a stopped one, and counts and processor time are summed. Input number k of a target depends on the
 seed, the target and k alone. Findings are in OUT/findings, made small, each different one once. A command first runs those again that are
-left: one that ends well now is mended.
+left: one that ends well now is mended if the code has changed, and else it did not come again and is left.
 
 ``--summary`` prints the figures of all commands so far, and runs nothing.
 
@@ -77,12 +77,13 @@ def figures(campaign: Campaign) -> list[FuzzFigure]:
 
 
 def by_kind(campaign: Campaign) -> dict[str, dict[str, int]]:
-    """Returns the different findings of each kind: how many were found, mended and are left."""
-    counts = {str(kind): {"found": 0, "mended": 0, "left": 0} for kind in FindingKind}
+    """Returns the different findings of each kind: how many were found, mended, are left, and of these did not come again."""
+    counts = {str(kind): {"found": 0, "mended": 0, "left": 0, "not_again": 0} for kind in FindingKind}
     for known in campaign.state.findings.values():
         of_kind = counts[str(known.finding.kind)]
         of_kind["found"] += 1
         of_kind["mended" if known.is_mended else "left"] += 1
+        of_kind["not_again"] += known.not_again > 0 and not known.is_mended
     return counts
 
 
@@ -95,10 +96,10 @@ def show(campaign: Campaign) -> None:
         print(
             f"{one.target:<22}{one.inputs:>10}{share:>10}{one.reasons:>9}{rate:>9}{seconds:>10}{one.findings:>10}{one.left:>6}"
         )
-    print(f"{'kind of finding':<22}{'found':>10}{'mended':>10}{'left':>9}")
+    print(f"{'kind of finding':<22}{'found':>10}{'mended':>10}{'left':>9}{'not again':>10}")
     kinds = by_kind(campaign)
     for kind, counts in kinds.items():
-        print(f"{kind:<22}{counts['found']:>10}{counts['mended']:>10}{counts['left']:>9}")
+        print(f"{kind:<22}{counts['found']:>10}{counts['mended']:>10}{counts['left']:>9}{counts['not_again']:>10}")
     inputs, seconds_of_all = sum(one.inputs for one in found), sum(one.core_seconds for one in found)
     planned, findings = sum(one.planned for one in found), sum(counts["found"] for counts in kinds.values())
     left = sum(counts["left"] for counts in kinds.values())
@@ -117,7 +118,7 @@ def totals(campaign: Campaign) -> dict[str, Any]:
         "core_hours": round(sum(one.core_seconds for one in found) / 3600, 3),
         "kinds": by_kind(campaign),
         "findings": [
-            {"place": known.folder, "inputs": known.count, "is_mended": known.is_mended}
+            {"place": known.folder, "inputs": known.count, "is_mended": known.is_mended, "not_again": known.not_again}
             for known in campaign.state.findings.values()
         ],
         "targets": [asdict(one) for one in found],

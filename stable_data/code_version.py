@@ -1,6 +1,7 @@
 """The version of the running code: the release and a hash of the source files."""
 
 import hashlib
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -31,10 +32,10 @@ def release_of(code: str) -> str:
     return code.partition("+")[0]
 
 
-def digest_of(root: Path) -> str:
-    """Returns 12 hex digits of the hash of all modules of the toolkit in a folder, over their names and content."""
+def digest_of(root: Path, packages: Iterable[str] = _PACKAGES) -> str:
+    """Returns 12 hex digits of the hash of all modules of some packages in a folder, over their names and content."""
     digest = hashlib.sha256()
-    found = (path for package in _PACKAGES for path in (root / package).rglob("*.py"))
+    found = (path for package in packages for path in (root / package).rglob("*.py"))
     # The lock file that an editor makes beside a module is a link without a target.
     paths = [path for path in found if path.is_file() and not path.name.startswith(".")]
     # The order of files differs between file systems.

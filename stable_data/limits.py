@@ -248,6 +248,7 @@ class TextLimits:
         max_line: Characters of a line of a file of tasks or edits.
         max_config_bytes: Size of a TOML file of settings.
         max_document_bytes: Size of a JSON file of the project, such as a manifest, labels or statistics.
+        max_checksum_bytes: Size of the file of checksums of a run; a line of one file has about 120 bytes.
         max_query: Characters of a condition: enough for 10,000 ids of 96 characters each.
         max_query_levels: Levels of a condition's syntax tree.
     """
@@ -258,6 +259,7 @@ class TextLimits:
     max_line: int = 1 * MIB
     max_config_bytes: int = 64 * KIB
     max_document_bytes: int = 256 * MIB
+    max_checksum_bytes: int = 64 * MIB
     max_query: int = 1_000_000
     max_query_levels: int = 30
 

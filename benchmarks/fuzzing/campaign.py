@@ -4,6 +4,7 @@ import fcntl
 import json
 import multiprocessing
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.fuzzing.cases import Case, Target
-from benchmarks.fuzzing.findings import KnownFinding, about, read_finding, write_finding
+from benchmarks.fuzzing.findings import KnownFinding, about, code_of_campaign, read_finding, write_finding
 from benchmarks.fuzzing.process import WorkerProcess
 from benchmarks.fuzzing.reduction import reduced
 from benchmarks.fuzzing.watching import NATIVE, Finding, FindingKind, Outcome
-from benchmarks.fuzzing.worker import Block, BlockDone, Broken, Found, Replay, Replayed, load_targets
+from benchmarks.fuzzing.worker import Block, BlockDone, Broken, Found, Job, Replay, Replayed, load_targets
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError
 from stable_data.limits import SETTING
@@ -30,10 +31,13 @@ TARGETS = "benchmarks.fuzzing.targets.registry:TARGETS"
 STATE, FINDINGS = "state.json", "findings"
 """The file of counts, and the folder of findings, in the folder of a campaign."""
 
-_VERSION = 1
+_VERSION = 2
 _MAYBE_OF_OTHERS = (NATIVE, "SIGKILL")  # another process may have opened the file, or have taken the memory of the machine
 _SAVE_SECONDS = 5.0
 _LOOK_SECONDS = 0.25
+_STARTS = 3  # workers that are started for a job before the fuzzer is taken for broken
+_IN_MEMORY = "/dev/shm"  # noqa: S108 - a folder in memory; that in it has a random name
+_FOLDER = "stable-data-fuzz-"
 _REDUCE_SECONDS = 40.0
 _ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
@@ -196,21 +200,29 @@ class Campaign:
             _Run(self, pool, chosen, seconds, tell).run()
 
     def recheck(self, tell: Callable[[str], None] = lambda _: None) -> None:
-        """Runs the inputs of the findings again that are not mended; those that end well now are.
+        """Runs the inputs of the findings again that are not mended; those that end well now with other code are.
+
+        One that ends well with the same code is not mended: it depends on more than its input, and is left.
 
         Args:
-            tell: Called with a line for each mended finding.
+            tell: Called with a line for each finding that does not come again.
         """
         left = [known for known in self.state.findings.values() if not known.is_mended and known.target in self.targets]
         if not left:
             return
         with self.locked(), _Pool(1, self._registry, self.state.seed) as pool:
             for known in left:
-                if pool.replay(known.target, read_finding(self.out / FINDINGS, known)).finding is None:
+                case = read_finding(self.out / FINDINGS, known)
+                if pool.replay(known.target, case).finding is not None:
+                    known.code = code_of_campaign()
+                elif known.code == code_of_campaign():
+                    known.not_again += 1
+                    tell(f"{known.folder}: did not come again, with the same code")
+                else:
                     known.is_mended = True
-                    write_finding(self.out / FINDINGS, known, read_finding(self.out / FINDINGS, known).content)
-                    self.save()
                     tell(f"{known.folder}: mended")
+                write_finding(self.out / FINDINGS, known, case.content)
+                self.save()
 
     def reduce(self, tell: Callable[[str], None] = lambda _: None, seconds: float = _REDUCE_SECONDS) -> None:
         """Makes the inputs of the findings smaller, those that were not tried yet.
@@ -261,6 +273,20 @@ def divided(count: int, shares: Mapping[str, float]) -> dict[str, int]:
     return found
 
 
+def remove_left_behind(folder: Path) -> None:
+    """Removes the folders of workers that killed commands left in a folder; their names have the number of the process."""
+    for left in folder.glob(f"{_FOLDER}*-*"):
+        number = left.name.removeprefix(_FOLDER).partition("-")[0]
+        if not number.isdecimal():
+            continue
+        try:
+            os.kill(int(number), 0)  # it only asks whether the process is there
+        except ProcessLookupError:
+            shutil.rmtree(left, ignore_errors=True)
+        except (PermissionError, OverflowError):  # one of another user, or no number of a process
+            continue
+
+
 class _Pool:
     """Workers, each of which is replaced as it ends."""
 
@@ -276,10 +302,10 @@ class _Pool:
             for name, value in before.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
         self._registry, self._seed, self._started = registry, seed, 0
-        memory = "/dev/shm"  # noqa: S108 - a folder in memory; that in it has a random name
-        self._folder = tempfile.TemporaryDirectory(
-            prefix="stable-data-fuzz-", dir=memory if os.access(memory, os.W_OK) else None
-        )
+        self._seconds = 0.0
+        folders = Path(_IN_MEMORY if os.access(_IN_MEMORY, os.W_OK) else tempfile.gettempdir())
+        remove_left_behind(folders)
+        self._folder = tempfile.TemporaryDirectory(prefix=f"{_FOLDER}{os.getpid()}-", dir=folders)
         self.workers: list[WorkerProcess] = [self._start() for _ in range(count)]
 
     def __enter__(self) -> "_Pool":
@@ -290,10 +316,31 @@ class _Pool:
             worker.close()
         self._folder.cleanup()
 
-    def replace(self, worker: WorkerProcess) -> None:
-        """Starts another process in place of one."""
+    def replace(self, worker: WorkerProcess) -> WorkerProcess:
+        """Starts another process in place of one, and returns it."""
+        self._seconds += worker.seconds()
         worker.close()
-        self.workers[self.workers.index(worker)] = self._start()
+        new = self.workers[self.workers.index(worker)] = self._start()
+        return new
+
+    def give(self, worker: WorkerProcess, job: Job) -> WorkerProcess:
+        """Gives an idle worker a job, or another one in its place if it has ended meanwhile; returns the one that has the job.
+
+        Raises:
+            RuntimeError: New ones end at once, too.
+        """
+        for _ in range(_STARTS):
+            try:
+                worker.send(job)
+            except ConnectionError:
+                worker = self.replace(worker)
+            else:
+                return worker
+        raise RuntimeError(f"{_STARTS} workers ended before they had a job, expected that they wait for one")
+
+    def seconds(self) -> float:
+        """The processor time of all its workers so far."""
+        return self._seconds + sum(worker.seconds() for worker in self.workers)
 
     def replay(self, target: str, case: Case) -> Outcome:
         """Runs one input in the last worker, which is idle; that is replaced if the input ends it.
@@ -301,8 +348,7 @@ class _Pool:
         Raises:
             RuntimeError: The fuzzer is broken.
         """
-        worker = self.workers[-1]
-        worker.send(Replay(target, case))
+        worker = self.give(self.workers[-1], Replay(target, case))
         while True:
             try:
                 message = worker.message()
@@ -336,7 +382,6 @@ class _Run:
         self._campaign, self._pool, self._chosen, self._tell = campaign, pool, chosen, tell
         self._end = time.monotonic() + seconds
         self._blocks: dict[int, Block] = {}
-        self._spent: dict[int, float] = {}
         self._found: dict[int, list[Found]] = {}
         self._saved, self._is_changed = time.monotonic(), False
         # What was given to a worker of a command that was ended is given again; its counts were not stored.
@@ -385,9 +430,8 @@ class _Run:
         return block
 
     def _give(self, worker: WorkerProcess, block: Block) -> None:
+        worker = self._pool.give(worker, block)
         self._blocks[id(worker)], self._found[id(worker)] = block, []
-        self._spent[id(worker)] = worker.seconds()
-        worker.send(block)
 
     def _look(self, worker: WorkerProcess) -> None:
         """Reads the messages of a worker; it is replaced if it ended, or if its input takes too much."""
@@ -411,27 +455,31 @@ class _Run:
             self._lost(worker, block, overdue)
 
     def _done(self, worker: WorkerProcess, block: Block, message: BlockDone) -> None:
-        counts = self._chosen[block.target]
-        for code, number in message.codes.items():
-            counts.codes[code] = counts.codes.get(code, 0) + number
-        self._count(worker, block, message.end)
+        self._count(worker, block, message.end, message.codes)
         if message.is_used_up:
             self._pool.replace(worker)
 
-    def _count(self, worker: WorkerProcess, block: Block, end: int, more: int = 0) -> None:
+    def _count(
+        self, worker: WorkerProcess, block: Block, end: int, codes: Mapping[str, int] | None = None, more: int = 0
+    ) -> None:
         """Adds what a worker did of a block, up to a number; the rest waits for another worker.
 
-        Findings are noted together with the counts: a block that is given again after a kill adds neither twice.
+        Findings are noted together with the counts, after all that takes time: a block that is given again after a kill adds neither
+        twice, and a kill in between loses none.
         """
-        counts, self._is_changed = self._chosen[block.target], True
-        for found in self._found.pop(id(worker)):
-            self._note(block.target, found.number, found.outcome)
+        name = block.target
+        settled = [(found.number, self._settled(name, found)) for found in self._found[id(worker)]]
+        counts, self._is_changed = self._chosen[name], True
+        for number, outcome in settled:
+            self._note(name, number, outcome)
         done, accepted, refused = worker.counts
         counts.done += done + more
         counts.accepted += accepted
         counts.refused += refused
-        counts.seconds += worker.seconds() - self._spent.pop(id(worker))
-        del self._blocks[id(worker)]
+        for code, times in (codes or {}).items():
+            counts.codes[code] = counts.codes.get(code, 0) + times
+        counts.seconds += worker.take_seconds()
+        del self._found[id(worker)], self._blocks[id(worker)]
         counts.open.remove((block.first, block.end))
         if end < block.end:
             rest = Block(block.target, end, block.end)
@@ -441,33 +489,39 @@ class _Run:
     def _lost(self, worker: WorkerProcess, block: Block, outcome: Outcome) -> None:
         """Notes the input with which a worker ended, and goes on with the next one."""
         number = worker.number
+        if self._campaign.targets[block.target].read_apart is not None:
+            outcome = self._again(block.target, number)
+        self._found[id(worker)].append(Found(number, outcome))
         self._count(worker, block, number + 1, more=1)
         self._pool.replace(worker)
-        target = self._campaign.targets[block.target]
-        self._note(block.target, number, outcome if target.read_apart is None else self._again(block.target, number))
 
     def _again(self, name: str, number: int) -> Outcome:
         """Runs an input again, in a new process."""
         campaign = self._campaign
         with _Pool(1, campaign._registry, campaign.state.seed) as pool:
-            return pool.replay(name, campaign.targets[name].case(campaign.state.seed, number))
+            outcome = pool.replay(name, campaign.targets[name].case(campaign.state.seed, number))
+            self._chosen[name].seconds += pool.seconds()
+            return outcome
+
+    def _settled(self, name: str, found: Found) -> Outcome:
+        """How an input ended; it is run again if that may be the work of another process."""
+        finding = found.outcome.finding
+        return found.outcome if finding is None or finding.type not in _MAYBE_OF_OTHERS else self._again(name, found.number)
 
     def _note(self, name: str, number: int, outcome: Outcome) -> None:
         """Notes how an input ended whose worker did not count it."""
-        findings, counts = self._campaign.state.findings, self._chosen[name]
-        if outcome.finding is not None and outcome.finding.type in _MAYBE_OF_OTHERS:
-            outcome = self._again(name, number)
-        finding = outcome.finding
+        findings, counts, finding = self._campaign.state.findings, self._chosen[name], outcome.finding
         if finding is None:
             counts.refused, counts.accepted = counts.refused + (not outcome.is_accepted), counts.accepted + outcome.is_accepted
             return
         key = f"{name}: {finding.key}"
         if key in findings and not findings[key].is_mended:
             findings[key].count += 1
+            findings[key].code = code_of_campaign()
             return
         case = self._campaign.targets[name].case(self._campaign.state.seed, number)
         count = findings[key].count + 1 if key in findings else 1  # one that was mended for another input alone is left again
-        known = findings[key] = KnownFinding(name, number, case.base, case.path, finding, count)
+        known = findings[key] = KnownFinding(name, number, case.base, case.path, finding, count, code=code_of_campaign())
         write_finding(self._campaign.out / FINDINGS, known, case.content)
         self._tell(f"{name}/{number}: {finding.key}: {finding.message[:200]}")
 

@@ -1,17 +1,22 @@
 """Findings on disk: those of a campaign, and the stored inputs of what once broke."""
 
+import hashlib
 import json
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from benchmarks.fuzzing.cases import Case
-from benchmarks.fuzzing.watching import Finding
+from benchmarks.fuzzing.watching import ROOT, Finding
+from stable_data.code_version import code_version, digest_of
 
 _ABOUT = "finding.json"
 _NO_NAME = re.compile(r"[^A-Za-z0-9._-]+")
+_MOST_NAME = 120  # characters: a name of a file has at most 255 bytes
+_FUZZER = ("benchmarks/fuzzing",)
 
 
 @dataclass(slots=True)
@@ -26,7 +31,9 @@ class KnownFinding:
         finding: What is wrong.
         count: How many inputs had it.
         is_reduced: Whether it was tried to make the input smaller.
-        is_mended: Whether the input ended well when it was run again.
+        is_mended: Whether the input ended well when it was run again with other code.
+        code: The code with which an input last had it, :func:`code_of_campaign`; empty if it is not known.
+        not_again: How often the input ended well when it was run again with the same code: it depends on something else, too.
     """
 
     target: str
@@ -37,12 +44,20 @@ class KnownFinding:
     count: int = 1
     is_reduced: bool = False
     is_mended: bool = False
+    code: str = ""
+    not_again: int = 0
 
     @property
     def folder(self) -> str:
-        """Its folder below the folder of findings: ``target/base/what``."""
+        """Its folder below the folder of findings: ``target/base/what-hash``; the hash is of the whole key, of which names show a part."""
         what = _NO_NAME.sub("_", f"{self.finding.kind} {self.finding.type} {self.finding.frame}").strip("_")
-        return f"{self.target}/{self.base}/{what[:120]}"
+        return f"{self.target}/{self.base}/{what[:_MOST_NAME]}-{hashlib.sha256(self.finding.key.encode()).hexdigest()[:8]}"
+
+
+@cache
+def code_of_campaign() -> str:
+    """Returns the version of the code of the toolkit and of the fuzzer: a finding can be mended by a change of either."""
+    return f"{code_version()}+{digest_of(ROOT, _FUZZER)}"
 
 
 def write_finding(out: Path, known: KnownFinding, content: bytes) -> None:

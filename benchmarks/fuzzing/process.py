@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import time
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from pathlib import Path
@@ -38,7 +39,7 @@ class WorkerProcess:
         self._process: Any = context.Process(target=serve, args=(other, self._progress, registry, seed, str(root)), daemon=True)  # type: ignore[attr-defined]
         self._process.start()
         other.close()
-        self._seen = 0.0
+        self._seen = self._taken = 0.0
         self._since, self._computed, self._input = time.monotonic(), 0.0, (-1, 0)
         self._resident = _resident(self._process.pid)
         self.job: Job | None = None
@@ -68,13 +69,27 @@ class WorkerProcess:
         self._connection.send(job)
 
     def seconds(self) -> float:
-        """Its processor time so far, with that of the processes that it has started."""
+        """Its processor time so far, with that of the processes that it has started.
+
+        That of one that has ended by itself is as it was last seen: when its last input began, or at a later look.
+        """
+        self._seen = max(self._seen, self._progress[BEGAN] / 1e9)
+        self._fields()
+        return self._seen
+
+    def take_seconds(self) -> float:
+        """Its processor time since the last call, which is counted thereby."""
+        before, self._taken = self._taken, self.seconds()
+        return self._taken - before
+
+    def _fields(self) -> Sequence[str] | None:
+        """What the system says of it, from its state on; None if it has ended. Its processor time is noted."""
         try:
             fields = Path(f"/proc/{self._process.pid}/stat").read_text("utf-8").rpartition(")")[2].split()
         except OSError:
-            return self._seen
+            return None
         self._seen = max(self._seen, sum(map(int, fields[11:15])) / _TICKS)
-        return self._seen
+        return fields
 
     def message(self) -> Message | None:
         """Returns its next message; None if there is none now.
@@ -89,10 +104,8 @@ class WorkerProcess:
 
     def overdue(self) -> Outcome | None:
         """Ends it if its input takes too much; returns how that input ended then."""
-        own = Path(f"/proc/{self._process.pid}/stat")
-        try:
-            fields = own.read_text("utf-8").rpartition(")")[2].split()
-        except OSError:
+        fields = self._fields()
+        if fields is None:
             return None
         began = self._progress[BEGAN]
         spent = sum(map(int, fields[11:13])) / _TICKS - began / 1e9
@@ -136,6 +149,7 @@ class WorkerProcess:
             time.sleep(0.3)
         except ProcessLookupError:
             pass
+        self.seconds()  # nobody says it afterwards
         self._process.kill()
         self._process.join()
         dump = (self._root / LOG).read_text("utf-8", "replace") if (self._root / LOG).exists() else ""

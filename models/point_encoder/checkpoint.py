@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import torch
 from safetensors import SafetensorError
@@ -111,8 +112,10 @@ def load_published(path: Path, preprocessing: Preprocessing) -> PointEncoder:
 
 def _read(path: Path) -> Mapping[str, Any]:
     try:
+        if path.suffix != ".safetensors" and _is_archive(path):
+            _refuse_packed(path)
         content = load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, *_WRONG_VALUES) as error:
+    except (OSError, SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, BadZipFile, *_WRONG_VALUES) as error:
         # torch's own message for a file with code explains how to execute the code.
         what = "more than data" if isinstance(error, pickle.UnpicklingError) else f"{str(error).partition(chr(10))[0]:.300}"
         message = f"{path}: found {what}, expected a checkpoint of tensors and plain values alone"
@@ -120,6 +123,33 @@ def _read(path: Path) -> Mapping[str, Any]:
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path} holds a {type(content).__name__}, expected a state dict", "weights_invalid")
     return content
+
+
+def _is_archive(path: Path) -> bool:
+    """Whether torch would read a file as an archive: it looks at the first bytes alone."""
+    with path.open("rb") as file:
+        return file.read(4) == b"PK\x03\x04"
+
+
+def _refuse_packed(path: Path) -> None:
+    """Refuses an archive that unpacks to more than its size; torch would unpack it, and torch itself writes none.
+
+    Raises:
+        ConfigError: A member is packed, or members share their bytes (``weights_invalid``).
+        BadZipFile: It is no archive.
+    """
+    with ZipFile(path) as archive:
+        members = archive.infolist()
+    if packed := next((member for member in members if member.compress_type != ZIP_STORED), None):
+        raise ConfigError(
+            f"{path}: its member {packed.filename!r:.120} is packed, expected members as torch.save stores them; unpack and save it again",
+            "weights_invalid",
+        )
+    if (size := sum(member.file_size for member in members)) > (there := path.stat().st_size):
+        raise ConfigError(
+            f"{path}: its members state {size:,} bytes, expected at most the {there:,} of the file; it is damaged",
+            "weights_invalid",
+        )
 
 
 def _encoder_part(content: Mapping[str, Any], origin: str) -> dict[str, Tensor]:

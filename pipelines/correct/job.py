@@ -16,7 +16,7 @@ from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import ExpectedItems, ShardJob, run_job
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.preprocess.convention import resolve_convention
-from pipelines.sources.carried_tables import CARRIED_TABLES, carry_tables
+from pipelines.sources.carried_tables import CARRIED_TABLES, carry_tables, refuse_links_out
 from pipelines.sources.scenes import FolderSource, SceneChunk, SceneSource, TableSource, scene_source
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.atomic_files import write_file_atomically
@@ -55,6 +55,7 @@ class SceneJob(ShardJob, Generic[S]):
         self.where = absolute_uri(scenes)
         self.source: SceneSource = scene_source(self.where)
         if isinstance(self.source, TableSource):  # a run states its convention; nothing is measured
+            refuse_links_out(self.source.folder)
             self.settings = settings.settled(self.source)
         else:
             self.settings = resolve_convention(settings, self.source, self.source.name, workers)

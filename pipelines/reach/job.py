@@ -11,7 +11,7 @@ from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.reach.report import write_reach_report
 from pipelines.reach.settings import ReachSettings
 from pipelines.reach.shard import ReachStep
-from pipelines.sources.carried_tables import CARRIED_TABLES, carry_tables
+from pipelines.sources.carried_tables import CARRIED_TABLES, carry_tables, refuse_links_out
 from pipelines.sources.run_scenes import ScenesOfRun
 from stable_data.content_id import content_id
 from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
@@ -35,7 +35,8 @@ class ReachJob(ShardJob):
         settings: The job's settings.
 
     Raises:
-        ConfigError: The run lacks a table, or has no scenes; or the files of the robot are missing (``robot_missing``).
+        ConfigError: The run lacks a table, or has no scenes; or the files of the robot are missing (``robot_missing``); or
+            a table that it copies has a link out of the run (``link_leaves``).
     """
 
     name = "reach"
@@ -45,6 +46,7 @@ class ReachJob(ShardJob):
         robot_named(settings.robot)
         self.settings, self._scenes = settings, ScenesOfRun(scenes)
         self.dataset = self._scenes.name
+        refuse_links_out(RunFolder(self._scenes.run), _CARRIED)
 
     def inputs(self) -> dict[str, Any]:
         """Hashes of the tables."""

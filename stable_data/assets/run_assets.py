@@ -390,11 +390,17 @@ class _RunAnnotations(Mapping[str, AssetAnnotation]):
         return len(self._place)
 
 
+def _entries(values: object, count: int) -> list[float | None]:
+    """The numbers of a list of a stated length; unknown ones for any other value, which ``stable-data verify`` names as damage."""
+    return values if isinstance(values, list) and len(values) == count else [None] * count
+
+
 def _annotation(row: dict[str, object]) -> AssetAnnotation:
-    extents, mass, scale, tilts = row["extents"], row["mass"], row["typical_scale"], row["resting_tilts"]
-    x, y, z = extents if isinstance(extents, list) else (None, None, None)
-    i, j, k = scale if isinstance(scale, list) else (None, None, None)
-    a, b, c, d = tilts[0]["tilt_quat_xyzw"] if isinstance(tilts, list) and tilts else (None, None, None, None)
+    mass, tilts = row["mass"], row["resting_tilts"]
+    x, y, z = _entries(row["extents"], 3)
+    i, j, k = _entries(row["typical_scale"], 3)
+    first = tilts[0] if isinstance(tilts, list) and tilts else None
+    a, b, c, d = _entries(first["tilt_quat_xyzw"] if isinstance(first, dict) else None, 4)
     return AssetAnnotation(
         str(row["asset_id"]),
         category=str(row["category"] or ""),

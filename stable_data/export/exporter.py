@@ -192,10 +192,10 @@ def _write_scene(
     return False, export(out) if found is None else found.num_boxes
 
 
-def _line(scene_id: str, message: str) -> str:
-    """The reason why a scene could not be exported, on one line."""
-    message = " ".join(message.split())
-    return one_line(message if message.startswith(scene_id) else f"{scene_id}: {message}")
+def _line(scene_id: str | None, message: str) -> str:
+    """The reason why a scene could not be exported, on one line; a row of others may have no id."""
+    name, message = str(scene_id), " ".join(message.split())
+    return one_line(message if message.startswith(name) else f"{name}: {message}")
 
 
 def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:

@@ -155,12 +155,7 @@ def _refuse_links(run: RunFolder) -> None:
     """
     shards = (f"{table}/{Path(path).name}" for table in SCHEMAS for path in run.files(table))
     for name in chain((MANIFEST, CHECKSUMS, SHEET), shards):
-        if run.leads_out(name):
-            raise ConfigError(
-                f"{run.uri}/{name}: is a link out of the run, expected a file in its folder; copy the run with cp -rL if you trust it, "
-                "and publish the copy",
-                "link_leaves",
-            )
+        run.refuse_link_out(name)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ stored the last ones, or where a run is older than this file, are shards read on
 """
 
 import hashlib
+import io
 import re
 from collections.abc import Collection, Mapping, Set
 from concurrent.futures import ThreadPoolExecutor
@@ -15,12 +16,14 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from stable_data.errors import ConfigError
+from stable_data.limits import LIMITS, at_most
 from stable_data.storage.run_folder import PART, RunFolder
 
 CHECKSUMS = "SHA256SUMS"
 """Name of the file in the run's folder."""
 
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
+_REMEDY = "delete the file and run the job again, which makes it anew"
 _AT_ONCE = 8  # files of an object store have a latency
 
 
@@ -28,18 +31,41 @@ def read_checksums(folder: RunFolder) -> dict[str, str] | None:
     """Returns the checksums of a run by file, such as ``table/part-id.parquet`` -> SHA-256; None if the run has none.
 
     Raises:
-        ConfigError: The file has another form (``checksums_invalid``), or cannot be read.
+        ConfigError: The file has another form or is too large (``checksums_invalid``), or cannot be read.
     """
-    content = folder.read_bytes(CHECKSUMS)
-    if content is None:
-        return None
+    content = read_checksum_file(folder)
+    return None if content is None else checksums_in(content, folder)
+
+
+def read_checksum_file(folder: RunFolder) -> bytes | None:
+    """Returns the content of the file of checksums; None if there is none.
+
+    Raises:
+        ConfigError: It is too large (``checksums_invalid``), or cannot be read.
+    """
+    content = folder.read_bytes(CHECKSUMS, LIMITS.text.max_checksum_bytes + 1)
+    if content is not None and len(content) > LIMITS.text.max_checksum_bytes:
+        raise ConfigError(
+            f"{folder.uri}/{CHECKSUMS}: is larger, expected {at_most(LIMITS.text, 'max_checksum_bytes', 'bytes')}; {_REMEDY}",
+            "checksums_invalid",
+        )
+    return content
+
+
+def checksums_in(content: bytes, folder: RunFolder) -> dict[str, str]:
+    """Returns the checksums in the content of the file of a run; see :func:`read_checksums`.
+
+    Raises:
+        ConfigError: It has another form (``checksums_invalid``).
+    """
     found = dict[str, str]()
-    for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
+    for number, row in enumerate(io.BytesIO(content), 1):  # a list of all lines could need much more memory than the file
+        line = row.rstrip(b"\r\n").decode("utf-8", "replace")
         match = _LINE.fullmatch(line)
         if match is None or match[2] in found:
             raise ConfigError(
                 f"{folder.uri}/{CHECKSUMS}: line {number} is {line[:80]!r}, expected a SHA-256, two spaces and a file, each file once; "
-                "delete the file and run the job again, which makes it anew",
+                f"{_REMEDY}",
                 "checksums_invalid",
             )
         found[match[2]] = match[1]

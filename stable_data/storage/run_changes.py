@@ -78,7 +78,7 @@ def upgrade(run: RunFolder) -> Upgrade:
         manifest = _manifest_of(run)
         refuse_changed_files(run, SCHEMAS)
         is_complete = manifest.get("status") == COMPLETE
-        has_checksums = run.read_bytes(CHECKSUMS) is not None
+        has_checksums = run.has_file(CHECKSUMS)
         known = take_checksums(run, SCHEMAS)
         for table in SCHEMAS:
             count += _change(run, table, partial(_to_present_version, table, f"{run.uri}/{table}"), known)

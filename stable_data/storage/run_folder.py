@@ -109,6 +109,19 @@ class RunFolder:
         """
         return self.is_local and not Path(os.path.realpath(self._path(name))).is_relative_to(os.path.realpath(self.root))
 
+    def refuse_link_out(self, name: str) -> None:
+        """Refuses a file that is passed on to another folder if it is a link out of this one: what lies there may be private.
+
+        Raises:
+            ConfigError: See :meth:`leads_out` (``link_leaves``).
+        """
+        if self.leads_out(name):
+            raise ConfigError(
+                f"{self.uri}/{name}: is a link out of the run, expected a file in its folder; copy the run with cp -rL if you trust it, "
+                "and name the copy",
+                "link_leaves",
+            )
+
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Locks a local folder for one run; the lock ends with the process, also if the process is killed.
@@ -174,6 +187,17 @@ class RunFolder:
         if _FILE.fullmatch(name):
             self.written[name] = hashlib.sha256(content).hexdigest()
 
+    def has_file(self, name: str) -> bool:
+        """Whether there is a file; it is not read.
+
+        Raises:
+            ConfigError: The folder cannot be read.
+        """
+        try:
+            return bool(self.filesystem.get_file_info(self._path(name)).type == pafs.FileType.File)
+        except OSError as error:
+            raise _unreachable(f"{self.uri}/{name}", error) from error
+
     def read_bytes(self, name: str, most: int | None = None) -> bytes | None:
         """Returns the content of a file, or None if the file does not exist.
 
@@ -184,11 +208,10 @@ class RunFolder:
         Raises:
             ConfigError: The file cannot be read.
         """
-        path = self._path(name)
+        if not self.has_file(name):
+            return None
         try:
-            if self.filesystem.get_file_info(path).type != pafs.FileType.File:
-                return None
-            with self.filesystem.open_input_stream(path) as stream:
+            with self.filesystem.open_input_stream(self._path(name)) as stream:
                 return cast(bytes, stream.read(most))
         except OSError as error:
             raise _unreachable(f"{self.uri}/{name}", error) from error

@@ -25,7 +25,7 @@ def is_evaluation(folder: RunFolder) -> bool:
     Raises:
         ConfigError: The folder cannot be read.
     """
-    return folder.read_bytes(EVALUATION) is not None
+    return folder.has_file(EVALUATION)
 
 
 def verify_evaluation(
@@ -83,7 +83,7 @@ def _runs_in(folder: RunFolder) -> list[str]:
             for info in infos:
                 if info.type == pafs.FileType.Directory and not info.base_name.startswith("."):
                     below.append(f"{name}/{PurePosixPath(info.path).name}".lstrip("/"))
-        runs = [name for name in below if folder.read_bytes(f"{name}/{MANIFEST}") is not None]
+        runs = [name for name in below if folder.has_file(f"{name}/{MANIFEST}")]
         found += runs
         level = [name for name in below if name not in runs]
     return sorted(found)

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from stable_data.errors import one_line, short_line
+from stable_data.errors import short_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Finding:
         """Returns the finding in one line: table, shard, row, what."""
         row = "" if self.row is None else f" row {self.row}"
         what = short_line(" ".join(self.what.split()))
-        return f"{one_line(self.where)}{row}: {what}" if self.where else what
+        return f"{short_line(self.where)}{row}: {what}" if self.where else what
 
 
 class Findings:

@@ -16,7 +16,7 @@ from stable_data.limits import LIMITS
 from stable_data.mesatask.dataset_split import SplitShares
 from stable_data.metrics.judge_columns import FURTHER_COLUMNS, JUDGES, MUJOCO_COLUMNS, columns_not_filled
 from stable_data.metrics.reach_columns import GRASPABLE, REACH_COLUMNS, REACHABLE, reach_columns_not_filled
-from stable_data.storage.checksums import CHECKSUMS, checksum_of, read_checksums
+from stable_data.storage.checksums import CHECKSUMS, checksum_of, checksums_in, read_checksum_file
 from stable_data.storage.id_hashes import IdSet
 from stable_data.storage.manifest import (
     CHECKED,
@@ -135,7 +135,14 @@ def stated_checksums(folder: RunFolder, manifest: Mapping[str, Any] | None, find
         ConfigError: The folder cannot be read.
     """
     stated = None if manifest is None else manifest.get(CHECKED)
-    content = folder.read_bytes(CHECKSUMS)
+    try:
+        content = read_checksum_file(folder)
+        found = None if content is None else checksums_in(content, folder)
+    except ConfigError as error:
+        if error.code != "checksums_invalid":
+            raise
+        findings.damage(CHECKSUMS, str(error))
+        return None
     if content is None:
         if stated is None:
             findings.cannot_know(
@@ -143,13 +150,6 @@ def stated_checksums(folder: RunFolder, manifest: Mapping[str, Any] | None, find
             )
         else:
             findings.damage(CHECKSUMS, "is missing, expected the checksums of the run")
-        return None
-    try:
-        found = read_checksums(folder)
-    except ConfigError as error:
-        if error.code != "checksums_invalid":
-            raise
-        findings.damage(CHECKSUMS, str(error))
         return None
     if isinstance(stated, dict) and stated.get("sha256") != checksum_of(content):
         findings.damage(CHECKSUMS, f"is not the file that the manifest names ({stated.get('sha256')!r:.24}…); it was changed")

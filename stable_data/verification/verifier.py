@@ -179,7 +179,7 @@ def verify_run(
     Raises:
         ConfigError: There is no run (``not_a_run``), or the folder cannot be read.
     """
-    if not (folder.tables() or folder.read_bytes("manifest.json") is not None):
+    if not (folder.tables() or folder.has_file(MANIFEST)):
         raise ConfigError(f"{folder.uri}: no tables and no manifest.json, expected the folder of a run", "not_a_run")
     return _Verifier(folder, Findings(tell), options, progress or (lambda *_: None)).run()
 

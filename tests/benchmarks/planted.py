@@ -50,6 +50,13 @@ def _end(_: Path) -> None:
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
+def _end_late(_: Path) -> None:
+    end = time.process_time() + 0.6
+    while time.process_time() < end:
+        pass
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
 def _eat(_: Path) -> None:
     np.empty(3 * 2**30, np.uint8)
 
@@ -106,6 +113,7 @@ _ACTS = {
     "hang": _hang,
     "wait": _wait,
     "end": _end,
+    "end_late": _end_late,
     "eat": _eat,
     "eat_in_secret": _eat_in_secret,
     "open_outside": _open_outside,
@@ -139,6 +147,14 @@ def _read_once_outside(folder: Path, base: str) -> bool:
     return True
 
 
+def _read_in_a_state(folder: Path, base: str) -> bool:
+    """Crashes for the fifth input of a process alone, whatever that is."""
+    _READ.append(base)
+    if len(_READ) == 5:
+        raise KeyError("planted")
+    return True
+
+
 def _spared(folder: Path, base: str) -> bool:
     """As users are protected: a text that crashes the reader is refused by a look at it first."""
     if b"crash" in (folder / "text.txt").read_bytes():
@@ -152,6 +168,10 @@ TARGETS = {
         Target("planted", 3, _bases, _read, ("crash", "refused", "say_nothing", "end"), block=40),
         Target("calm", 1, _bases, _read_well, block=40),
         Target("spared", 1, _bases, _read, block=40, read_apart=_spared),
+        Target("ending", 1, _bases, _read, ("end",), block=40, read_apart=_spared),
+        Target("ending_late", 1, _bases, _read, ("end_late",), block=40),
+        Target("hanging", 1, _bases, _read, ("hang",), block=40),
+        Target("in_a_state", 1, _bases, _read_in_a_state, block=40),
         Target("beside_others", 1, _bases, _read_once_outside, block=40),
         Target("dishonest", 1, _bases, lambda folder, base: False),
     )

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.fuzz import main
-from benchmarks.fuzzing.campaign import Campaign, State, _Pool, divided
+from benchmarks.fuzzing.campaign import Campaign, State, _Pool, _Run, divided, remove_left_behind
 from benchmarks.fuzzing.cases import Case
+from benchmarks.fuzzing.findings import KnownFinding
 from benchmarks.fuzzing.watching import Finding, FindingKind, Outcome
 from tests.benchmarks.planted import HONEST
 
@@ -156,18 +157,129 @@ def test_a_summary_sums_all_commands_and_runs_nothing(tmp_path: Path, capsys: py
     assert table[-1].startswith(f"80 of 80 inputs, seed 0, {counts.seconds / 3600:.2f} core hours, ")
     figures = json.loads((tmp_path / "f.json").read_text())
     assert figures["core_hours"] == round(sum(one["core_seconds"] for one in figures["targets"]) / 3600, 3)
-    assert figures["kinds"]["crash"] == {"found": 1, "mended": 0, "left": 1}
+    assert figures["kinds"]["crash"] == {"found": 1, "mended": 0, "left": 1, "not_again": 0}
     assert sum(kind["found"] for kind in figures["kinds"].values()) == len(figures["findings"])
 
 
-def test_a_finding_that_was_mended_is_no_longer_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def with_other_code(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr("benchmarks.fuzzing.campaign.code_of_campaign", lambda: "other code")
+
+
+def test_a_finding_that_was_mended_is_no_longer_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     options = [str(tmp_path), "--target", "planted", "--workers", "1"]
     assert main([*options, "--count", "80"], PLANTED) == 1
     found = len(State.of_json((tmp_path / "state.json").read_text()).findings)
     capsys.readouterr()
+    with_other_code(monkeypatch)
     assert main([*options, "--count", "80"], "tests.benchmarks.planted:MENDED") == 0
     assert f"{found} different findings, 0 left" in capsys.readouterr().out
     assert main([*options, "--count", "160"], PLANTED) == 1, "it came back"
+
+
+def test_a_finding_that_does_not_come_again_with_the_same_code_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = [str(tmp_path), "--target", "in_a_state", "--workers", "1", "--count", "40", "--json", str(tmp_path / "f.json")]
+    assert main(options, PLANTED) == 1
+    (known,) = State.of_json((tmp_path / "state.json").read_text()).findings.values()
+    assert known.code
+    assert known.not_again == 0
+    for again in (1, 2):
+        assert main(options, PLANTED) == 1
+        assert "did not come again, with the same code" in capsys.readouterr().out
+        figures = json.loads((tmp_path / "f.json").read_text())
+        assert figures["kinds"]["crash"] == {"found": 1, "mended": 0, "left": 1, "not_again": 1}
+        assert [one["not_again"] for one in figures["findings"]] == [again]
+    with_other_code(monkeypatch)
+    assert main(options, PLANTED) == 0
+    assert json.loads((tmp_path / "f.json").read_text())["kinds"]["crash"]["mended"] == 1
+
+
+def test_a_finding_is_of_the_code_with_which_it_was_last_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = [str(tmp_path), "--target", "planted", "--workers", "1"]
+    main([*options, "--count", "80"], PLANTED)
+    with_other_code(monkeypatch)
+    main([*options, "--count", "80"], PLANTED)
+    assert {known.code for known in State.of_json((tmp_path / "state.json").read_text()).findings.values()} == {"other code"}
+
+
+def test_a_command_that_is_stopped_while_an_input_runs_again_loses_no_finding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ["--target", "ending", "--workers", "1", "--count", "40"]
+
+    def stop(*_: object) -> Outcome:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("benchmarks.fuzzing.campaign._Run._again", stop)
+        main([str(tmp_path / "stopped"), *options], PLANTED)
+    assert figures_of(tmp_path / "stopped") == ({"ending": (0, 0, 0)}, {})
+    for out in ("stopped", "whole"):
+        assert main([str(tmp_path / out), *options], PLANTED) == 1
+    assert figures_of(tmp_path / "stopped") == figures_of(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(("name", "least"), [("hanging", 0.5), ("ending_late", 0.3)])
+def test_the_processor_time_of_workers_that_end_is_counted(
+    tmp_path: Path, name: str, least: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("benchmarks.fuzzing.process.MOST_SECONDS", 0.5)
+    monkeypatch.setattr("benchmarks.fuzzing.process._GRACE", 0.2)
+    campaign = Campaign(tmp_path, 0, 1, PLANTED)
+    campaign.plan(20, [name])
+    campaign.run()
+    (known,) = campaign.state.findings.values()
+    assert campaign.state.targets[name].seconds > known.count * least
+
+
+def end_worker(pool: _Pool) -> None:
+    (worker,) = pool.workers
+    os.kill(worker._process.pid, signal.SIGKILL)
+    worker._process.join()
+
+
+def test_a_worker_that_ended_while_it_was_idle_is_replaced(tmp_path: Path) -> None:
+    campaign = Campaign(tmp_path, 0, 1, PLANTED)
+    campaign.plan(10, ["calm"])
+    with _Pool(1, PLANTED, 0) as pool:
+        end_worker(pool)
+        _Run(campaign, pool, campaign.state.targets, float("inf"), lambda _: None).run()
+        end_worker(pool)
+        assert said(pool, "").is_accepted
+    assert campaign.state.targets["calm"].done == 10
+    assert campaign.state.findings == {}
+
+
+def test_long_findings_have_folders_of_their_own() -> None:
+    frames = [f"stable_data/{'x' * 200}.py:{line} read" for line in (1, 2)]
+    folders = {
+        KnownFinding("planted", 0, "honest", "text.txt", Finding(FindingKind.CRASH, "KeyError", frame, "")).folder
+        for frame in frames
+    }
+    assert len(folders) == 2
+    assert all(len(Path(folder).name) < 200 for folder in folders)
+
+
+def test_folders_of_killed_commands_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with subprocess.Popen(["true"]) as ended:
+        pass
+    left, others = (
+        tmp_path / f"stable-data-fuzz-{ended.pid}-ab_1",
+        [f"stable-data-fuzz-{os.getpid()}-ab_1", "stable-data-fuzz-x-1"],
+    )
+    for folder in (left, *(tmp_path / name for name in others)):
+        (folder / "1").mkdir(parents=True)
+    remove_left_behind(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(others)
+    left.mkdir()
+    monkeypatch.setattr("benchmarks.fuzzing.campaign._IN_MEMORY", str(tmp_path))
+    with _Pool(0, PLANTED, 0):
+        there = {path.name for path in tmp_path.iterdir()} - {*others}
+        assert [name.startswith(f"stable-data-fuzz-{os.getpid()}-") for name in there] == [True]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(others)
 
 
 @pytest.mark.slow

@@ -61,6 +61,16 @@ def test_what_once_broke_stays_mended(readers: _Pool, target: str, name: str, ca
     assert finding is None, f"{finding.key}\n{finding.message}\n{finding.trace}"
 
 
+@pytest.mark.parametrize(("target", "path"), [("run_publish", "manifest.json"), ("run_join", "first/manifest.json")])
+def test_runs_are_published_and_joined(readers: _Pool, target: str, path: str) -> None:
+    for base in TARGETS[target].bases.values():
+        assert readers.replay(target, Case(base.name, path, base.files[path])).is_accepted
+    shard = next(name for name in base.changed if "scenes/" in name)
+    outcome = readers.replay(target, Case(base.name, shard, b"no table"))
+    assert (outcome.is_accepted, outcome.finding) == (False, None)
+    assert outcome.code
+
+
 def test_every_stored_input_belongs_to_a_target() -> None:
     assert STORED
     for target, _, case in STORED:

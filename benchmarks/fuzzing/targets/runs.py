@@ -22,6 +22,8 @@ from stable_data.diversity.comparison import compare_sets
 from stable_data.diversity.scene_set import SceneSet
 from stable_data.errors import ConfigError, StableDataError
 from stable_data.export.exporter import export_run
+from stable_data.publishing.dataset_card import CROISSANT_FILE
+from stable_data.publishing.publisher import PublishOptions, publish
 from stable_data.simulation.run_reader import RunScenes, SceneSelection, SettledPoses
 from stable_data.storage import run_changes
 from stable_data.storage.checksums import read_checksums
@@ -301,6 +303,59 @@ def _upgrade(folder: Path, base: str) -> bool:
     return _outcome(lambda: run_changes.prune(RunFolder(str(own)))) or done
 
 
+def _publish(folder: Path, base: str) -> bool:
+    out = Path(tempfile.gettempdir(), "published")
+    options = PublishOptions(
+        allow_unknown_licences=True, allow_no_derivatives=True, unverified=True, verify=VerifyOptions(1, verdicts="none")
+    )
+    found = publish(RunFolder(str(folder)), out, options, lambda _: None)
+    document = json.loads((out / CROISSANT_FILE).read_text("utf-8"), parse_constant=_refuse_constant)
+    if document["name"] != folder.name or not (out / "README.md").read_text("utf-8"):
+        raise FalsePass("the published folder has no metadata or no card of the run")
+    published = RunFolder(str(out))
+    for table in found.tables:
+        if published.num_rows(table.name) != table.num_rows:
+            raise FalsePass(f"{table.name}: {published.num_rows(table.name)} rows were published, {table.num_rows} are stated")
+    return True
+
+
+def _refuse_constant(text: str) -> None:
+    raise FalsePass(f"the metadata of a published run have the number {text}, which JSON has not")
+
+
+_JOINED = ("first", "second")
+
+
+def _join(folder: Path, base: str) -> bool:
+    first, second = (RunFolder(str(folder / name)) for name in _JOINED)
+    target = RunFolder(Path(tempfile.gettempdir(), "joined"))
+    with target.locked():
+        counts = select(first, "scene_id is not None", target, [second])
+    if not 0 <= counts["scenes"] <= first.num_rows("scenes") + second.num_rows("scenes"):
+        raise FalsePass(f"the joined run has {counts['scenes']} scenes, more than both runs have")
+    return True
+
+
+def _two_runs() -> list[Base]:
+    """Two runs that share their assets and a scene; one file of one of them is changed."""
+    found = []
+    for name, files in (("preprocess", _preprocessed()), ("generate", _generated())):
+        both = {f"{run}/{path}": content for run in _JOINED for path, content in files.items()}
+        weights = _weights(files, scenes=5, manifest=1, assets=2, meshes=2, settled=1, warnings=1)
+        found.append(Base(name, both, {f"{run}/{path}": weight for run in _JOINED for path, weight in weights.items()}))
+    return found
+
+
+def _to_publish() -> list[Base]:
+    found = []
+    for name, files in (("preprocess", _preprocessed()), ("generate", _generated())):
+        whole = _with_checksums(files)
+        found.append(
+            Base(name, whole, _weights(whole, scenes=5, manifest=3, assets=3, meshes=2, warnings=2, settled=1, turns=1))
+        )
+    return found
+
+
 def _old() -> list[Base]:
     found = []
     for version in ("run_v1", "run_v2"):
@@ -324,5 +379,7 @@ TARGETS = (
     Target("run_export", 5, _exports, _export, _WORDS, block=25),
     Target("run_manifest", 5, _manifests, _read_manifest, _WORDS, block=100),
     Target("run_upgrade", 5, _old, _upgrade, _WORDS, block=50),
+    Target("run_publish", 5, _to_publish, _publish, _WORDS, block=25),
+    Target("run_join", 5, _two_runs, _join, _WORDS, block=50),
 )
 """The targets of this module."""

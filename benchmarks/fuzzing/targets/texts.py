@@ -484,7 +484,7 @@ def _read_stored(folder: Path, base: str) -> bool:
 
 
 TARGETS = (
-    Target("condition", 90, _conditions, _read_condition, _CONDITION_WORDS),
+    Target("condition", 80, _conditions, _read_condition, _CONDITION_WORDS),
     Target(
         "tasks",
         40,

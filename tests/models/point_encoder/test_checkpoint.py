@@ -1,7 +1,9 @@
 import json
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from models.point_encoder.cloud import MODELNET, SONATA
 from models.point_encoder.transformer import PointTransformer, TransformerConfig
 from models.training.weights_file import read_weights, save_weights
 from stable_data.errors import ConfigError
+from stable_data.limits import MIB, memory_limited
 from tests.models.point_encoder.clouds import TINY, box_cloud, clouds, tiny_encoder
 
 FIRST = TransformerConfig(
@@ -154,6 +157,46 @@ def test_preprocessing_of_another_checkpoint_is_refused(tmp_path: Path) -> None:
 def test_other_files_are_refused(tmp_path: Path, content: Any) -> None:
     with pytest.raises(ConfigError, match="expected"):
         load_published(written(tmp_path, content), MODELNET)
+
+
+def repacked(path: Path, compression: int) -> Path:
+    """The same archive, packed in another way."""
+    with ZipFile(path) as source:
+        contents = {name: source.read(name) for name in source.namelist()}
+    with ZipFile(path, "w", compression) as archive:
+        for name, content in contents.items():
+            archive.writestr(name, content)
+    return path
+
+
+def test_a_packed_checkpoint_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    path = repacked(written(tmp_path, {"embedding.stem.conv.weight": torch.zeros(50_000_000)}), ZIP_DEFLATED)
+    assert path.stat().st_size < 10**6
+    with memory_limited(100 * MIB), pytest.raises(ConfigError, match=r"its member '\S+' is packed") as caught:
+        load_published(path, MODELNET)
+    assert caught.value.code == "weights_invalid"
+    assert load_published(repacked(written(tmp_path, weights(FIRST)), ZIP_STORED), MODELNET)
+
+
+def test_a_checkpoint_whose_members_share_their_bytes_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, {"embedding.stem.conv.weight": torch.zeros(10_000)})
+    with ZipFile(path, "a") as archive:
+        member = next(each for each in archive.infolist() if each.filename.endswith("/data/0"))
+        archive.writestr("archive/version_2", "3")
+        for k in range(100):
+            twin = copy(member)
+            twin.filename = f"archive/data/{k + 1}"
+            archive.filelist.append(twin)
+    with pytest.raises(ConfigError, match=r"its members state \d,\d{3},\d{3} bytes, expected at most"):
+        load_published(path, MODELNET)
+
+
+@pytest.mark.parametrize("content", [b"PK\x03\x04", b"PK\x03\x04" + b"PK\x05\x06" * 9, b"PK\x05\x06" + b"\0" * 18])
+def test_a_checkpoint_that_is_no_archive_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "model.pth"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match="expected a checkpoint of tensors"):
+        load_published(path, MODELNET)
 
 
 class Harmful:

@@ -4,19 +4,26 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from pipelines.correct.job import correct
+from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.item_progress import ItemProgress
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_step import Shard
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
+from pipelines.reach.job import ReachJob
+from pipelines.reach.settings import ReachSettings
 from pipelines.sources.asset_copies import CopyAssets
 from pipelines.sources.assets import AssetLibraries
-from pipelines.sources.carried_tables import carry_tables
+from pipelines.sources.carried_tables import carry_tables, refuse_links_out
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.assets.looks import LookRows, look_rows
 from stable_data.assets.run_assets import RunAssets
 from stable_data.assets.store import AssetStore, LookSource
+from stable_data.errors import ConfigError
 from stable_data.geometry.gltf_reader import load_surfaces
 from stable_data.geometry.gltf_writer import SurfaceParts, pack, y_up
 from stable_data.geometry.surface import Surface
@@ -24,6 +31,7 @@ from stable_data.mesatask import MesaTaskDataset, write_annotations, write_scene
 from stable_data.mesatask.writing import write_asset
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.subset import select
+from tests.bounds import limit
 from tests.stable_data.assets.test_looks import ball
 from tests.textured_assets import SIZE, picture_box, rows_of, scene_of, textured, thing, write_run
 
@@ -90,6 +98,81 @@ def test_jobs_that_change_scenes_carry_textures(run: RunFolder, tmp_path: Path) 
     out = RunFolder(str(tmp_path / "out"))
     assert carry_tables(run, out) == ["assets", "meshes", "textures"]
     assert AssetStore(RunAssets(out, tmp_path / "files")).look("other")[0] is not None
+
+
+def linked_out(run: RunFolder, path: Path, content: bytes) -> str:
+    """Puts a link to a file outside of a run in the place of one of its files; returns its name."""
+    elsewhere = Path(run.root).parent / "elsewhere"
+    elsewhere.write_bytes(content)
+    path.unlink(missing_ok=True)
+    path.symlink_to(elsewhere)
+    return path.relative_to(run.root).as_posix()
+
+
+@pytest.mark.parametrize("table", ["meshes", "features"])
+@pytest.mark.parametrize("is_table", [True, False])
+def test_what_lies_behind_a_link_out_of_a_run_is_not_carried(
+    table: str, is_table: bool, run: RunFolder, tmp_path: Path
+) -> None:
+    run.write_shard("features", "0" * 16, [])
+    path = Path(run.root) / table / f"part-{'0' * 16}.parquet"
+    name = linked_out(run, path, path.read_bytes() if is_table else b"a private key")
+    out = RunFolder(str(tmp_path / "out"))
+    for refuse in (lambda: carry_tables(run, out), lambda: refuse_links_out(run)):
+        with pytest.raises(ConfigError, match=f"{name}: is a link out of the run") as caught:
+            refuse()
+        assert caught.value.code == "link_leaves"
+    assert not (Path(out.root) / name).exists()
+
+
+def test_a_job_refuses_links_out_of_its_run_before_it_begins(run: RunFolder, tmp_path: Path) -> None:
+    path = Path(run.files("meshes")[0])
+    linked_out(run, path, path.read_bytes())
+    for start in (
+        lambda: correct(run.root, str(tmp_path / "out"), CorrectSettings(), WorkerPool()),
+        lambda: ReachJob(run.root, ReachSettings("simple")),
+    ):
+        with pytest.raises(ConfigError, match="is a link out of the run"):
+            start()
+    assert not (tmp_path / "out").exists()
+
+
+def test_links_within_a_run_are_carried(run: RunFolder, tmp_path: Path) -> None:
+    path = Path(run.files("meshes")[0])
+    path.rename(Path(run.root) / "kept.parquet")
+    path.symlink_to("../kept.parquet")
+    out = RunFolder(str(tmp_path / "out"))
+    carry_tables(run, out)
+    assert out.num_rows("meshes") == run.num_rows("meshes")
+    assert not Path(out.files("meshes")[0]).is_symlink()
+
+
+def test_only_files_of_the_table_are_carried(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    meshes, out = Path(run.files("meshes")[0]), RunFolder(str(tmp_path / "out"))
+    content = meshes.read_bytes()
+    for other, code in (
+        (b"no table", "shard_unreadable"),
+        (Path(run.files("assets")[0]).read_bytes(), "column_missing"),
+        (_written(pa.table({"asset_id": ["a"]})), "table_version"),
+    ):
+        meshes.write_bytes(other)
+        with pytest.raises(ConfigError, match=r"meshes/part-0+\.parquet") as caught:
+            carry_tables(run, out, ["meshes"])
+        assert caught.value.code == code
+    meshes.write_bytes(content)
+    limit(monkeypatch, "table", max_decoded_bytes=len(content) - 1)
+    with pytest.raises(ConfigError, match=r"table\.max_decoded_bytes in STABLE_DATA_LIMITS") as caught:
+        carry_tables(run, out, ["meshes"])
+    assert caught.value.code == "shard_too_big"
+    limit(monkeypatch, "table", max_decoded_bytes=len(content))
+    assert carry_tables(run, out, ["meshes"]) == ["meshes"]
+
+
+def _written(table: pa.Table) -> bytes:
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
 
 
 def test_tables_of_meshes_and_images_have_small_row_groups(tmp_path: Path) -> None:

@@ -99,6 +99,15 @@ def test_annotations_come_from_the_table(tmp_path: Path) -> None:
     assert annotations["bare"].licence is None
 
 
+def test_lists_of_other_lengths_in_annotations_are_unknown(tmp_path: Path) -> None:
+    run = RunFolder(str(tmp_path))
+    values: Row = {"extents": [1.0, 2.0], "typical_scale": [1.0] * 4, "resting_tilts": [{"tilt_quat_xyzw": [0.0, 0.0, 1.0]}]}
+    rows: list[Row] = [{"asset_id": "odd", **values}, {"asset_id": "none", **values, "resting_tilts": [None]}]
+    run.write_shard("assets", "0" * 16, [dict.fromkeys(SCHEMAS["assets"].names) | row for row in rows])
+    for found in run_annotations(run).values():
+        assert (found.extents_z_up, found.typical_scale, found.resting_tilt) == (None, None, None)
+
+
 def test_a_content_that_is_no_name_is_refused(tmp_path: Path) -> None:
     """No path from data leaves the folder."""
     with pytest.raises(ConfigError, match="64 hex digits"):

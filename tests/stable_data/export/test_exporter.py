@@ -152,6 +152,14 @@ def test_a_scene_that_was_never_settled_is_a_line(tmp_path: Path) -> None:
     assert "not exported: falling: no settled pose of ['0_can_0', '1_mug_0']" in result.stderr
 
 
+def test_a_row_without_an_id_is_a_line(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", (EMPTY,))
+    run.write_shard("scenes", "f" * 16, [run.table("scenes").to_pylist()[0] | {"scene_id": None}])
+    found = export_run(run, tmp_path / "out", "glb", SceneSelection())
+    assert found.num_written == 1
+    assert ["None: the row of its scene cannot be used" in failure for failure in found.failures] == [True]
+
+
 def test_a_body_that_the_engine_refuses_loses_one_scene(tmp_path: Path) -> None:
     flat = SceneObject("0_sheet_0", "sheet", (0.5, 0.4, 0.0), 0.0, (0.1, 0.1, 0.0))
     run = write_run(tmp_path / "run", (EMPTY,))

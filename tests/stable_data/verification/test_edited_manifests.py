@@ -10,10 +10,13 @@ from typer.testing import CliRunner
 
 from stable_data.cli import app
 from stable_data.commands.command_line import SOME_FAILED
-from stable_data.storage.checksums import CHECKSUMS
+from stable_data.errors import ConfigError
+from stable_data.limits import MIB, memory_limited
+from stable_data.storage.checksums import CHECKSUMS, read_checksums
 from stable_data.storage.run_folder import RunFolder
-from stable_data.verification.evaluation_folder import EVALUATION, verify_evaluation
+from stable_data.verification.evaluation_folder import EVALUATION, is_evaluation, verify_evaluation
 from stable_data.verification.verifier import VerifyOptions
+from tests.bounds import limit
 from tests.stable_data.verification.editing import small_run
 
 HUGE = 10**400  # an integer that no float holds
@@ -126,3 +129,53 @@ def test_odd_checksums_are_damage(content: bytes, run: Path, document: dict[str,
     done = CliRunner().invoke(app, ["verify", str(copy), "--verdicts", "none", "--quiet"], catch_exceptions=False)
     assert done.exit_code == SOME_FAILED
     assert CHECKSUMS in done.stdout
+
+
+def test_a_finding_of_a_very_long_name_is_a_line_of_a_bounded_length(
+    run: Path, document: dict[str, Any], tmp_path: Path
+) -> None:
+    copy = Path(shutil.copytree(run, tmp_path / "run"))
+    (copy / "manifest.json").write_text(json.dumps(document), "utf-8")
+    with (copy / CHECKSUMS).open("a") as file:
+        file.write(f"{'0' * 64}  turns/part-{'c' * 16}{'-c' * 5000}.parquet\n")
+    done = CliRunner().invoke(app, ["verify", str(copy), "--verdicts", "none", "--quiet"], catch_exceptions=False)
+    lines = [line for line in done.stdout.splitlines() if line.startswith("turns/part-cccc")]
+    assert lines
+    assert max(map(len, lines)) < 3000
+
+
+def write_sparse(path: Path) -> None:
+    """A file of 400 MB that takes no space."""
+    with path.open("wb") as file:
+        file.truncate(400 * MIB)
+
+
+def test_huge_checksums_are_damage_and_are_not_read_whole(run: Path, document: dict[str, Any], tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(run, tmp_path / "run"))
+    (copy / "manifest.json").write_text(json.dumps(document), "utf-8")
+    write_sparse(copy / CHECKSUMS)
+    with memory_limited(300 * MIB):
+        done = CliRunner().invoke(app, ["verify", str(copy), "--verdicts", "none", "--quiet"], catch_exceptions=False)
+    assert done.exit_code == SOME_FAILED
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith(f"{CHECKSUMS}: "))
+    assert "is larger, expected at most 67,108,864 bytes (text.max_checksum_bytes in STABLE_DATA_LIMITS)" in line
+
+
+def test_checksums_of_empty_lines_take_little_memory(tmp_path: Path) -> None:
+    (tmp_path / CHECKSUMS).write_bytes(b"\n" * (64 * MIB))
+    with memory_limited(300 * MIB), pytest.raises(ConfigError, match="line 1 is"):
+        read_checksums(RunFolder(str(tmp_path)))
+
+
+def test_a_huge_evaluation_is_damage_and_is_not_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch, "text", max_document_bytes=MIB)
+    (tmp_path / "seed_0" / "stable" / "scenes").mkdir(parents=True)
+    for name in (EVALUATION, "seed_0/stable/scenes/manifest.json"):
+        write_sparse(tmp_path / name)
+    told, folder = list[str](), RunFolder(str(tmp_path))
+    with memory_limited(200 * MIB):
+        assert is_evaluation(folder)
+        found = list(verify_evaluation(folder, lambda finding: told.append(str(finding)), VerifyOptions()))
+    assert [one.is_whole for one in found] == [False, False]
+    assert [line.partition(": ")[0] for line in told] == [EVALUATION, "seed_0/stable/scenes/manifest.json"]
+    assert all("text.max_document_bytes" in line for line in told)
