@@ -285,7 +285,11 @@ def _read_answer(folder: Path, base: str) -> bool:
     except (ValueError, RecursionError):
         return False  # the engine turns these into a failure of the request
     completion.text.encode()
-    check_finite("cost", [completion.cost])
+    check_finite("cost", completion.cost)
+    if (completion.cost is None) != (completion.prompt_tokens is None or completion.reply_tokens is None):
+        raise FalsePass(
+            f"cost is {completion.cost} of {completion.prompt_tokens} and {completion.reply_tokens} tokens with prices"
+        )
     return not completion.failure
 
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import pyarrow as pa
@@ -470,7 +471,7 @@ def _read_stored(folder: Path, base: str) -> bool:
         found = cache.read(_KEY)
         check_notices(cache.notices)
         if found is not None and not (
-            isinstance(found.text, str) and isinstance(found.failure, str) and type(found.cost) in (int, float)
+            isinstance(found.text, str) and isinstance(found.failure, str) and type(found.cost) in (int, float, NoneType)
         ):
             raise TypeError(f"a completion with values of other types: {found!r:.200}")
         return found is not None
