@@ -16,7 +16,7 @@ import numpy as np
 from models.instruction_reader.sentences import split_words
 from models.semantic_reasoner.text.reply_json import layout_names
 from stable_data.errors import ConfigError
-from stable_data.json_text import read_json
+from stable_data.json_text import are_finite, number, numbers, read_json
 from stable_data.scene import SceneObject, Stage, Vec3
 from stable_data.storage.row_groups import TableFiles, rows_from_table
 from stable_data.storage.run_folder import RunFolder
@@ -146,7 +146,7 @@ class CategoryStatistics:
             raise ConfigError(
                 f"{path}: not a JSON file ({error}); create the statistics again", "statistics_invalid"
             ) from error
-        if not isinstance(data, dict) or (data.get("version"), tuple(data.get("levels", ()))) != (VERSION, LEVELS):
+        if not isinstance(data, dict) or (data.get("version"), data.get("levels")) != (VERSION, list(LEVELS)):
             raise ConfigError(f"{path}: expected statistics of version {VERSION}; create them again", "statistics_invalid")
         try:
             categories = {name: _category(entry) for name, entry in data["categories"].items()}
@@ -198,12 +198,19 @@ def _category(entry: Mapping[str, Any]) -> Category:
     extents, sizes = (tuple(_vec3(v) for v in entry[key]) for key in ("extents", "sizes"))
     if len(extents) != len(LEVELS) or len(sizes) != len(LEVELS):
         raise ValueError(f"{len(extents)} quantiles, expected {len(LEVELS)}")
-    return Category(int(entry["count"]), extents, sizes, float(entry["carrying"]), dict(entry["words"]))
+    count, carrying = entry["count"], number(entry["carrying"])
+    if type(count) is not int or carrying is None or not 0 <= carrying <= 1:
+        raise ValueError(
+            f"count {count!r:.80} and share {entry['carrying']!r:.80}, expected a number of objects and a share of them"
+        )
+    return Category(count, extents, sizes, carrying, dict(entry["words"]))
 
 
-def _vec3(values: Iterable[float]) -> Vec3:
-    x, y, z = map(float, values)
-    return x, y, z
+def _vec3(values: object) -> Vec3:
+    found = numbers(values, 3)
+    if found is None or not are_finite(found):
+        raise ValueError(f"{values!r:.80}, expected three numbers")
+    return found[0], found[1], found[2]
 
 
 @cache
