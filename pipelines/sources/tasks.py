@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from models.semantic_reasoner.staged_layout import LayoutTask
 from stable_data.errors import ConfigError, Notice, SceneError, cannot_write
 from stable_data.json_text import bounded_lines, is_cut, is_unicode, json_value, quote_value
 from stable_data.limits import LIMITS, at_most
 from stable_data.scene import Tabletop
-from stable_data.storage.run_folder import bounded_batches
+from stable_data.storage.parquet_files import bounded_batches, open_parquet
 
 KEYS = ("scene_id", "instruction", "table_type", "table_size_cm", "restricted_zone_cm")
 """Columns of the file; the first and the last are optional."""
@@ -173,7 +172,7 @@ def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
         _check_columns(path, list(reader.fieldnames or ()))
         yield from enumerate(_csv_rows(reader, lines), 1)
     elif path.suffix == ".parquet":
-        with pq.ParquetFile(path) as file:
+        with open_parquet(path) as file:
             _check_columns(path, list(file.schema_arrow.names))
             number = 0
             for batch in bounded_batches(file, str(path), range(file.num_row_groups), most_rows=_ROWS):

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 
 from stable_data.atomic_files import write_file_atomically
 from stable_data.errors import ConfigError, cannot_write
+from stable_data.storage.parquet_files import open_parquet
 
 Rows: TypeAlias = npt.NDArray[np.float32]
 """One unit row for each text, (N, D) float32, compared by dot product."""
@@ -120,7 +121,7 @@ def _read(cache: Path, fingerprint: str) -> tuple[list[str], Rows]:
     if not cache.exists():
         return [], np.zeros((0, 0), np.float32)
     try:
-        with pq.ParquetFile(cache) as file:  # opened once: another process may replace the file
+        with open_parquet(cache) as file:  # opened once: another process may replace the file
             table = file.read()
         found = (table.schema.metadata or {}).get(_FINGERPRINT, b"").decode()
         texts = table["text"].to_pylist()

@@ -17,7 +17,8 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, cannot_read
 from stable_data.scene import IntArray
 from stable_data.storage.filter_expression import FilterExpression, parse_filter
-from stable_data.storage.run_folder import RunFolder, Uri, read_row_groups
+from stable_data.storage.parquet_files import open_parquet, read_row_groups
+from stable_data.storage.run_folder import RunFolder, Uri
 from stable_data.storage.schema_checks import check_schema, conform_to_schema, missing_columns, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS, Row
 
@@ -141,7 +142,7 @@ class TableFiles:
         """Reads row groups of one file."""
         folder, path = self._folders[groups[0].run], groups[0].path
         try:
-            with pq.ParquetFile(path, filesystem=folder.filesystem, pre_buffer=True) as file:
+            with open_parquet(path, filesystem=folder.filesystem, pre_buffer=True) as file:
                 parts = [read_row_groups(file, path, [g.index], self._leaves, use_threads=use_threads) for g in groups]
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(folder.uri, path, error) from error
@@ -163,7 +164,7 @@ class TableFiles:
         folder, schema = self._folders[run], SCHEMAS[self._table]
         try:
             fragment = ds.ParquetFileFormat().make_fragment(path, folder.filesystem)
-            with pq.ParquetFile(path, filesystem=folder.filesystem, metadata=fragment.metadata) as file:
+            with open_parquet(path, filesystem=folder.filesystem, metadata=fragment.metadata) as file:
                 missing = check.missing(file, f"{folder.uri}: {path}")
                 possible = range(file.num_row_groups) if query is None else possible_groups(fragment, query, schema)
                 rows = None if self._places is None else self._places[path]

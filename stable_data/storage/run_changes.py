@@ -11,7 +11,6 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError, cannot_read
 from stable_data.storage.checksums import CHECKSUMS, refuse_changed_files, take_checksums
@@ -24,7 +23,8 @@ from stable_data.storage.manifest import (
     read_manifest,
     write_manifest,
 )
-from stable_data.storage.run_folder import RunFolder, read_row_groups
+from stable_data.storage.parquet_files import open_parquet, read_row_groups
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schema_checks import check_required, check_schema, conform_to_schema, is_older_version, version_of
 from stable_data.storage.schemas import SCHEMAS, TABLE_VERSION
 from stable_data.storage.subset import ASSET_TABLES, images_of, used_assets
@@ -151,7 +151,7 @@ def _change(run: RunFolder, table: str, change: Callable[[pa.Table], pa.Table], 
     count = 0
     for path in run.files(table):
         try:
-            file = pq.ParquetFile(path, filesystem=run.filesystem)
+            file = open_parquet(path, filesystem=run.filesystem)
             rows = read_row_groups(file, path, range(file.num_row_groups)).replace_schema_metadata(file.schema_arrow.metadata)
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(run.uri, path, error) from error

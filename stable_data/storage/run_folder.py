@@ -30,7 +30,8 @@ import pyarrow.parquet as pq
 from stable_data.atomic_files import temporary_path
 from stable_data.errors import ConfigError, cannot_read, cannot_write
 from stable_data.json_text import document_of
-from stable_data.limits import LIMITS, at_most
+from stable_data.limits import LIMITS
+from stable_data.storage.parquet_files import bounded_batches, is_small, open_parquet, read_row_groups
 from stable_data.storage.schema_checks import check_schema, conform_to_schema, missing_columns, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.table_rows import arrow_table
@@ -381,7 +382,7 @@ class RunFolder:
         with ThreadPoolExecutor(_AHEAD) as pool:
             for part in self._parts(table):
                 with self._naming_what_is_broken(part):
-                    if all(pool.map(_is_small, part.get_fragments())):
+                    if all(pool.map(is_small, part.get_fragments())):
                         yield from part.to_batches(wanted, filter=where, **ahead)
                         continue
                     for start in range(0, len(part.files), at_once):  # a scan would decode a row group as a whole
@@ -408,7 +409,7 @@ class RunFolder:
         with ThreadPoolExecutor(_AHEAD) as pool:
             for part in self._parts(table, files):
                 with self._naming_what_is_broken(part):
-                    if self.is_local and all(pool.map(_is_small, part.get_fragments())):
+                    if self.is_local and all(pool.map(is_small, part.get_fragments())):
                         rows.append(part.to_table(wanted, filter=where))  # of local files, one scan costs less for each
                     else:
                         rows += pool.map(lambda path: self._read(table, path, wanted, where), part.files)
@@ -474,7 +475,7 @@ class RunFolder:
         """Opens a file, and names its row groups that may contain requested rows."""
         fragment = ds.ParquetFileFormat().make_fragment(path, self.filesystem)
         fragment = fragment if where is None else fragment.subset(where, schema=SCHEMAS[table])
-        with pq.ParquetFile(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
+        with open_parquet(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
             yield file, [group.id for group in fragment.row_groups]
 
     def _parts(self, table: str, files: Sequence[str] | None = None) -> Iterator[ds.Dataset]:
@@ -498,7 +499,7 @@ class RunFolder:
         """Returns the first file that cannot be read completely, or None."""
         for path in files:
             try:
-                file = pq.ParquetFile(path, filesystem=self.filesystem)
+                file = open_parquet(path, filesystem=self.filesystem)
                 read_row_groups(file, path, range(file.num_row_groups))
             except (pa.ArrowException, OSError):
                 return path
@@ -506,65 +507,6 @@ class RunFolder:
 
     def _path(self, name: str) -> str:
         return self.root if name == "." else f"{self.root}/{name}"
-
-
-def read_row_groups(
-    file: pq.ParquetFile, path: str, groups: Iterable[int], columns: Sequence[str] | None = None, *, use_threads: bool = True
-) -> pa.Table:
-    """Reads row groups of a Parquet file a few rows at a time, since a small file may decode to very many bytes.
-
-    Args:
-        file: The file.
-        path: Path of the file, for the message.
-        groups: Indices of the row groups.
-        columns: Columns or leaves of columns, as Parquet names them, or None for all.
-        use_threads: Whether columns are decoded in parallel.
-
-    Raises:
-        ConfigError: The row groups need too much memory (``shard_too_big``).
-    """
-    batches, size = list[pa.RecordBatch](), 0
-    for batch in bounded_batches(file, path, groups, columns, use_threads=use_threads):
-        size += batch.nbytes
-        if size > LIMITS.table.max_decoded_bytes:
-            raise _too_big(path, "one file of a table")
-        batches.append(batch)
-    # Batches, not tables: a concatenation of tables without columns loses the number of their rows.
-    return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
-
-
-def bounded_batches(
-    file: pq.ParquetFile,
-    path: str,
-    groups: Iterable[int],
-    columns: Sequence[str] | None = None,
-    *,
-    most_rows: int | None = None,
-    use_threads: bool = True,
-) -> Iterator[pa.RecordBatch]:
-    """Yields the rows of row groups in batches that need little memory each; see :func:`read_row_groups`.
-
-    Args:
-        file: The file.
-        path: Path of the file, for the message.
-        groups: Indices of the row groups.
-        columns: Columns or leaves of columns, as Parquet names them, or None for all.
-        most_rows: Rows of a batch, or None for all of a row group if they need little memory.
-        use_threads: Whether columns are decoded in parallel.
-
-    Raises:
-        ConfigError: A row group states more bytes than the limit (``shard_too_big``).
-    """
-    limit = LIMITS.table.max_decoded_bytes
-    for group in groups:
-        footer = file.metadata.row_group(group)
-        if (stated := footer.total_byte_size) > limit:
-            raise _too_big(path, "one row group")
-        rows = limit // max(stated, 1)  # no value is larger than the bytes of its row group
-        if most_rows is None and footer.num_rows <= rows:
-            yield from file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
-        else:
-            yield from file.iter_batches(max(1, min(rows, most_rows or rows)), [group], columns, use_threads=use_threads)
 
 
 def _begin(stream: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
@@ -576,20 +518,6 @@ def _needed(schema: pa.Schema, wanted: _Columns, where: pc.Expression | None) ->
     """The columns that the requested ones and the condition need."""
     names = _names_in(schema.names if wanted is None else wanted, where)
     return pa.schema([field for field in schema if field.name in names], schema.metadata)
-
-
-def _too_big(path: str, of: str) -> ConfigError:
-    return ConfigError(
-        f"{path}: needs more memory, expected {at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')} for {of}; "
-        "the file may be malicious; if you trust it, write its rows to several files",
-        "shard_too_big",
-    )
-
-
-def _is_small(fragment: ds.ParquetFileFragment) -> bool:
-    """Whether a file cannot need too much memory; no value is larger than the bytes of its row group."""
-    most = sum(group.num_rows * group.total_byte_size for group in fragment.row_groups)
-    return bool(most <= LIMITS.table.max_decoded_bytes)
 
 
 def _shard_of(path: str) -> str:

@@ -25,8 +25,9 @@ from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, cannot_read
 from stable_data.scene import IntArray, Scene
 from stable_data.storage.id_hashes import Hashes, id_hashes
+from stable_data.storage.parquet_files import open_parquet, read_row_groups
 from stable_data.storage.row_groups import ColumnCheck, Places, leaf_schema
-from stable_data.storage.run_folder import RunFolder, Uri, absolute_uri, read_row_groups
+from stable_data.storage.run_folder import RunFolder, Uri, absolute_uri
 from stable_data.storage.scene_arrays import SCENE_LEAVES, scenes_from_table
 from stable_data.storage.schema_checks import conform_to_schema, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS, Row
@@ -243,7 +244,7 @@ class SceneIndex:
             file = self._files.pop(path, None)
             self._file_bytes -= 0 if file is None else _size(file)
         if file is None:
-            file = pq.ParquetFile(path, filesystem=self._run.filesystem, pre_buffer=not self._run.is_local)
+            file = open_parquet(path, filesystem=self._run.filesystem, pre_buffer=not self._run.is_local)
             missing = self._check.missing(file, f"{self._run.uri}: {path}")
             warn_of_missing_columns(self._run.uri, self._table, missing)
         yield file
@@ -311,7 +312,7 @@ class SceneIndex:
     def _list(self, path: str) -> tuple[Hashes, list[int]]:
         """Returns the hashes of the ids of a file, and the sizes of its row groups."""
         try:
-            with pq.ParquetFile(path, filesystem=self._run.filesystem, pre_buffer=not self._run.is_local) as file:
+            with open_parquet(path, filesystem=self._run.filesystem, pre_buffer=not self._run.is_local) as file:
                 self._check.missing(file, f"{self._run.uri}: {path}")
                 sizes = [file.metadata.row_group(group).num_rows for group in range(file.num_row_groups)]
                 names = read_row_groups(file, path, range(file.num_row_groups), ["scene_id"], use_threads=False)["scene_id"]

@@ -13,8 +13,9 @@ import pyarrow.parquet as pq
 
 from stable_data.errors import cannot_read
 from stable_data.storage.filter_expression import parse_filter
+from stable_data.storage.parquet_files import open_parquet, read_row_groups
 from stable_data.storage.row_groups import ColumnCheck, chosen_rows, possible_groups
-from stable_data.storage.run_folder import RunFolder, read_row_groups
+from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schema_checks import conform_to_schema, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS
 
@@ -87,7 +88,7 @@ class TableScan:
         files = self._run.filesystem
         try:
             fragment = ds.ParquetFileFormat().make_fragment(path, files)
-            with pq.ParquetFile(path, filesystem=files, metadata=fragment.metadata, pre_buffer=not self._run.is_local) as file:
+            with open_parquet(path, filesystem=files, metadata=fragment.metadata, pre_buffer=not self._run.is_local) as file:
                 yield file, fragment
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(self._run.uri, path, error) from error

@@ -10,7 +10,8 @@ import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
 from stable_data.storage.checksums import CHECKSUMS, checksum_of, is_shard_file
-from stable_data.storage.run_folder import PART, RunFolder, read_row_groups
+from stable_data.storage.parquet_files import open_parquet, read_row_groups
+from stable_data.storage.run_folder import PART, RunFolder
 from stable_data.verification.findings import Findings
 
 _WHOLE = 256 * 2**20  # a file up to this size is read once, for its checksum and its rows; a larger one twice
@@ -102,7 +103,7 @@ def open_file(folder: RunFolder, file: ShardFile, checksum: str | None, findings
             findings.damage(
                 file.name, f"has the SHA-256 {found[:16]}…, expected {checksum[:16]}… as {CHECKSUMS} says; it was changed"
             )
-        return pq.ParquetFile(source)
+        return open_parquet(source)
     except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
         findings.damage(file.name, f"is no readable Parquet file ({_line(error)})")
         return None

@@ -1,0 +1,101 @@
+"""Parquet files of others are opened and read with bounded memory, and with errors of Arrow alone."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+
+from stable_data.errors import ConfigError
+from stable_data.limits import LIMITS, at_most
+
+
+def open_parquet(source: Any, **options: Any) -> pq.ParquetFile:
+    """Opens a Parquet file.
+
+    Args:
+        source: Its path or stream.
+        options: As for :class:`pyarrow.parquet.ParquetFile`.
+
+    Raises:
+        pyarrow.ArrowException: It is no Parquet file, or the name of a column is not UTF-8.
+        OSError: It cannot be read.
+    """
+    try:
+        return pq.ParquetFile(source, **options)
+    except UnicodeDecodeError as error:  # Arrow decodes the names of columns only now
+        raise pa.ArrowInvalid(f"the name of a column is not UTF-8: {error}") from error
+
+
+def read_row_groups(
+    file: pq.ParquetFile, path: str, groups: Iterable[int], columns: Sequence[str] | None = None, *, use_threads: bool = True
+) -> pa.Table:
+    """Reads row groups of a Parquet file a few rows at a time, since a small file may decode to very many bytes.
+
+    Args:
+        file: The file.
+        path: Path of the file, for the message.
+        groups: Indices of the row groups.
+        columns: Columns or leaves of columns, as Parquet names them, or None for all.
+        use_threads: Whether columns are decoded in parallel.
+
+    Raises:
+        ConfigError: The row groups need too much memory (``shard_too_big``).
+    """
+    batches, size = list[pa.RecordBatch](), 0
+    for batch in bounded_batches(file, path, groups, columns, use_threads=use_threads):
+        size += batch.nbytes
+        if size > LIMITS.table.max_decoded_bytes:
+            raise _too_big(path, "one file of a table")
+        batches.append(batch)
+    # Batches, not tables: a concatenation of tables without columns loses the number of their rows.
+    return pa.Table.from_batches(batches) if batches else file.read_row_groups([], columns)
+
+
+def bounded_batches(
+    file: pq.ParquetFile,
+    path: str,
+    groups: Iterable[int],
+    columns: Sequence[str] | None = None,
+    *,
+    most_rows: int | None = None,
+    use_threads: bool = True,
+) -> Iterator[pa.RecordBatch]:
+    """Yields the rows of row groups in batches that need little memory each; see :func:`read_row_groups`.
+
+    Args:
+        file: The file.
+        path: Path of the file, for the message.
+        groups: Indices of the row groups.
+        columns: Columns or leaves of columns, as Parquet names them, or None for all.
+        most_rows: Rows of a batch, or None for all of a row group if they need little memory.
+        use_threads: Whether columns are decoded in parallel.
+
+    Raises:
+        ConfigError: A row group states more bytes than the limit (``shard_too_big``).
+    """
+    limit = LIMITS.table.max_decoded_bytes
+    for group in groups:
+        footer = file.metadata.row_group(group)
+        if (stated := footer.total_byte_size) > limit:
+            raise _too_big(path, "one row group")
+        rows = limit // max(stated, 1)  # no value is larger than the bytes of its row group
+        if most_rows is None and footer.num_rows <= rows:
+            yield from file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
+        else:
+            yield from file.iter_batches(max(1, min(rows, most_rows or rows)), [group], columns, use_threads=use_threads)
+
+
+def is_small(fragment: ds.ParquetFileFragment) -> bool:
+    """Returns whether a file cannot need too much memory; no value is larger than the bytes of its row group."""
+    most = sum(group.num_rows * group.total_byte_size for group in fragment.row_groups)
+    return bool(most <= LIMITS.table.max_decoded_bytes)
+
+
+def _too_big(path: str, of: str) -> ConfigError:
+    return ConfigError(
+        f"{path}: needs more memory, expected {at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')} for {of}; "
+        "the file may be malicious; if you trust it, write its rows to several files",
+        "shard_too_big",
+    )
