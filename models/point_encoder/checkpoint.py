@@ -115,7 +115,16 @@ def _read(path: Path) -> Mapping[str, Any]:
         if path.suffix != ".safetensors" and _is_archive(path):
             _refuse_packed(path)
         content = load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, SafetensorError, pickle.UnpicklingError, RuntimeError, EOFError, BadZipFile, *_WRONG_VALUES) as error:
+    except (
+        OSError,
+        SafetensorError,
+        pickle.UnpicklingError,
+        RuntimeError,
+        EOFError,
+        AssertionError,
+        BadZipFile,
+        *_WRONG_VALUES,
+    ) as error:
         # torch's own message for a file with code explains how to execute the code.
         what = "more than data" if isinstance(error, pickle.UnpicklingError) else f"{str(error).partition(chr(10))[0]:.300}"
         message = f"{path}: found {what}, expected a checkpoint of tensors and plain values alone"

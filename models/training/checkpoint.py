@@ -14,7 +14,10 @@ from stable_data.config_diff import flatten_config, refuse_changed
 from stable_data.errors import ConfigError
 
 # The errors of torch.load for bytes that are not a checkpoint, and those for missing keys.
-_UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, LookupError, AttributeError, TypeError, pickle.UnpicklingError)
+_UNREADABLE = (
+    *(AssertionError, AttributeError, EOFError, LookupError, OSError, RuntimeError, TypeError, ValueError),
+    pickle.UnpicklingError,
+)  # of torch, too, which asserts that what it reads has the right type
 
 _ABOUT = "about"
 

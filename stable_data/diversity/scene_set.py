@@ -13,6 +13,7 @@ from stable_data.scene import FloatArray, Scene
 from stable_data.storage.manifest import read_manifest
 from stable_data.storage.row_groups import TableFiles
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.scene_arrays import naming_broken_rows
 
 _OBJECT = "objects.list.element"
 _LEAVES = (
@@ -83,7 +84,8 @@ class SceneSet:
             seed: Decides which are drawn.
 
         Raises:
-            ConfigError: The table is missing or cannot be read, or ``where`` is no condition.
+            ConfigError: The table is missing or cannot be read, a row is none of a scene (``rows_invalid``), or ``where`` is no
+                condition.
         """
         files = TableFiles(uri, "scenes", _LEAVES, where=where)
         total = len(files)
@@ -94,7 +96,9 @@ class SceneSet:
         for group, start in enumerate(files.starts[:-1].tolist()):
             own = chosen[(chosen >= start) & (chosen < files.starts[group + 1])] - start
             if len(own):
-                scenes += _compared(files.read([group]).take(own))
+                rows = files.read([group]).take(own)
+                with naming_broken_rows():
+                    scenes += _compared(rows)
         return cls(uri, tuple(scenes), total)
 
     def __len__(self) -> int:
@@ -129,13 +133,13 @@ def layouts_of(scenes: Sequence[ComparedScene]) -> SceneLayouts:
 
 def _compared(table: pa.Table) -> Iterator[ComparedScene]:
     for row in table.to_pylist():
-        fixed = set(row["fixed"] or ())
+        fixed, (width, depth) = set(row["fixed"] or ()), row["table_size"]
         objects = [o for o in row["objects"] if o["instance"] not in fixed]
         yield ComparedScene(
             row["scene_id"],
             row["split"],
             row["table_type"],
-            tuple(row["table_size"]),
+            (width, depth),
             tuple(o["category"] for o in objects),
             tuple(o["asset_id"] for o in objects),
             np.array([o["position"] for o in objects], np.float64).reshape(-1, 3),

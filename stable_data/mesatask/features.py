@@ -9,6 +9,7 @@ import io
 import math
 import pickle
 import pickletools
+import sys
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -302,6 +303,9 @@ def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_
         raise ValueError(f"dtype {quote_value(kind)}, expected floats or strings")
     if kind[0] == "U" and size > LIMITS.features.max_rows:
         raise ValueError(f"{size:,} strings, expected {at_most(LIMITS.features, 'max_rows')}")
-    array = np.frombuffer(content, np.dtype((">" if is_big else "<") + kind))
+    order = ">" if is_big else "<"
+    array = np.frombuffer(content, np.dtype(order + kind))
+    if kind[0] == "U" and (np.frombuffer(content, f"{order}u4") > sys.maxunicode).any():
+        raise ValueError("a character that Unicode does not have, expected text")
     array = array.reshape(shape, order="F" if is_fortran else "C")
     return array.tolist() if kind[0] == "U" else array

@@ -66,13 +66,17 @@ def scenes_from_table(table: pa.Table) -> list[Scene]:
     Raises:
         ConfigError: A value is missing or none of a scene (``rows_invalid``).
     """
-    with _naming_what_is_broken():
+    with naming_broken_rows():
         return _scenes(table)
 
 
 @contextmanager
-def _naming_what_is_broken() -> Iterator[None]:
-    """Says that rows are not those of a job: a run may come from anywhere."""
+def naming_broken_rows() -> Iterator[None]:
+    """Says of what fails in it that rows of ``scenes`` are not those of a job: a run may come from anywhere.
+
+    Raises:
+        ConfigError: A value is missing or none of a scene (``rows_invalid``).
+    """
     try:
         yield
     except MemoryError:
@@ -148,7 +152,7 @@ class SceneArrays:
         Raises:
             ConfigError: A value is missing or none of a scene (``rows_invalid``).
         """
-        with _naming_what_is_broken():
+        with naming_broken_rows():
             return cls._from_table(table)
 
     @classmethod
