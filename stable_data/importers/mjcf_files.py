@@ -194,10 +194,11 @@ def read_spec(place: Path, path: str) -> "mujoco.MjSpec":
     Raises:
         MeshError: MuJoCo refuses the model (``model_unreadable``).
     """
-    from stable_data.simulation.mujoco_import import mujoco
+    from stable_data.simulation.mujoco_import import mujoco, without_log_file
 
     try:
-        return mujoco.MjSpec.from_file(str(place))
+        with without_log_file():
+            return mujoco.MjSpec.from_file(str(place))
     except (ValueError, mujoco.FatalError) as error:
         raise refused_model(path, error) from error
 
@@ -208,10 +209,11 @@ def compile_model(spec: "mujoco.MjSpec", path: str) -> "mujoco.MjModel":
     Raises:
         MeshError: MuJoCo refuses the model (``model_unreadable``).
     """
-    from stable_data.simulation.mujoco_import import mujoco
+    from stable_data.simulation.mujoco_import import mujoco, without_log_file
 
     try:
-        return spec.compile()
+        with without_log_file():
+            return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise refused_model(path, error) from error
 

@@ -19,12 +19,12 @@ from stable_data.assets.run_assets import run_store
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
 from stable_data.scene import FloatArray, Scene
-from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.mujoco_import import mujoco, without_log_file
 from stable_data.simulation.mujoco_model import CAMERAS, HOME, VISUAL_GROUP, engine_spec
 from stable_data.simulation.offscreen import Picture, open_renderer
 from stable_data.simulation.run_reader import RunScenes, SceneSelection, SettledPoses
 from stable_data.simulation.scene_geometry import SceneGeometry
-from stable_data.simulation.settling import COLLIDER, compile_spec, has_exploded, without_log_file
+from stable_data.simulation.settling import COLLIDER, compile_spec, has_exploded
 from stable_data.storage.run_folder import RunFolder, Uri
 
 Observation: TypeAlias = dict[str, Any]

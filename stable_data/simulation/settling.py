@@ -6,8 +6,7 @@ Colliders are the convex parts of the objects; the table is a box whose top is z
 import hashlib
 import struct
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,7 +17,7 @@ from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh
 from stable_data.rotations import wxyz, yaw_quat
 from stable_data.scene import TABLE, FloatArray, QuatXyzw, Tabletop, Vec3
-from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.mujoco_import import mujoco, without_log_file
 
 MOVE_LIMIT = 0.010
 """Largest movement of an object in a stable scene, from its start at any time, metres."""
@@ -508,16 +507,6 @@ def _speed(data: mujoco.MjData) -> float:
     """Speed of the fastest body, metres a second."""
     motion = data.qvel.reshape(-1, 6) * ([1.0] * 3 + [_TURN_ARM] * 3)
     return float(np.abs(motion).max(initial=0.0))
-
-
-@contextmanager
-def without_log_file() -> Iterator[None]:
-    """Keeps MuJoCo from writing its warnings to a file in the working directory; the verdict gives the same information."""
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)
 
 
 def has_exploded(data: mujoco.MjData) -> bool:

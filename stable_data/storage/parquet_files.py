@@ -1,7 +1,7 @@
 """Parquet files of others are opened and read with bounded memory, and with errors of Arrow alone."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import pyarrow as pa
 import pyarrow.dataset as ds
@@ -9,6 +9,8 @@ import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
 from stable_data.limits import LIMITS, at_most
+
+_Rows = TypeVar("_Rows", pa.RecordBatch, pa.Table)
 
 
 def open_parquet(source: Any, **options: Any) -> pq.ParquetFile:
@@ -74,6 +76,7 @@ def bounded_batches(
 
     Raises:
         ConfigError: A row group states more bytes than the limit (``shard_too_big``).
+        pyarrow.ArrowInvalid: Values are broken, see :func:`checked`.
     """
     limit = LIMITS.table.max_decoded_bytes
     for group in groups:
@@ -82,9 +85,20 @@ def bounded_batches(
             raise _too_big(path, "one row group")
         rows = limit // max(stated, 1)  # no value is larger than the bytes of its row group
         if most_rows is None and footer.num_rows <= rows:
-            yield from file.read_row_group(group, columns, use_threads=use_threads).to_batches()  # faster than in steps
+            batches = iter(file.read_row_group(group, columns, use_threads=use_threads).to_batches())  # faster than in steps
         else:
-            yield from file.iter_batches(max(1, min(rows, most_rows or rows)), [group], columns, use_threads=use_threads)
+            batches = file.iter_batches(max(1, min(rows, most_rows or rows)), [group], columns, use_threads=use_threads)
+        yield from map(checked, batches)
+
+
+def checked(rows: _Rows) -> _Rows:
+    """Returns rows of a file of others as they are, if all values are what their types say: Arrow reads text that is none.
+
+    Raises:
+        pyarrow.ArrowInvalid: A text is not UTF-8, or an offset is wrong.
+    """
+    rows.validate(full=True)
+    return rows
 
 
 def is_small(fragment: ds.ParquetFileFragment) -> bool:

@@ -31,7 +31,7 @@ from stable_data.atomic_files import temporary_path
 from stable_data.errors import ConfigError, cannot_read, cannot_write
 from stable_data.json_text import document_of
 from stable_data.limits import LIMITS
-from stable_data.storage.parquet_files import bounded_batches, is_small, open_parquet, read_row_groups
+from stable_data.storage.parquet_files import bounded_batches, checked, is_small, open_parquet, read_row_groups
 from stable_data.storage.schema_checks import check_schema, conform_to_schema, missing_columns, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.table_rows import arrow_table
@@ -359,7 +359,8 @@ class RunFolder:
             known = ", ".join(SCHEMAS)
             raise ConfigError(f"{self.uri}: no table {table}, expected a folder of part-*.parquet ({known})", "table_missing")
         try:
-            schema = pq.read_schema(files[0], filesystem=self.filesystem)
+            with open_parquet(files[0], filesystem=self.filesystem) as file:
+                schema = file.schema_arrow
         except (pa.ArrowException, OSError) as error:
             raise cannot_read(self.uri, files[0], error) from error
         check_schema(schema, table, f"{self.uri}/{table}")
@@ -383,7 +384,7 @@ class RunFolder:
             for part in self._parts(table):
                 with self._naming_what_is_broken(part):
                     if all(pool.map(is_small, part.get_fragments())):
-                        yield from part.to_batches(wanted, filter=where, **ahead)
+                        yield from map(checked, part.to_batches(wanted, filter=where, **ahead))
                         continue
                     for start in range(0, len(part.files), at_once):  # a scan would decode a row group as a whole
                         streams = (self._stream(table, path, wanted, where) for path in part.files[start : start + at_once])
@@ -410,7 +411,9 @@ class RunFolder:
             for part in self._parts(table, files):
                 with self._naming_what_is_broken(part):
                     if self.is_local and all(pool.map(is_small, part.get_fragments())):
-                        rows.append(part.to_table(wanted, filter=where))  # of local files, one scan costs less for each
+                        rows.append(
+                            checked(part.to_table(wanted, filter=where))
+                        )  # of local files, one scan costs less for each
                     else:
                         rows += pool.map(lambda path: self._read(table, path, wanted, where), part.files)
         return pa.concat_tables(rows)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from stable_data.scene import FloatArray
-from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.mujoco_import import mujoco, without_log_file
 from stable_data.simulation.scene_geometry import SceneGeometry
-from stable_data.simulation.settling import compile_bodies, has_exploded, without_log_file
+from stable_data.simulation.settling import compile_bodies, has_exploded
 
 
 class ScenePhysics:

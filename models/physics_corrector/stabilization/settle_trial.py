@@ -7,8 +7,8 @@ import numpy as np
 
 from models.physics_corrector.packing.slab_outline import BoolArray
 from stable_data.scene import FloatArray, Tabletop
-from stable_data.simulation.mujoco_import import mujoco
-from stable_data.simulation.settling import Calm, PhysicsOptions, RigidBody, compile_bodies, enable_sleeping, without_log_file
+from stable_data.simulation.mujoco_import import mujoco, without_log_file
+from stable_data.simulation.settling import Calm, PhysicsOptions, RigidBody, compile_bodies, enable_sleeping
 
 _OPTIONS = PhysicsOptions()  # as for the verdict on stability
 

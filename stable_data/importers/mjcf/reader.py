@@ -48,6 +48,7 @@ _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _STATED = 0.99  # share of the mass that must be stated
 _GREY = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's colour of a geom that has none
 _REGION = "reg_"  # RoboCasa's names of regions, which are boxes of no substance
+_LARGEST = 1e6  # metres: a longer shape is none of an asset, and its volume or place may not be finite
 _OF_A_SHAPE = len(sphere_triangles())  # triangles of a simple shape, about
 
 
@@ -257,16 +258,19 @@ class _Shapes:
     @classmethod
     def of(cls, isolated: IsolatedModel, *, is_solid: bool) -> "_Shapes":
         """Compiles a model; meshes that are not solid are taken as shells."""
-        from stable_data.simulation.mujoco_import import mujoco
+        from stable_data.simulation.mujoco_import import mujoco, without_log_file
 
-        spec = mujoco.MjSpec.from_string(isolated.text, assets=dict(isolated.meshes))
-        spec.compiler.discardvisual = False
-        spec.compiler.fusestatic = False
-        for mesh in spec.meshes if not is_solid else ():
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        with without_log_file():
+            spec = mujoco.MjSpec.from_string(isolated.text, assets=dict(isolated.meshes))
+            spec.compiler.discardvisual = False
+            spec.compiler.fusestatic = False
+            for mesh in spec.meshes if not is_solid else ():
+                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+            model = spec.compile()
+            data = mujoco.MjData(model)
+            mujoco.mj_kinematics(model, data)
+        if not (np.abs(model.geom_size) < _LARGEST).all():
+            raise ValueError(f"a shape of {np.abs(model.geom_size).max():g} m, expected usual lengths")
         return cls(spec, model, data, is_solid)
 
     @property

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from stable_data.errors import SceneError
 from stable_data.geometry.mesh import Mesh
 from stable_data.scene import FloatArray
 
@@ -67,8 +68,17 @@ def cylinder(radius: float, half_length: float) -> Mesh:
 
 
 def _solid(points: FloatArray) -> Mesh:
+    """The hull of the points of a solid.
+
+    Raises:
+        SceneError: It has none, because a length is beyond all measure (``size_invalid``).
+    """
     found = hull_of(points)
-    assert found is not None
+    if found is None:
+        sides = " x ".join(f"{side:.3g}" for side in np.ptp(points, axis=0))
+        raise SceneError(
+            f"a shape of {sides} m has no volume that can be computed, expected usual lengths; correct it", "size_invalid"
+        )
     return found
 
 

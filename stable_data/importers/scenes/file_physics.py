@@ -19,8 +19,8 @@ from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of, wxyz
 from stable_data.scene import FloatArray
 from stable_data.simulation.collision_bodies import DENSITY
-from stable_data.simulation.mujoco_import import mujoco
-from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, PhysicsOptions, has_exploded, hull_volume, without_log_file
+from stable_data.simulation.mujoco_import import mujoco, without_log_file
+from stable_data.simulation.settling import MOVE_LIMIT, TURN_LIMIT, PhysicsOptions, has_exploded, hull_volume
 
 WATCH_SECONDS = 4.0
 """How long a file is watched: as long as the verdict ``stable`` of this library."""

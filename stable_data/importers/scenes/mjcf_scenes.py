@@ -21,7 +21,7 @@ from stable_data.importers.scenes.scene_file import Ground, SceneBody, SceneFile
 from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
-from stable_data.simulation.mujoco_import import mujoco
+from stable_data.simulation.mujoco_import import mujoco, without_log_file
 
 INITIAL = "initial"
 """Stands for the poses that a file states at its bodies, where a keyframe's name is expected."""
@@ -86,8 +86,9 @@ def read_mjcf_scene(boundary: Boundary, path: str, key: str = "") -> MjcfScene:
     data = mujoco.MjData(model)
     if number >= 0:
         mujoco.mj_resetDataKeyframe(model, data, number)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    with without_log_file():
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
     if not (np.isfinite(data.xpos).all() and np.isfinite(data.xquat).all()):
         raise SceneError(f"{path}: poses of {pose_of} are not finite, expected numbers; correct them", "not_finite")
     notices: list[Notice] = []
@@ -169,7 +170,10 @@ def _bodies(
         body = int(model.geom_bodyid[geom])
         owner = int(model.body_rootid[body]) if int(model.body_rootid[body]) in of_root else body
         hfields += model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD
-        mesh = _geom_mesh(model, int(geom))
+        try:
+            mesh = _geom_mesh(model, int(geom))
+        except SceneError as error:
+            raise SceneError(f"{path}: {body_name(model, body)}: {error}", error.code) from error
         if mesh is None and int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_MESH):
             message = f"{path}: a mesh of {body_name(model, body)} has no volume; it is no obstacle"
             notices.append(Notice(path, "read", "mesh_empty", message))

@@ -8,8 +8,8 @@ import numpy as np
 from stable_data.robot.arm.assembly import RobotModel
 from stable_data.robot.arm.robots import control_of, opening_of
 from stable_data.scene import TABLE, FloatArray
-from stable_data.simulation.mujoco_import import mujoco
-from stable_data.simulation.settling import has_exploded, without_log_file
+from stable_data.simulation.mujoco_import import mujoco, without_log_file
+from stable_data.simulation.settling import has_exploded
 
 UPWARD = 0.1
 """A contact supports the upper body if the vertical part of its unit normal is larger than this."""
