@@ -63,7 +63,7 @@ def load(path: Path) -> PointEncoder:
         encoder = build_no_larger_than(path, lambda: PointEncoder(*shape))
     except ConfigError:
         raise
-    except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         message = (
             f"{path}: its configuration cannot be read ({error}), expected that of this version; train or convert it again"
         )

@@ -1,6 +1,7 @@
 """Layouts of folders in which sets of meshes are shipped."""
 
 import itertools
+import math
 import re
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -125,7 +126,7 @@ def _graspnet_infinite(root: Boundary) -> Iterator[Found]:
         if url := first("url", "viewerurl", "source"):
             entry["url"] = str(url)
         unit_m = number_of(first("scaletometers", "scaletometres", "scaletom", "scalefactor", "scale"))
-        if unit_m is not None and unit_m > 0:
+        if unit_m is not None and 0 < unit_m < math.inf:
             entry["unit_m"] = unit_m
         yield path, place.stem, entry
 

@@ -237,3 +237,13 @@ def test_a_file_cannot_describe_a_network_that_is_larger_than_it(tmp_path: Path)
         with pytest.raises(ConfigError, match="more numbers than the file has bytes") as caught:
             load(path)
         assert caught.value.code == "weights_invalid"
+
+
+def test_notes_that_are_no_settings_are_refused(tmp_path: Path) -> None:
+    tensors, notes = read_weights(DEFAULT_WEIGHTS)
+    for wrong in ({"preprocessing": '"8"'}, {"config": "[1]"}, {"config": "null"}):
+        path = tmp_path / "w.safetensors"
+        save_weights(path, tensors, notes | wrong)
+        with pytest.raises(ConfigError, match="its configuration cannot be read") as caught:
+            load(path)
+        assert caught.value.code == "weights_invalid"
