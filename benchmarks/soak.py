@@ -7,8 +7,8 @@ are of all sessions. Several runs, each with a seed and a folder of its own, may
 one wrote.
 
 The criterion: a quantity is the mean over blocks of 100 scenes (500 for times), without the first scenes of each session, in which
-processes still fill their caches (by default 1,000). A line with one slope and an own height for each session is fitted. Its 95 % interval is wider where what is
-left of neighbouring blocks is alike: such blocks are not independent. Memory
+processes still fill their caches (by default 1,000). A line with one slope and an own height for each session is fitted. Its 95 %
+interval is wider where what is left of neighbouring blocks is alike: such blocks are not independent. Memory
 
 - is *flat* if the whole interval of its slope is within 5 MB per 1,000 scenes: over 20,000 scenes less than 100 MB;
 - *grows* or *falls* if it is not flat and the interval does not contain 0;
