@@ -7,8 +7,8 @@ are of all sessions. Several runs, each with a seed and a folder of its own, may
 one wrote.
 
 The criterion: a quantity is the mean over blocks of 100 scenes (500 for times), without the first scenes of each session, in which
-processes are still growing. A line with one slope and an own height for each session is fitted. Its 95 % interval is wider where what is
-left of neighbouring blocks is alike: such blocks are not independent. Memory
+processes still fill their caches (by default 1,000). A line with one slope and an own height for each session is fitted. Its 95 %
+interval is wider where what is left of neighbouring blocks is alike: such blocks are not independent. Memory
 
 - is *flat* if the whole interval of its slope is within 5 MB per 1,000 scenes: over 20,000 scenes less than 100 MB;
 - *grows* or *falls* if it is not flat and the interval does not contain 0;
@@ -386,7 +386,7 @@ def run_campaign() -> int:
     parser.add_argument("--scenes", type=int, default=20000)
     parser.add_argument("--seed", type=int, default=0, help="of the tasks")
     parser.add_argument("--per-shard", type=int, default=32)
-    parser.add_argument("--warm-up", type=int, default=400, help="first scenes of each session that are left out")
+    parser.add_argument("--warm-up", type=int, default=1000, help="first scenes of each session that are left out")
     parser.add_argument("--minutes", type=float, help="the session ends then; the same command continues")
     parser.add_argument("--json", type=Path, help="output file of the figures and samples")
     parser.add_argument(

@@ -1,6 +1,8 @@
 import gc
 import json
 import math
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -73,6 +75,26 @@ def test_slots_give_the_logits_of_whole_sequences(network: Qwen3ForCausalLM) -> 
         for k in slots:
             at[k] += 1
         decoder.step(tokens)
+
+
+def test_prompts_of_many_lengths_leave_no_kernels() -> None:
+    code = """if True:
+        import os, torch
+        from benchmarks.faults.processes import usage_of
+        from models.semantic_reasoner.engines.batched_decoding import ATTENTION, Decoder
+        from transformers import Qwen3Config, Qwen3ForCausalLM
+
+        sizes = dict(hidden_size=64, intermediate_size=128, num_hidden_layers=2, num_attention_heads=2, num_key_value_heads=1)
+        config = Qwen3Config(vocab_size=64, head_dim=32, attn_implementation=ATTENTION, **sizes)
+        network = Qwen3ForCausalLM(config).to(torch.bfloat16).eval()
+        for length in range(16, 300):
+            Decoder(network, 4, pad=0).admit([1] * length)
+            if length in (100, 299):
+                print(usage_of([os.getpid()]).memory_mb)
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    before, after = map(float, done.stdout.split())
+    assert after - before < 50  # it was 480
 
 
 def test_the_cache_of_a_batch_is_freed_when_the_batch_ends(network: Qwen3ForCausalLM) -> None:
