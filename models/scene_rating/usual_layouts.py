@@ -160,7 +160,7 @@ class UsualLayouts:
                 {table: frozenset(_pair(*pair.split(" ")) for pair in pairs) for table, pairs in data["together"].items()},
                 *({int(n): float(v) for n, v in data[name].items()} for name in ("least_spread", "most_offset")),
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"{path}: {error!r}; {advice}", "statistics_invalid") from error
 
     @classmethod

@@ -151,7 +151,7 @@ class CategoryStatistics:
         try:
             categories = {name: _category(entry) for name, entry in data["categories"].items()}
             return cls(categories, dict(data["words"]), dict(data["tables"]))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"{path}: {error!r}; create the statistics again", "statistics_invalid") from error
 
     # --- measuring ---
