@@ -137,6 +137,7 @@ def test_a_fault_that_cannot_happen_is_told_before_the_undisturbed_run(
     assert not list((tmp_path / "work").glob(".trial_*"))
 
 
+@pytest.mark.slow
 def test_a_store_on_this_machine_is_tried(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = chaos.ChaosSettings("correct", 3, 0, 0, (), None, True, 2, 8, ())
     work = chaos.ChaosWork(dataset, tmp_path / "work", settings)

@@ -104,6 +104,7 @@ def test_a_command_is_ended_as_ctrl_c_does_even_where_it_is_ignored(tmp_path: Pa
 
 
 @pytest.mark.ray
+@pytest.mark.slow
 def test_a_node_that_does_not_join_is_started_again_and_a_lost_one_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nodes, "_ABSENT_SECONDS", 0.0)
     join, failures = Cluster._wait_for_node, [2, 4]  # the first node, and another one later
