@@ -20,6 +20,7 @@ YAW_ARM = 0.1
 _UPRIGHT = 1e-3  # radians: below it, scale_factor times original_size is the box in the yaw frame
 _GIMBAL = 1e-5  # horizontal length of the x axis below which its heading is noise
 _HEADING_TOLERANCE = 1e-3  # radians
+_SMALL, _LARGE = 1e-140, 1e150  # between them, squares have all of their digits
 
 
 def quat_product(a: QuatXyzw, b: QuatXyzw) -> QuatXyzw:
@@ -40,9 +41,13 @@ def yaw_quat(yaw: float) -> QuatXyzw:
 
 
 def normalise_quat(quat_xyzw: QuatXyzw) -> QuatXyzw:
-    """Returns the unit quaternion of the same direction, xyzw."""
-    norm = math.sqrt(math.fsum(q * q for q in quat_xyzw))
+    """Returns the unit quaternion of the same direction, xyzw; the given one is finite and not zero."""
     x, y, z, w = quat_xyzw
+    longest = max(map(abs, quat_xyzw))
+    if not _SMALL < longest < _LARGE and 0 < longest < math.inf:  # the squares would leave the range of doubles
+        return normalise_quat((x / longest, y / longest, z / longest, w / longest))
+    square = math.fsum(q * q for q in quat_xyzw)
+    norm = math.sqrt(square)
     return (x / norm, y / norm, z / norm, w / norm)
 
 
