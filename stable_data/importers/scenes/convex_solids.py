@@ -10,6 +10,8 @@ from stable_data.scene import FloatArray
 _SIDES = 64
 """Corners of a round cross-section: at a radius of 5 cm, the polygon stays 0.06 mm inside of the circle."""
 
+_FARTHEST = 1e6  # metres; LAPACK never ends with numbers that are not finite
+
 _THINNEST = 1e-4  # metres: flatter points are given this thickness
 
 
@@ -18,7 +20,13 @@ def hull_of(points: FloatArray) -> Mesh | None:
 
     Args:
         points: Metres.
+
+    Raises:
+        SceneError: A point is beyond all measure, or not finite (``size_invalid``).
     """
+    if not (np.abs(points) < _FARTHEST).all():
+        farthest = float(np.abs(points).max(initial=0.0))
+        raise SceneError(f"a shape has a corner {farthest:g} m away, expected usual lengths; correct it", "size_invalid")
     points = np.unique(np.asarray(points, np.float64), axis=0)
     if len(points) < 3:
         return None

@@ -361,6 +361,7 @@ class _SceneReader:
                 most = at_most(LIMITS.gltf_scene, "max_nodes")
                 message = f"{self.path}: its colliders name {self.num_below} nodes, expected {most}; simplify it"
                 raise MeshError(message, "file_too_large")
+            _refuse_endless(below[0].parent_from_node)
             own = np.linalg.pinv(below[0].parent_from_node)
             yield from ((n.mesh, own @ n.world_from_node) for n in below if n.mesh is not None)
         elif "mesh" in geometry:  # an earlier draft of the extension
@@ -494,6 +495,12 @@ class _SceneReader:
         return node_pose(node.world_from_node, is_z_up=gltf_nodes.is_own_object(self._entry(node)))
 
 
+def _refuse_endless(transform: FloatArray) -> None:
+    """Refuses a transform with numbers that are not finite, with which LAPACK would never end."""
+    if not np.isfinite(transform).all():
+        raise SceneError("a node has a transform that is not finite, expected usual numbers; export it again", "not_finite")
+
+
 def node_pose(world_from_node: FloatArray, *, is_z_up: bool) -> BodyPose:
     """The pose of a node without its scale, in metres, z up.
 
@@ -501,7 +508,11 @@ def node_pose(world_from_node: FloatArray, *, is_z_up: bool) -> BodyPose:
         world_from_node: Its transform in the axes of the file, (4, 4).
         is_z_up: Whether z is up in the node too, as in exports of this library; else y is, and the axes of the body are turned, so
             that its z axis is what points up in the file.
+
+    Raises:
+        SceneError: The transform is not finite (``not_finite``).
     """
+    _refuse_endless(world_from_node)
     left, _, right = np.linalg.svd(world_from_node[:3, :3])
     axes = left @ right  # the rotation next to the transform
     if np.linalg.det(axes) < 0:  # a mirrored node: its frame is the mirrored one's

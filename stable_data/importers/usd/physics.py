@@ -283,7 +283,8 @@ def _stated(prim: Any, frame: StageFrame, cache: Any) -> _Stated:
     stated = np.array(api.GetCenterOfMassAttr().Get(), float)
     is_placed = api.GetCenterOfMassAttr().HasAuthoredValue() and np.isfinite(stated).all()
     diagonal, inertia = np.array(api.GetDiagonalInertiaAttr().Get(), float), None
-    if np.isfinite(diagonal).all() and (diagonal > 0).all():
+    # LAPACK never ends with numbers that are infinite.
+    if np.isfinite(diagonal).all() and (diagonal > 0).all() and np.isfinite(world).all():
         # Inertia is not scaled with the prim: only the rotation of its frame counts.
         left, _, right = np.linalg.svd(world[:3, :3])
         axes = left @ right @ _rotation(api.GetPrincipalAxesAttr().Get())
