@@ -1,21 +1,15 @@
 """Parquet files of others are opened and read with bounded memory, and with errors of Arrow alone."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
-from types import NoneType
 from typing import Any, TypeVar
 
 import pyarrow as pa
 import pyarrow.dataset as ds
-import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
 from stable_data.limits import LIMITS, at_most
-from stable_data.storage.page_headers import check_pages, stated_bytes
 
-_CHECKED: set[tuple[str, int, int, int]] = set()
-_MOST_CHECKED = 10_000  # files that a process remembers
 _Rows = TypeVar("_Rows", pa.RecordBatch, pa.Table)
 
 
@@ -27,28 +21,13 @@ def open_parquet(source: Any, **options: Any) -> pq.ParquetFile:
         options: As for :class:`pyarrow.parquet.ParquetFile`.
 
     Raises:
-        pyarrow.ArrowException: It is no Parquet file, the name of a column is not UTF-8, or a page of a local file states more bytes than
-            its column (:mod:`stable_data.storage.page_headers`).
+        pyarrow.ArrowException: It is no Parquet file, or the name of a column is not UTF-8.
         OSError: It cannot be read.
     """
     try:
-        file = pq.ParquetFile(source, **options)
+        return pq.ParquetFile(source, **options)
     except UnicodeDecodeError as error:  # Arrow decodes the names of columns only now
         raise pa.ArrowInvalid(f"the name of a column is not UTF-8: {error}") from error
-    if isinstance(source, (str, Path)) and isinstance(options.get("filesystem"), (NoneType, pafs.LocalFileSystem)):
-        _check_once(str(source), file.metadata)
-    return file
-
-
-def _check_once(path: str, footer: pq.FileMetaData) -> None:
-    """Checks the pages of a local file, unless this process has checked it as it is now."""
-    about = Path(path).stat()
-    key = (path, about.st_ino, about.st_size, about.st_mtime_ns)
-    if key not in _CHECKED:
-        check_pages(Path(path), footer)
-        if len(_CHECKED) >= _MOST_CHECKED:
-            _CHECKED.clear()
-        _CHECKED.add(key)
 
 
 def read_row_groups(
@@ -102,7 +81,7 @@ def bounded_batches(
     limit = LIMITS.table.max_decoded_bytes
     for group in groups:
         footer = file.metadata.row_group(group)
-        if (stated := stated_bytes(footer)) > limit:
+        if (stated := footer.total_byte_size) > limit:
             raise _too_big(path, "one row group")
         rows = limit // max(stated, 1)  # no value is larger than the bytes of its row group
         if most_rows is None and footer.num_rows <= rows:
@@ -123,17 +102,8 @@ def checked(rows: _Rows) -> _Rows:
 
 
 def is_small(fragment: ds.ParquetFileFragment) -> bool:
-    """Returns whether a file cannot need too much memory; no value is larger than the bytes of its row group.
-
-    Raises:
-        pyarrow.ArrowException: As :func:`open_parquet`.
-        OSError: Likewise.
-    """
-    footer = fragment.metadata
-    if isinstance(fragment.filesystem, pafs.LocalFileSystem):
-        _check_once(fragment.path, footer)
-    groups = map(footer.row_group, range(footer.num_row_groups))
-    most = sum(group.num_rows * stated_bytes(group) for group in groups)
+    """Returns whether a file cannot need too much memory; no value is larger than the bytes of its row group."""
+    most = sum(group.num_rows * group.total_byte_size for group in fragment.row_groups)
     return bool(most <= LIMITS.table.max_decoded_bytes)
 
 
