@@ -186,6 +186,10 @@ def estimate_figures(systems: Mapping[str, Sequence[Repetition]]) -> dict[str, d
     """
     found: dict[str, dict[str, Estimate]] = {label: {} for label in systems}
     every = [one for repetitions in systems.values() for one in repetitions]
+    are_same = {
+        label: len({name for one in own for name in one.tasks}) < sum(len(one.tasks) for one in own)
+        for label, own in systems.items()
+    }
     told = {name for one in every for name in (*one.rows, *one.unlabelled)}
     for figure in FIGURES:
         silent = set[str]()
@@ -193,8 +197,7 @@ def estimate_figures(systems: Mapping[str, Sequence[Repetition]]) -> dict[str, d
             silent = told - {name for one in every for name, row in one.rows.items() if row.get(figure.key) is not None}
         for label, repetitions in systems.items():
             samples = [_values(figure, one, silent) for one in repetitions]
-            are_same = len({name for one in repetitions for name in one.tasks}) < sum(len(one.tasks) for one in repetitions)
-            mean = estimate(samples, figure.factor, are_verdicts=figure.is_verdict, are_same=are_same)
+            mean = estimate(samples, figure.factor, are_verdicts=figure.is_verdict, are_same=are_same[label])
             found[label][figure.key] = _within(figure, mean)
     return found
 

@@ -4,10 +4,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError, cannot_read
 from stable_data.limits import LIMITS, at_most
+from stable_data.storage.parquet_files import open_parquet
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schema_checks import check_schema
 
@@ -63,8 +63,9 @@ def _checked(run: RunFolder, table: str, file: str) -> bytes:
             "shard_too_big",
         )
     try:
-        schema = pq.read_schema(pa.BufferReader(content))
-    except (pa.ArrowException, OSError, ValueError) as error:
+        with open_parquet(pa.BufferReader(content)) as opened:
+            schema = opened.schema_arrow
+    except (pa.ArrowException, OSError) as error:
         raise cannot_read(run.uri, name, error) from error
     check_schema(schema, table, f"{run.uri}/{name}")
     return content
