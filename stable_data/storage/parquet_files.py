@@ -1,15 +1,21 @@
 """Parquet files of others are opened and read with bounded memory, and with errors of Arrow alone."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from types import NoneType
 from typing import Any, TypeVar
 
 import pyarrow as pa
 import pyarrow.dataset as ds
+import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
 from stable_data.limits import LIMITS, at_most
+from stable_data.storage.page_headers import check_pages
 
+_CHECKED: set[tuple[str, int, int, int]] = set()
+_MOST_CHECKED = 10_000  # files that a process remembers
 _Rows = TypeVar("_Rows", pa.RecordBatch, pa.Table)
 
 
@@ -21,13 +27,28 @@ def open_parquet(source: Any, **options: Any) -> pq.ParquetFile:
         options: As for :class:`pyarrow.parquet.ParquetFile`.
 
     Raises:
-        pyarrow.ArrowException: It is no Parquet file, or the name of a column is not UTF-8.
+        pyarrow.ArrowException: It is no Parquet file, the name of a column is not UTF-8, or pages of a local file state more bytes than
+            their column or row group (:mod:`stable_data.storage.page_headers`).
         OSError: It cannot be read.
     """
     try:
-        return pq.ParquetFile(source, **options)
+        file = pq.ParquetFile(source, **options)
     except UnicodeDecodeError as error:  # Arrow decodes the names of columns only now
         raise pa.ArrowInvalid(f"the name of a column is not UTF-8: {error}") from error
+    if isinstance(source, (str, Path)) and isinstance(options.get("filesystem"), (NoneType, pafs.LocalFileSystem)):
+        _check_once(str(source))
+    return file
+
+
+def _check_once(path: str) -> None:
+    """Checks the pages of a local file, unless this process has checked it as it is now."""
+    about = Path(path).stat()
+    key = (path, about.st_ino, about.st_size, about.st_mtime_ns)
+    if key not in _CHECKED:
+        check_pages(Path(path))
+        if len(_CHECKED) >= _MOST_CHECKED:
+            _CHECKED.clear()
+        _CHECKED.add(key)
 
 
 def read_row_groups(
@@ -102,8 +123,15 @@ def checked(rows: _Rows) -> _Rows:
 
 
 def is_small(fragment: ds.ParquetFileFragment) -> bool:
-    """Returns whether a file cannot need too much memory; no value is larger than the bytes of its row group."""
+    """Returns whether a file cannot need too much memory; no value is larger than the bytes of its row group.
+
+    Raises:
+        pyarrow.ArrowException: As :func:`open_parquet`.
+        OSError: Likewise.
+    """
     most = sum(group.num_rows * group.total_byte_size for group in fragment.row_groups)
+    if isinstance(fragment.filesystem, pafs.LocalFileSystem):
+        _check_once(fragment.path)
     return bool(most <= LIMITS.table.max_decoded_bytes)
 
 

@@ -1,0 +1,74 @@
+"""Pages of Parquet files: honest ones of any writer pass, and one that states more bytes than its column is refused unread."""
+
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from stable_data.storage.page_headers import check_pages
+from stable_data.storage.parquet_files import open_parquet, read_row_groups
+
+ROWS = 5000
+TABLE = pa.table(
+    {
+        "number": [k * 7919 % 1000 for k in range(ROWS)],
+        "text": ["x" * (k % 40) for k in range(ROWS)],
+        "list": [[float(k)] * (k % 3) for k in range(ROWS)],
+        "nested": [{"a": None if k % 5 else k, "b": b"\x00" * (k % 9)} for k in range(ROWS)],
+    }
+)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": "zstd"},
+        {"compression": "none", "use_dictionary": False},
+        {"data_page_version": "2.0"},
+        {"data_page_size": 500, "row_group_size": 900},
+        {"write_page_checksum": True, "write_page_index": True},
+    ],
+)
+def test_files_of_arrow_pass(options: dict[str, Any], tmp_path: Path) -> None:
+    for table in (TABLE, TABLE.slice(0, 0)):
+        pq.write_table(table, tmp_path / "file.parquet", **options)
+        with open_parquet(tmp_path / "file.parquet") as file:
+            assert read_row_groups(file, "file", range(file.num_row_groups)).equals(table)
+
+
+def test_files_of_polars_pass(tmp_path: Path) -> None:
+    frame = pl.from_arrow(TABLE)
+    assert isinstance(frame, pl.DataFrame)
+    frame.write_parquet(tmp_path / "file.parquet", row_group_size=700, data_page_size=900)
+    with open_parquet(tmp_path / "file.parquet") as file:
+        check_pages(tmp_path / "file.parquet")
+        assert file.read().num_rows == ROWS
+
+
+@pytest.mark.parametrize("codec", ["none", "zstd"])
+def test_a_page_that_states_more_bytes_than_its_column_is_refused(codec: str, tmp_path: Path) -> None:
+    path = tmp_path / "file.parquet"
+    pq.write_table(TABLE.select(["number"]), path, compression=codec, use_dictionary=False)
+    footer = pq.read_metadata(path)
+    content, start = bytearray(path.read_bytes()), footer.row_group(0).column(0).data_page_offset
+    assert content[start : start + 3] == b"\x15\x00\x15"  # type, and the bytes that it needs uncompressed
+    assert all(byte > 127 for byte in content[start + 3 : start + 5])
+    content[start + 3 : start + 6] = b"\xfe\xff\x7f"
+    path.write_bytes(content)
+    with pytest.raises(
+        pa.ArrowInvalid,
+        match=r"number: a page states 1,048,575 bytes, expected at most what is left of those of its column, 40,",
+    ):
+        open_parquet(path)
+    content[start + 3 : start + 6] = b"\xff\xff\x7f"
+    path.write_bytes(content)
+    with pytest.raises(pa.ArrowInvalid, match="states -1,048,576 bytes"):
+        open_parquet(path)
+    content[start : start + 20] = b"\xff" * 20
+    path.write_bytes(content)
+    with pytest.raises(pa.ArrowInvalid, match="its metadata cannot be read"):
+        open_parquet(path)
