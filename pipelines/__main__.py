@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from models.baselines.systems import SYSTEMS
 from pipelines.evaluation_commands import evaluate, rate, views
 from pipelines.job_options import SETTINGS_HINT, DryRun, JobSettings, NumWorkers, RunOut, worker_count
 from pipelines.retired import CommandGroup
@@ -353,8 +354,8 @@ def generate(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Use the settings of a system of the paper's comparison: stable, steerable, mesatask, mesatask_refined, zero_shot, "
-            "holodeck, idesign or files (docs/systems.md); overrides the file, and --set overrides it.",
+            help=f"Use the settings of a system of the paper's comparison (docs/systems.md): {', '.join(SYSTEMS)}; overrides the file, and "
+            "--set overrides it.",
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of tasks and random choices; overrides the file.")] = None,

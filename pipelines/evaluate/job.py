@@ -215,7 +215,7 @@ def _add_repetition(result: SystemResult, source: TaskSource, runs: RunsOfSystem
         unlabelled += lost
     repetition, found = read_repetition(runs, [*(task.scene_id for task in tasks), *lost], reference, unlabelled)
     if num := sum(one is not None and one.graph is None for one in labels.values()):
-        found.append(f"AwS of the whole graph is unknown for {num} of {len(tasks)} tasks: their labels have no scene graph")
+        found.append(f"AwS is unknown for {num} of {len(tasks)} tasks: their labels have no scene graph")
     if repetition.values["tokens"] is None:
         found.append("tokens and cost are unknown: the endpoint did not count the tokens of all replies (no usage)")
     elif repetition.values["cost"] is None:
