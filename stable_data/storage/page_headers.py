@@ -16,7 +16,9 @@ _STOP, _TRUE, _FALSE, _BYTE, _DOUBLE, _BINARY, _LIST, _SET, _STRUCT = 0, 1, 2, 3
 _INTEGERS = (4, 5, 6)
 _DEEPEST = 12  # values within each other; those of Parquet are eight deep
 _LONGEST = 10  # bytes of a number
-_MOST_PAGES = 100_000  # of a column of a row group
+_MOST_VALUES = 5_000_000  # of a footer; each takes up to 100 bytes here
+_MOST_PAGE_VALUES = 100  # of the header of a page, which has about twenty
+_MOST_PAGES = 300_000  # of a file, whose columns may name the same pages again and again
 _TAIL = 8  # the length of the footer and a mark, after the footer
 
 # Numbers of the fields that are read.
@@ -40,28 +42,31 @@ def check_pages(path: Path) -> None:
         OSError: The file cannot be read.
     """
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        end = len(data) - _TAIL
+        end, num_pages = len(data) - _TAIL, 0
         try:
-            footer, _ = _read_struct(data, end - int.from_bytes(data[end : end + 4], "little"), 0)
+            footer = _Reader(data, end - int.from_bytes(data[end : end + 4], "little"), _MOST_VALUES).struct()
             for group in footer[_ROW_GROUPS]:
                 columns = [column[_METADATA] for column in group[_COLUMNS]]
                 if (of_columns := sum(column[_COLUMN_BYTES] for column in columns)) > group[_BYTES]:
                     raise pa.ArrowInvalid(f"a row group states {group[_BYTES]:,} bytes, but its columns state {of_columns:,}")
                 for column in columns:
-                    _check_column(data, column)
+                    num_pages += _check_column(data, column, _MOST_PAGES - num_pages)
         except (LookupError, TypeError, ValueError) as error:
             raise (
                 error if isinstance(error, pa.ArrowInvalid) else pa.ArrowInvalid(f"its metadata cannot be read: {error!r}")
             ) from error
 
 
-def _check_column(data: mmap.mmap, column: _Struct) -> None:
+def _check_column(data: mmap.mmap, column: _Struct, most_pages: int) -> int:
+    """Checks the pages of a column of a row group, and returns their number."""
     at = min((start for start in (column[_DATA_START], column.get(_DICTIONARY_START)) if start), default=0)
-    end, left = at + column[_COMPRESSED_BYTES], column[_COLUMN_BYTES]
-    for _ in range(_MOST_PAGES):
-        if at >= end:
-            return
-        page, at = _read_struct(data, at, 0)
+    end, left, num_pages = at + column[_COMPRESSED_BYTES], column[_COLUMN_BYTES], 0
+    while at < end:
+        num_pages += 1
+        if num_pages > most_pages:
+            raise pa.ArrowInvalid(f"it has over {_MOST_PAGES:,} pages, expected fewer")
+        reader = _Reader(data, at, _MOST_PAGE_VALUES)
+        page = reader.struct()
         size, compressed = page[_PAGE_BYTES], page[_COMPRESSED_PAGE_BYTES]
         left -= size
         if left < 0 or size < 0 or compressed < 0:
@@ -69,75 +74,90 @@ def _check_column(data: mmap.mmap, column: _Struct) -> None:
                 f"column {_name(column)}: a page states {size:,} bytes, expected at most what is left of those of its column, "
                 f"{left + size:,}"
             )
-        at += compressed
-    raise pa.ArrowInvalid(f"column {_name(column)}: has over {_MOST_PAGES:,} pages, expected fewer")
+        at = reader.at + compressed
+    return num_pages
 
 
 def _name(column: _Struct) -> str:
     return b".".join(column[_PATH]).decode(errors="replace")
 
 
-def _read_struct(data: mmap.mmap, at: int, depth: int) -> tuple[_Struct, int]:
-    """The values of a structure by the numbers of their fields, and where it ends."""
-    found: _Struct = {}
-    field = 0
-    while (head := data[at]) != _STOP:
-        kind, at = head & 15, at + 1
-        if head >> 4:
-            field += head >> 4
-        else:
-            field, at = _read_number(data, at)
+class _Reader:
+    """Reads structures in the compact protocol of Thrift.
+
+    Args:
+        data: The file.
+        at: Where the structure begins.
+        most_values: Values that it may have, with those within others.
+
+    Attributes:
+        at: Where what was read ends.
+    """
+
+    def __init__(self, data: mmap.mmap, at: int, most_values: int) -> None:
+        self._data, self.at, self._left = data, at, most_values
+
+    def struct(self, depth: int = 0) -> _Struct:
+        """Reads the values of a structure by the numbers of their fields.
+
+        Raises:
+            LookupError: The file ends before the structure does.
+            ValueError: It is none of Parquet.
+        """
+        found: _Struct = {}
+        field = 0
+        while (head := self._data[self.at]) != _STOP:
+            kind = head & 15
+            self.at += 1
+            field = field + (head >> 4) if head >> 4 else self._number()
+            if kind in (_TRUE, _FALSE):  # the kind is the value
+                found[field] = kind == _TRUE
+            else:
+                found[field] = self._value(kind, depth + 1)
+        self.at += 1
+        return found
+
+    def _value(self, kind: int, depth: int) -> Any:
+        self._left -= 1
+        if depth > _DEEPEST or self._left < 0:
+            raise ValueError("too many values")
         if kind in _INTEGERS:
-            found[field], at = _read_number(data, at)
-        elif kind in (_TRUE, _FALSE):  # the kind is the value
-            found[field] = kind == _TRUE
-        else:
-            found[field], at = _read_value(data, at, kind, depth + 1)
-    return found, at + 1
+            return self._number()
+        if kind == _BINARY:
+            return self._bytes(self._varint())
+        if kind == _STRUCT:
+            return self.struct(depth)
+        if kind in (_LIST, _SET):
+            return self._list(depth)
+        if kind in (_TRUE, _FALSE, _BYTE):
+            return self._byte()
+        if kind == _DOUBLE:
+            return self._bytes(8)
+        raise ValueError(f"a value of kind {kind}, which Parquet does not have")
 
+    def _list(self, depth: int) -> list[Any]:
+        head = self._byte()
+        length = head >> 4 if head >> 4 < 15 else self._varint()
+        return [self._value(head & 15, depth + 1) for _ in range(length)]
 
-def _read_value(data: mmap.mmap, at: int, kind: int, depth: int) -> tuple[Any, int]:
-    """The value of a kind that begins here, and where it ends."""
-    if depth > _DEEPEST:
-        raise ValueError("values within values")
-    if kind in _INTEGERS:
-        return _read_number(data, at)
-    if kind == _BINARY:
-        length, at = _read_varint(data, at)
-        return data[at : at + length], at + length
-    if kind == _STRUCT:
-        return _read_struct(data, at, depth)
-    if kind in (_LIST, _SET):
-        return _read_list(data, at, depth)
-    if kind in (_TRUE, _FALSE, _BYTE):
-        return data[at], at + 1
-    if kind == _DOUBLE:
-        return data[at : at + 8], at + 8
-    raise ValueError(f"a value of kind {kind}, which Parquet does not have")
+    def _bytes(self, length: int) -> bytes:
+        self.at += length
+        return self._data[self.at - length : self.at]
 
+    def _byte(self) -> int:
+        self.at += 1
+        return self._data[self.at - 1]
 
-def _read_list(data: mmap.mmap, at: int, depth: int) -> tuple[list[Any], int]:
-    length, kind, at = data[at] >> 4, data[at] & 15, at + 1
-    if length == 15:
-        length, at = _read_varint(data, at)
-    values = []
-    for _ in range(length):  # each takes a byte at least, so the file ends before a false length does
-        value, at = _read_value(data, at, kind, depth + 1)
-        values.append(value)
-    return values, at
+    def _number(self) -> int:
+        value = self._varint()
+        return (value >> 1) ^ -(value & 1)
 
-
-def _read_number(data: mmap.mmap, at: int) -> tuple[int, int]:
-    byte = data[at]
-    value, at = (byte, at + 1) if byte < 128 else _read_varint(data, at)
-    return (value >> 1) ^ -(value & 1), at
-
-
-def _read_varint(data: mmap.mmap, at: int) -> tuple[int, int]:
-    value = 0
-    for k in range(_LONGEST):
-        byte = data[at + k]
-        value |= (byte & 127) << (7 * k)
-        if byte < 128:
-            return value, at + k + 1
-    raise ValueError("a number without an end")
+    def _varint(self) -> int:
+        value = 0
+        for k in range(_LONGEST):
+            byte = self._data[self.at]
+            self.at += 1
+            value |= (byte & 127) << (7 * k)
+            if byte < 128:
+                return value
+        raise ValueError("a number without an end")

@@ -72,3 +72,31 @@ def test_a_page_that_states_more_bytes_than_its_column_is_refused(codec: str, tm
     path.write_bytes(content)
     with pytest.raises(pa.ArrowInvalid, match="its metadata cannot be read"):
         open_parquet(path)
+
+
+@pytest.mark.parametrize("values", [b"\x19\xfc\xff\xff\x7f", b"\x1b" * 3, b"\x5c" * 40])
+def test_a_header_of_endless_or_unknown_values_is_refused(values: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "file.parquet"
+    pq.write_table(TABLE.select(["number"]), path, use_dictionary=False)
+    content, start = bytearray(path.read_bytes()), pq.read_metadata(path).row_group(0).column(0).data_page_offset
+    content[start : start + len(values)] = values
+    path.write_bytes(content)
+    with pytest.raises(pa.ArrowInvalid, match="its metadata cannot be read"):
+        open_parquet(path)
+
+
+def test_columns_that_state_more_bytes_than_their_row_group_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "file.parquet"
+    pq.write_table(TABLE.select(["number"]), path, use_dictionary=False, compression="zstd")
+    group = pq.read_metadata(path).row_group(0)
+    content = path.read_bytes()
+    stated, varint = group.total_byte_size, bytearray()
+    rest = 2 * stated
+    while rest:
+        varint.append(rest & 127 | (128 if rest > 127 else 0))
+        rest >>= 7
+    at = content.rindex(bytes(varint))  # the row group states its bytes after its columns
+    path.write_bytes(content[:at] + bytes([varint[0] & 128 | 2]) + bytes(varint[1:]) + content[at + len(varint) :])
+    assert pq.read_metadata(path).row_group(0).total_byte_size < stated
+    with pytest.raises(pa.ArrowInvalid, match=f"but its columns state {stated:,}"):
+        open_parquet(path)
