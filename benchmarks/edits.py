@@ -1,9 +1,10 @@
 """The quality of edits, in two modes.
 
-``python -m benchmarks.edits --file FILE.jsonl --scenes FOLDER [--engine embedded] [--json FILE]`` applies edits in free words to
-the scenes of a folder in the MesaTask-10K format, as the edit job does by default, and judges the edited scenes by what a person expects. A
-line has ``edit_id``, ``scene_id``, ``kind``, ``instruction`` and ``expected``, see :mod:`benchmarks.edit_verdict`. An edit that has
-to ask back (``expected.ambiguous``) is right if it fails with the code ``ambiguous`` and its message names all candidates.
+``python -m benchmarks.edits --file FILE.jsonl --scenes FOLDER [--engine embedded] [--name NAME] [--json FILE]`` applies edits in free
+words to the scenes of a folder in the MesaTask-10K format, as the edit job does by default, and judges the edited scenes by what a person
+expects. A line has ``edit_id``, ``scene_id``, ``kind``, ``instruction`` and ``expected``, see :mod:`benchmarks.edit_verdict`. An edit
+that has to ask back (``expected.ambiguous``) is right if it fails with the code ``ambiguous`` and its message names all candidates.
+Figures of other engines in the JSON file stay, if they are of the same edits. ``embedded`` plans edits by rules; other engines are asked.
 
 ``python -m benchmarks.edits RUN [--engine embedded] [--split test] [--edits N] [--json FILE]`` compares the reasoner's answers with
 drafted edits. RUN is a preprocess run. If it has no table ``edits``, edits are drafted as by ``stable-data draft-edits``, which is
@@ -98,9 +99,9 @@ def judge_edits(expected: Sequence[ExpectedEdit], out: RunFolder) -> list[dict[s
     return rows
 
 
-def run_free_edits(file: Path, scenes: str, engine: str, json_file: Path | None) -> None:
+def run_free_edits(file: Path, scenes: str, engine: str, name: str, json_file: Path | None) -> None:
     """Applies and judges the edits of a file, and prints what is wrong with each and a summary."""
-    expected = read_expected_edits(file)
+    expected, others = read_expected_edits(file), _figures_of_others(json_file, file)
     began = time.perf_counter()
     with TemporaryDirectory() as folder:
         requests = Path(folder) / "edits.jsonl"
@@ -118,8 +119,26 @@ def run_free_edits(file: Path, scenes: str, engine: str, json_file: Path | None)
         summary[key] = {kind: sum(row["right"] or not is_counted for row in rows if row["kind"] == kind) for kind in kinds}
     print(f"{summary['right']} of {summary['edits']} edits right")
     if json_file is not None:
-        document = {"file": file.name, "engine": engine, "summary": summary, "edits": rows}
+        document = {"file": file.name, "engines": {**others, name or engine: {"summary": summary, "edits": rows}}}
         json_file.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", "utf-8")
+
+
+def _figures_of_others(json_file: Path | None, file: Path) -> dict[str, Any]:
+    """The figures of engines that a JSON file has of the same edits.
+
+    Raises:
+        typer.BadParameter: It has other content.
+    """
+    if json_file is None or not json_file.exists():
+        return {}
+    try:
+        document = json.loads(json_file.read_text("utf-8"))
+        of_same = document["file"] == file.name
+        return dict(document["engines"]) if of_same else {}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise typer.BadParameter(
+            f"{json_file}: has other content than figures of edits ({error!r}); choose another file"
+        ) from error
 
 
 # --- drafted edits ------------------------------------------------------------------------------------------------------------
@@ -130,6 +149,7 @@ def main(
     file: Annotated[Path | None, typer.Option(help="Edits in free words, one JSON object in a line.")] = None,
     scenes: Annotated[str, typer.Option(help="Folder of their scenes, in the MesaTask-10K format.")] = "",
     engine: Annotated[str, typer.Option(help="Which engine; see models/semantic_reasoner/engines/registry.py.")] = "embedded",
+    name: Annotated[str, typer.Option(help="What the figures call the engine, if not as --engine.")] = "",
     split: Annotated[str, typer.Option(help="Which split.")] = "test",
     edits: Annotated[int, typer.Option(help="Largest number of edits.")] = 500,
     json_file: Annotated[Path | None, typer.Option("--json", help="File for the figures.")] = None,
@@ -138,7 +158,7 @@ def main(
     if (file is None) == (not run) or (file is not None and not scenes):
         raise typer.BadParameter("give a run, or --file and --scenes")
     if file is not None:
-        run_free_edits(file, scenes, engine, json_file)
+        run_free_edits(file, scenes, engine, name, json_file)
         return
     rows = held_out_edits(run, split, edits)
     if not rows:

@@ -11,8 +11,8 @@ the section of its title, as in docs/paper_tables.md. FOLDER has the outputs of 
 - ``boxes.json``: ``stable-data score-boxes LABELS BOXES --json FOLDER/boxes.json`` (manipulability);
 - ``generalisation.json``: ``python -m benchmarks.generalisation DATA --json FOLDER/generalisation.json`` (unseen tables and assets, and
   conflicting instructions);
-- ``edits.json``: ``python -m benchmarks.edits --file FILE --scenes DATA --json FOLDER/edits.json``. The embedded reasoner has seen
-  edits in its training; the paper's has not, as an engine ``transformers:FOLDER`` that was trained without them.
+- ``edits.json``: ``python -m benchmarks.edits --file FILE --scenes DATA --json FOLDER/edits.json``, and again with ``--engine
+  transformers:FOLDER`` for a reasoner that never saw edits, as the paper's (``shares.edit=0``, docs/reasoner.md).
 
 DATA is a folder in the MesaTask-10K format, RUN a preprocess run. What was not measured is named with its command. Published figures stand
 below the measured ones, apart from them: they are of other scenes, assets, models and judges.
@@ -193,12 +193,14 @@ def boxes_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def edits_lines(found: Mapping[str, Any]) -> Iterable[str]:
-    """Yields the edits in free words that are right, by kind."""
-    summary = found["summary"]
-    rows = [["kind", "right"]]
-    rows += [[kind, f"{summary['right_by_kind'][kind]}/{count}"] for kind, count in summary["edits_by_kind"].items()]
-    yield from _aligned([*rows, ["all", f"{summary['right']}/{summary['edits']}"]])
-    yield f"engine {found['engine']}"
+    """Yields the edits in free words that are right, by kind and engine."""
+    summaries = [one["summary"] for one in found["engines"].values()]
+    rows = [
+        [kind, *(f"{one['right_by_kind'][kind]}/{one['edits_by_kind'][kind]}" for one in summaries)]
+        for kind in summaries[0]["edits_by_kind"]
+    ]
+    rows.append(["all", *(f"{one['right']}/{one['edits']}" for one in summaries)])
+    yield from _aligned([["kind", *found["engines"]], *rows])
 
 
 def fill_page(page: str, folder: Path) -> str:

@@ -104,9 +104,13 @@ def test_edits_of_a_folder_are_applied_and_judged(tmp_path: Path) -> None:
     app = typer.Typer()
     app.command()(main)
     command = ["--file", str(tmp_path / "edits.jsonl"), "--scenes", str(DATA), "--json", str(tmp_path / "out.json")]
-    done = CliRunner().invoke(app, [*command, "--engine", f"scripted:{tmp_path / 'replies.json'}"])
+    others = {"file": "edits.jsonl", "engines": {"planned": {"summary": {}}}}
+    (tmp_path / "out.json").write_text(json.dumps(others), "utf-8")
+    done = CliRunner().invoke(app, [*command, "--engine", f"scripted:{tmp_path / 'replies.json'}", "--name", "replies"])
     assert done.exit_code == 0, done.output
     document = json.loads((tmp_path / "out.json").read_text("utf-8"))
+    assert document["engines"].pop("planned") == others["engines"]["planned"]
+    document = document["engines"].pop("replies")
     rows = {row["edit_id"]: row for row in document["edits"]}
     assert "others_moved" not in str(rows["a"])
     assert {name: row["right"] for name, row in rows.items()} == {"a": True, "b": False, "c": False}, rows
@@ -118,3 +122,7 @@ def test_edits_of_a_folder_are_applied_and_judged(tmp_path: Path) -> None:
         "edits_by_kind": {"remove": 3},
     }
     assert CliRunner().invoke(app, command[:2]).exit_code == 2
+    (tmp_path / "out.json").write_text("[]", "utf-8")
+    refused = CliRunner().invoke(app, command)
+    assert refused.exit_code == 2
+    assert "other content" in " ".join(refused.output.replace("│", " ").split())

@@ -65,7 +65,7 @@ def test_measured_figures_stand_before_published_ones(tmp_path: Path, capsys: py
     figures = [{**fixed, "oc_sampled": oc, "oc": oc / 2} for oc in (0.1, 0.3)]
     (tmp_path / "rearrangement.json").write_text(json.dumps({"figures": figures}))
     summary = {"right": 1, "edits": 2, "right_by_kind": {"add": 1, "move": 0}, "edits_by_kind": {"add": 1, "move": 1}}
-    (tmp_path / "edits.json").write_text(json.dumps({"engine": "embedded", "summary": summary}))
+    (tmp_path / "edits.json").write_text(json.dumps({"engines": {"embedded": {"summary": summary}}}))
     found = printed(tmp_path, capsys)
     measured, published = found["Table 1: systems"].split("published (")
     (ours,) = (line for line in measured.splitlines() if line.startswith("stable (Ours)"))
