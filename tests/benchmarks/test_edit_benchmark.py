@@ -104,7 +104,7 @@ def test_edits_of_a_folder_are_applied_and_judged(tmp_path: Path) -> None:
     app = typer.Typer()
     app.command()(main)
     command = ["--file", str(tmp_path / "edits.jsonl"), "--scenes", str(DATA), "--json", str(tmp_path / "out.json")]
-    others = {"file": "edits.jsonl", "engines": {"planned": {"summary": {}}}}
+    others: dict[str, Any] = {"file": "edits.jsonl", "engines": {"planned": {"summary": {}}}}
     (tmp_path / "out.json").write_text(json.dumps(others), "utf-8")
     done = CliRunner().invoke(app, [*command, "--engine", f"scripted:{tmp_path / 'replies.json'}", "--name", "replies"])
     assert done.exit_code == 0, done.output
