@@ -489,6 +489,7 @@ def show_settings(
 
 app.command("repair")(scene_files.repair)
 app.command("import-scenes")(scene_files.import_scenes)
+app.command("import-tabletopgen")(scene_files.import_tabletopgen)
 app.command("supports")(supports)
 app.command("reach", epilog=SETTINGS_HINT.format("reach"))(reach)
 app.command("evaluate", epilog=SETTINGS_HINT.format("evaluate"))(evaluate)

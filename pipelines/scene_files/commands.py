@@ -1,4 +1,4 @@
-"""The commands ``repair`` and ``import-scenes``."""
+"""The commands ``repair``, ``import-scenes`` and ``import-tabletopgen``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -162,6 +162,39 @@ def import_scenes(
         f"{out}: {counts.num_scenes} scenes of {counts.num_files} files, {counts.num_assets} assets, {len(counts.failures)} failures"
     )
     if counts.failures:
+        raise typer.Exit(SOME_FAILED)
+
+
+@with_clear_errors
+def import_tabletopgen(
+    source: Annotated[
+        Path, typer.Argument(metavar="DIR", help="TabletopGen's folder output_scene, with a folder for each scene.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the dataset; empty or not there yet.")],
+    tasks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Tasks that the scenes were made for, as generate --write-tasks wrote them: scene_K gets the id of the K-th. Default: "
+            "scenes keep their names.",
+        ),
+    ] = None,
+) -> None:
+    """Import scenes of TabletopGen as a folder in the MesaTask-10K format, for evaluate --system files=DIR, lint and the other jobs.
+
+    What is not on the table, or has no mesh, is left out with a warning.
+
+    Status 0: done. 1: some scenes are not usable; the lines say why. 2: could not start.
+    """
+    from pipelines.scene_files.tabletopgen import import_tabletopgen as run
+
+    made = run(source, out, tasks, progress=True)
+    for notice in made.warnings:
+        echo(f"warning: {notice.message}", err=True)
+    for notice in made.failures:
+        echo(f"not imported: {notice.message}", err=True)
+    echo(f"{out}: {made.num_scenes} scenes, {len(made.warnings)} warnings, {len(made.failures)} failures")
+    if made.failures:
         raise typer.Exit(SOME_FAILED)
 
 

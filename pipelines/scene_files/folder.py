@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, TypeVarTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,6 +19,7 @@ from stable_data.importers.scenes.lint import no_scene_error, scene_candidates
 from stable_data.limits import LIMITS, at_most
 
 R = TypeVar("R")
+Arguments = TypeVarTuple("Arguments")
 
 VERDICTS = "repair.parquet"
 """The table of verdicts in the output folder."""
@@ -135,7 +136,7 @@ def repair_folder(
     with IsolatedProcess() as process:
         for path in tqdm(found, desc="repair", unit="file", disable=not progress):
             try:
-                repairs = call_for_file(process if isolates else None, _repair, root, path, options)
+                repairs = call_for_file(process if isolates else None, path, _repair, root, path, options)
                 used |= set(repairs[-1].files) - {path}
                 writer.write(path, repairs[-1].files, repairs[-1].changed)
             except ConfigError:
@@ -151,29 +152,22 @@ def repair_folder(
     yield from left
 
 
-def call_for_file(
-    process: IsolatedProcess | None,
-    function: Callable[[Path, str, RepairOptions], R],
-    root: Path,
-    path: str,
-    options: RepairOptions,
-) -> R:
+def call_for_file(process: IsolatedProcess | None, path: str, function: Callable[[*Arguments], R], *arguments: *Arguments) -> R:
     """Calls a function for a scene file: in a separate process, which a hostile file may crash, or in this one.
 
     Args:
         process: The separate process; None: this process.
+        path: The file or folder, for messages.
         function: The function, picklable.
-        root: The source folder.
-        path: The file, relative to it.
-        options: What the user says about it.
+        arguments: Its arguments.
 
     Raises:
         StableDataError: The file cannot be used; an unexpected error (``unexpected``) and the end of the process too.
     """
     if process is None:
-        return function(root, path, options)
+        return function(*arguments)
     found: _Result[R] | StableDataError | ProcessFailure
-    found = process.call(_guarded, function, root, path, options, seconds=LIMITS.item.max_scene_file_seconds)
+    found = process.call(_guarded, path, function, arguments, seconds=LIMITS.item.max_scene_file_seconds)
     if isinstance(found, ProcessFailure):
         seconds = f"took more time, expected {at_most(LIMITS.item, 'max_scene_file_seconds', 's')}"
         how = seconds if found is ProcessFailure.TIMED_OUT else found.told(0.0)
@@ -190,12 +184,10 @@ class _Result(Generic[R]):
     value: R
 
 
-def _guarded(
-    function: Callable[[Path, str, RepairOptions], R], root: Path, path: str, options: RepairOptions
-) -> "_Result[R] | StableDataError":
+def _guarded(path: str, function: Callable[[*Arguments], R], arguments: tuple[*Arguments]) -> "_Result[R] | StableDataError":
     """The result of a function, or its error, which loses less on its way through a pipe than a raised one."""
     try:
-        return _Result(function(root, path, options))
+        return _Result(function(*arguments))
     except StableDataError as error:
         return error
     except MemoryError:

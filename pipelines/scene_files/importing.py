@@ -78,7 +78,7 @@ def import_scenes(
     with IsolatedProcess() as process:
         for path in tqdm(found, desc="import", unit="file", disable=not progress):
             try:
-                result = call_for_file(process if paths is None else None, _read, root, path, options)
+                result = call_for_file(process if paths is None else None, path, _read, root, path, options)
             except StableDataError as error:
                 failures.append(Notice(path, "read", error.code, str(error)))
                 continue

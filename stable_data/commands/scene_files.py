@@ -18,13 +18,15 @@ _PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_op
 @with_clear_errors
 def import_(
     context: typer.Context,
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="mesh, sdformat, urdf, mjcf, usd, or scenes.")] = "--help",
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="mesh, sdformat, urdf, mjcf, usd, scenes or tabletopgen.")
+    ] = "--help",
 ) -> None:
     """Make a library of the assets in a folder: import KIND DIR --out LIBRARY. Or a run of scene files: import scenes FILE|DIR --out RUN.
 
-    import --help and import scenes --help list the options.
+    Or a dataset of what TabletopGen has made: import tabletopgen DIR --out DIR. import --help and import KIND --help list the options.
     """
-    verb = ["import-scenes"] if kind == "scenes" else ["import", kind]
+    verb = [f"import-{kind}"] if kind in ("scenes", "tabletopgen") else ["import", kind]
     raise typer.Exit(run_pipelines([*verb, *context.args]))
 
 
