@@ -1,18 +1,21 @@
 """Targets: scene files of other projects, audited and with new poses."""
 
 import json
+import tempfile
 from pathlib import Path
 
 from benchmarks.fuzzing.cases import Base, Target
 from benchmarks.fuzzing.mutation.glb_edits import joined_glb
 from benchmarks.fuzzing.targets import source_files as files
 from benchmarks.fuzzing.targets.meshes import picture
-from benchmarks.fuzzing.targets.results import check_finite, check_lint
+from benchmarks.fuzzing.targets.results import check_finite, check_lint, check_notices, check_scene
 from stable_data.errors import SceneError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.lint import lint_scene_files, scene_candidates
 from stable_data.importers.scenes.opening import OpenedScene, read_scene_file
 from stable_data.importers.scenes.scene_file import SceneFile
+from stable_data.importers.tabletopgen import convert_scene, scene_folders
+from stable_data.mesatask import MesaTaskDataset
 
 _PHYSICS_WORDS = (
     *(
@@ -126,10 +129,42 @@ def _audited() -> list[Base]:
     return [*_mjcf(), *_gltf(), *_usd()]
 
 
+_TABLETOPGEN = {
+    "layout_pose.json": {
+        "main_object": "table_0",
+        "objects": {
+            "table_0": {"size": [120, 80, 75], "pose": [0, 0, 37.5]},
+            "red thing_1": {"size": [10, 12, 8.5], "pose": [-20.5, 10, 79.25]},
+        },
+    },
+    "layout_rotation.json": {"table_0": 0.0, "red thing_1": 35.5},
+    "placement_order.json": {"table_0": {"order": 1, "on_top_of": None}, "red thing_1": {"order": 2, "on_top_of": ["table_0"]}},
+}
+
+
+def _tabletopgen() -> list[Base]:
+    document, content = files.gltf()
+    document["buffers"][0].pop("uri")
+    assets = "scene_1/output_assets"
+    layouts = {f"{assets}/layout_json/{name}": files.dumped(content) for name, content in _TABLETOPGEN.items()}
+    mesh = f"{assets}/centered_mesh/red thing_1.glb"
+    contents = {**layouts, mesh: joined_glb(json.dumps(document).encode(), content), "picture.png": picture("PNG")}
+    return [Base("scene", contents, {**dict.fromkeys(layouts, 2.0), mesh: 1.0})]
+
+
+def _convert_tabletopgen(folder: Path, base: str) -> bool:
+    out = Path(tempfile.gettempdir(), "converted")
+    (name,) = scene_folders(folder)
+    check_notices(convert_scene(folder, name, name, out).notices)
+    check_scene(MesaTaskDataset(out).read(name)[0])
+    return True
+
+
 TARGETS = (
     Target("scene_mjcf", 5, _mjcf, _read_scene, files.XML_WORDS),
     Target("scene_gltf", 6, _gltf, _read_scene, _PHYSICS_WORDS),
     Target("scene_usd", 5, _usd, _read_scene, files.USD_WORDS),
+    Target("scene_tabletopgen", 3, _tabletopgen, _convert_tabletopgen, ("main_object", "on_top_of", "size", "pose")),
     Target("scene_audit", 5, _audited, _audit, (*_PHYSICS_WORDS, *files.XML_WORDS, *files.USD_WORDS), block=50),
 )
 """The targets of this module."""
