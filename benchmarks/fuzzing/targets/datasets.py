@@ -172,7 +172,7 @@ def _audit(folder: Path, base: str) -> bool:
 
 
 TARGETS = (
-    Target("layout", 77, _layouts, _read_layout, _KEYS),
+    Target("layout", 75, _layouts, _read_layout, _KEYS),
     Target(
         "task_info", 40, _task_infos, _read_task, ("on", "in", "left of", "Goal", "Task", "relations", "conditions", "distance")
     ),

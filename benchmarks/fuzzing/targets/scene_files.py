@@ -164,7 +164,7 @@ TARGETS = (
     Target("scene_mjcf", 5, _mjcf, _read_scene, files.XML_WORDS),
     Target("scene_gltf", 6, _gltf, _read_scene, _PHYSICS_WORDS),
     Target("scene_usd", 5, _usd, _read_scene, files.USD_WORDS),
-    Target("scene_tabletopgen", 3, _tabletopgen, _convert_tabletopgen, ("main_object", "on_top_of", "size", "pose")),
+    Target("scene_tabletopgen", 5, _tabletopgen, _convert_tabletopgen, ("main_object", "on_top_of", "size", "pose")),
     Target("scene_audit", 5, _audited, _audit, (*_PHYSICS_WORDS, *files.XML_WORDS, *files.USD_WORDS), block=50),
 )
 """The targets of this module."""
