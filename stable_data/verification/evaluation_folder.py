@@ -6,7 +6,7 @@ from pathlib import PurePosixPath
 
 import pyarrow.fs as pafs
 
-from stable_data.json_text import document_of
+from stable_data.json_text import document_of, quote_value
 from stable_data.limits import LIMITS
 from stable_data.storage.manifest import DIGEST, MANIFEST, manifest_digest
 from stable_data.storage.run_folder import RunFolder
@@ -65,7 +65,7 @@ def _verify_folder(folder: RunFolder, runs: list[str], tell: Tell) -> Verificati
     for label, repetitions in systems.items():
         found = sum(name.endswith(f"/{label}/scenes") for name in runs)
         if not isinstance(repetitions, int) or found < repetitions:
-            findings.damage(EVALUATION, f"names {repetitions} repetitions of {label}, but {found} runs of it are there")
+            findings.damage(EVALUATION, f"names {quote_value(repetitions)} repetitions of {quote_value(label)}, but {found} runs of it are there")
     return Verification(
         folder.uri, "evaluate", True, dict(findings.num_damaged), tuple(findings.unknown), 0, 0, {}, 0, 0, 0, 0.0
     )

@@ -24,8 +24,8 @@ class Finding:
     def __str__(self) -> str:
         """Returns the finding in one line: table, shard, row, what."""
         row = "" if self.row is None else f" row {self.row}"
-        what = short_line(" ".join(self.what.split()))
-        return f"{short_line(self.where)}{row}: {what}" if self.where else what
+        what = " ".join(self.what.split())
+        return short_line(f"{short_line(self.where)}{row}: {what}" if self.where else what)
 
 
 class Findings:
