@@ -65,7 +65,8 @@ def _verify_folder(folder: RunFolder, runs: list[str], tell: Tell) -> Verificati
     for label, repetitions in systems.items():
         found = sum(name.endswith(f"/{label}/scenes") for name in runs)
         if not isinstance(repetitions, int) or found < repetitions:
-            findings.damage(EVALUATION, f"names {quote_value(repetitions)} repetitions of {quote_value(label)}, but {found} runs of it are there")
+            named = f"{quote_value(repetitions)} repetitions of {quote_value(label)}"
+            findings.damage(EVALUATION, f"names {named}, but {found} runs of it are there")
     return Verification(
         folder.uri, "evaluate", True, dict(findings.num_damaged), tuple(findings.unknown), 0, 0, {}, 0, 0, 0, 0.0
     )
