@@ -23,11 +23,13 @@ from benchmarks.alternation import figures_of
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import generate
 from pipelines.generate.settings import GenerateSettings
+from pipelines.reports.text_table import align_columns
 from pipelines.sources.generation_tasks import TaskSource, sample_tasks, tasks_of_file
 from stable_data.embedded_world.library import NAME as EMBEDDED
 from stable_data.embedded_world.plans import TABLES, UNSEEN_TABLES
 from stable_data.mesatask.asset_catalog import library_of_folder
 from stable_data.scene import Relation, Scene
+from stable_data.scores.intervals import share_text, wilson_interval
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
 
@@ -145,12 +147,13 @@ def measure(data: str, num_scenes: int, num_cases: int, workers: WorkerPool) -> 
 
 def show(found: dict[str, Any]) -> Iterable[str]:
     """Yields the lines of tables of the figures."""
-    yield f"{'':16}{'made':>10}" + "".join(f"{head:>11}" for head in _HEAD) + f"{'left out':>10}{'own assets %':>14}"
+    rows = [["", "made", *_HEAD, "left out", "own assets %"]]
     for name, one in found.items():
         if name != "contradictory":
-            values = ("unknown" if one[key] is None else f"{one[key]:.1f}" for key in _MEASURES)
-            shown = "".join(f"{v:>11}" for v in values)
-            yield f"{name:16}{one['made']:>5}/{one['tasks']:<4}{shown}{one['dropped']:>10}{one['own_assets']:>14.1f}"
+            shown = (_shown(one, key) for key in _MEASURES)
+            rows.append([name, share_text(one["made"], one["tasks"]), *shown, str(one["dropped"]), f"{one['own_assets']:.1f}"])
+    yield from align_columns(rows, 1).splitlines()
+    yield "one draw of tasks; brackets: 95 % intervals (Wilson), in %"
     yield "left out: objects of all scenes for which the corrector found no place, although the layout had them"
     yield ""
     yield f"{'made':6}{'objects':>8}{'claims':>8}  {'':12}instruction; reported codes"
@@ -161,9 +164,18 @@ def show(found: dict[str, Any]) -> Iterable[str]:
         yield f"{'yes' if one['made'] else 'no':6}{objects:>8}{claims:>8}  {can:12}{one['instruction']}{said}"
     possible = [one for one in found["contradictory"] if one["possible"]]
     followed = sum(one["claims_held"] == one["claims"] for one in possible)
-    yield f"followed, of the physically possible: {followed} of {len(possible)}"
+    yield f"followed, of the physically possible: {share_text(followed, len(possible))}"
     broken = [one for one in found["contradictory"] if one["claims_held"] < one["claims"]]
-    yield f"not followed: {len(broken)}, of these reported: {sum(bool(one['said']) for one in broken)}"
+    yield f"reported, of those not followed: {share_text(sum(bool(one['said']) for one in broken), len(broken))}"
+
+
+def _shown(one: dict[str, Any], key: str) -> str:
+    if one[key] is None:
+        return "unknown"
+    if key not in ("clean", "stable"):
+        return f"{one[key]:.1f}"
+    low, high = wilson_interval(round(one[key] * one["made"] / 100), one["made"])
+    return f"{one[key]:.1f} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
 def main() -> None:

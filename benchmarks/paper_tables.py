@@ -33,7 +33,7 @@ from pipelines.evaluate.published import MANIPULABILITY, REARRANGEMENT, SOURCE, 
 from pipelines.reports.text_table import align_columns
 from stable_data.atomic_files import write_file_atomically
 from stable_data.rating.criteria import CRITERIA
-from stable_data.scores.intervals import mean_text, wilson_interval
+from stable_data.scores.intervals import mean_text, share_text
 
 Rows: TypeAlias = list[list[str]]
 
@@ -41,6 +41,7 @@ RESULTS = Path(__file__).parent / "results"
 """The figures of the repository."""
 
 _UNKNOWN = "unknown"
+_BUCKETS = ("0-10", "10-20", "20-30", "30-40")  # collisions at the start, of Table 2
 _SYSTEMS_FILE = "systems/evaluation.json"
 _SYSTEMS = "python -m pipelines evaluate --count 200 --repetitions 3 --reference RUN --out FOLDER/systems"
 _LABELS = {figure.key: figure for figure in FIGURES}
@@ -123,16 +124,19 @@ def stages_lines(found: Mapping[str, Any]) -> Iterable[str]:
 
 def collision_lines(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     """Yields Table 2: layouts that end without a collision, of all with so many at the start."""
-    buckets, methods = (list(dict.fromkeys(row[key] for row in found)) for key in ("bucket", "method"))
-    buckets.sort(key=lambda bucket: int(bucket.partition("-")[0]))
+    buckets, methods = _BUCKETS, list(dict.fromkeys(row["method"] for row in found))
     rows = [["method", *buckets, "objects left out"]]
     for method in methods:
         own = {bucket: [r for r in found if (r["method"], r["bucket"]) == (method, bucket)] for bucket in buckets}
         left_out, objects = (sum(r[key] for of in own.values() for r in of) for key in ("num_dropped", "num_objects"))
-        rows.append(
-            [method, *(_share([r["num_collisions"] == 0 for r in of]) for of in own.values()), f"{left_out} of {objects}"]
-        )
+        free = [share_text(sum(r["num_collisions"] == 0 for r in of), len(of)) if of else "no layouts" for of in own.values()]
+        rows.append([method, *free, f"{left_out} of {objects}"])
     yield from _aligned(rows)
+    if missing := [bucket for bucket in buckets if not any(row["bucket"] == bucket for row in found)]:
+        yield (
+            f"no layouts with {', '.join(missing)} collisions at the start: more scenes, or --layouts FILE with such ones and "
+            "--per-bucket N (make evaluate LAYOUTS=FILE)"
+        )
     yield "scenes without a collision of all; a pair that cannot be judged counts as colliding; brackets: 95 % intervals (Wilson), in %"
 
 
@@ -196,11 +200,12 @@ def edits_lines(found: Mapping[str, Any]) -> Iterable[str]:
     """Yields the edits in free words that are right, by kind and engine."""
     summaries = [one["summary"] for one in found["engines"].values()]
     rows = [
-        [kind, *(f"{one['right_by_kind'][kind]}/{one['edits_by_kind'][kind]}" for one in summaries)]
+        [kind, *(share_text(one["right_by_kind"][kind], one["edits_by_kind"][kind]) for one in summaries)]
         for kind in summaries[0]["edits_by_kind"]
     ]
-    rows.append(["all", *(f"{one['right']}/{one['edits']}" for one in summaries)])
+    rows.append(["all", *(share_text(one["right"], one["edits"]) for one in summaries)])
     yield from _aligned([["kind", *found["engines"]], *rows])
+    yield "right of all; brackets: 95 % intervals (Wilson), in %"
 
 
 def fill_page(page: str, folder: Path) -> str:
@@ -229,11 +234,6 @@ def _estimate(system: Mapping[str, Any], key: str) -> str:
     if not system["repetitions"]:
         return "not run"
     return Estimate(**system["figures"][key]).text(_LABELS[key].digits)
-
-
-def _share(verdicts: Sequence[bool]) -> str:
-    low, high = wilson_interval(sum(verdicts), len(verdicts))
-    return f"{sum(verdicts)}/{len(verdicts)} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
 def _percent(values: Sequence[float | None]) -> float | None:

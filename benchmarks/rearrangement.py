@@ -351,7 +351,7 @@ def main(
     )
     for name, notes in networks.items():
         steps_done, data = (notes[key] or "unknown" for key in ("steps", "data_fingerprint"))
-        print(f"{name}: {steps_done} training steps, data {data}, {notes['file']}")
+        print(f"{name}: {steps_done} steps in its last training, data {data}, {notes['file']}")
     for name in left_out:
         print(f"{name}: not measured, no weights ({_option(name)} FILE)")
     print("", table(figures, method or METHODS), sep="\n")

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from models.semantic_reasoner.engines.protocol import UNANSWERED
 from pipelines.evaluate.figures import FIGURES, Repetition
 from pipelines.generate.report import TimeSpent
 from stable_data.diversity.comparison import SAMPLE, compare_sets
@@ -87,12 +88,16 @@ class RunsOfSystem:
         views: The run of their pictures; empty if these could not be made as it was asked for.
         ratings: The run of their ratings; empty likewise.
         is_priced: Whether what the language model cost is known.
+        is_foreign: Whether another system made its scenes, whose time and cost are not known.
+        lost_pictures: Number of its scenes whose pictures could not be made.
     """
 
     scenes: str
     views: str = ""
     ratings: str = ""
     is_priced: bool = True
+    is_foreign: bool = False
+    lost_pictures: int = 0
 
 
 def read_repetition(
@@ -115,17 +120,30 @@ def read_repetition(
     if runs.ratings and RunFolder(runs.ratings).shard_ids("ratings"):
         rows = RunFolder(runs.ratings).table("ratings", ["scene_id", *_RATED]).to_pylist()
         rated = {row["scene_id"]: row for row in rows}
-    values, notes = _spent(scenes, len(tasks), is_priced=runs.is_priced), list[str]()
+    values, notes = _spent(scenes, len(tasks), runs), list[str]()
+    unanswered = _unanswered(scenes)
+    if unanswered:
+        notes.append(
+            f"{len(unanswered)} tasks are unknown: the endpoint did not answer, see the table failures; run again with another --out"
+        )
     if reference is not None:
         if strange := sorted({row["table_type"] for row in found} - reference.table_types):
             notes.append(
                 f"what is compared with the reference is unknown: it has no {', '.join(strange)}; choose another reference"
             )
         else:
-            pictures, notes = _picture_values(runs.views, reference)
+            pictures, about = _picture_values(runs, reference)
+            notes += about
             values |= pictures | _taste_values(runs.scenes, reference)
     made = {row["scene_id"]: figures_row(row, rated.get(row["scene_id"], {})) for row in found}
-    return Repetition(tuple(tasks), made, values, frozenset(unlabelled)), notes
+    return Repetition(tuple(tasks), made, values, frozenset(unlabelled), unanswered), notes
+
+
+def _unanswered(scenes: RunFolder) -> frozenset[str]:
+    if not scenes.shard_ids("failures"):
+        return frozenset()
+    rows = scenes.table("failures", ["id", "code"]).to_pylist()
+    return frozenset(row["id"] for row in rows if row["code"] in UNANSWERED)
 
 
 def figures_row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str, Any]:
@@ -143,12 +161,12 @@ def figures_row(card: Mapping[str, Any], rating: Mapping[str, Any]) -> dict[str,
     return {**card, **rated, "made": True, "ready": ready}
 
 
-def _picture_values(views: str, reference: Reference) -> tuple[dict[str, float | None], list[str]]:
+def _picture_values(runs: RunsOfSystem, reference: Reference) -> tuple[dict[str, float | None], list[str]]:
     """Distances of the pictures from the reference."""
-    if reference.pictures is None or not _has_pictures(views):
+    if reference.pictures is None or not _has_pictures(runs):
         return {}, []
     try:
-        own = PictureSet.read(views)
+        own = PictureSet.read(runs.views)
         if own.fingerprint != reference.pictures.fingerprint:
             return {}, ["distances of pictures are unknown: the features of the reference are others"]
         sets = own.features, reference.pictures.features
@@ -157,8 +175,9 @@ def _picture_values(views: str, reference: Reference) -> tuple[dict[str, float |
         return {}, [f"distances of pictures are unknown: {error}"]
 
 
-def _has_pictures(views: str) -> bool:
-    run = RunFolder(views) if views else None
+def _has_pictures(runs: RunsOfSystem) -> bool:
+    """Whether the pictures of all its scenes are there: a set without those that failed would be another one."""
+    run = RunFolder(runs.views) if runs.views and not runs.lost_pictures else None
     return run is not None and bool(run.shard_ids("views")) and run.num_rows("views") > 0
 
 
@@ -170,8 +189,10 @@ def _taste_values(run: str, reference: Reference) -> dict[str, float | None]:
     return {"pairs_unseen": pairs.generated if is_known else None, "placement": placement_ratio(found)}
 
 
-def _spent(scenes: RunFolder, num_tasks: int, *, is_priced: bool) -> dict[str, float | None]:
+def _spent(scenes: RunFolder, num_tasks: int, runs: RunsOfSystem) -> dict[str, float | None]:
     """Time, tokens and cost for each task, whether it got a scene or not."""
+    if runs.is_foreign:
+        return dict.fromkeys(("processor_seconds", "seconds", "tokens", "cost"))
     spent = TimeSpent.of_run(scenes)
     turns = scenes.table("turns", ["prompt_tokens", "reply_tokens", "cost"]).to_pylist()
     tokens = total(turn[key] for turn in turns for key in ("prompt_tokens", "reply_tokens"))
@@ -180,7 +201,7 @@ def _spent(scenes: RunFolder, num_tasks: int, *, is_priced: bool) -> dict[str, f
         "processor_seconds": None if spent.processor is None else spent.processor / n,
         "seconds": spent.seconds / n,
         "tokens": None if tokens is None else tokens / n,
-        "cost": cost / n if cost is not None and (is_priced or tokens == 0) else None,
+        "cost": cost / n if cost is not None and (runs.is_priced or tokens == 0) else None,
     }
 
 
@@ -205,13 +226,17 @@ def set_diversity(repetitions: Sequence[tuple[Repetition, RunsOfSystem]]) -> tup
         notes.append(
             f"Vendi scores of layouts are of {min(SAMPLE, *(len(layouts[k]) for k in compared))} scenes of each system"
         )
-    pictures = {k: PictureSet.read(runs.views) for k, (_, runs) in enumerate(repetitions) if _has_pictures(runs.views)}
+    pictures = {k: PictureSet.read(runs.views) for k, (_, runs) in enumerate(repetitions) if _has_pictures(runs)}
     if len({one.fingerprint for one in pictures.values()}) > 1:
         notes.append("Vendi scores of pictures are unknown: the features of the systems are not the same")
     elif drawn := of_similar_size({k: len(one) for k, one in pictures.items()}):
         size = min(SAMPLE, *(len(pictures[k]) for k in drawn))
         for k in drawn:
             values[k]["vendi_pictures"] = vendi_at(pictures[k].features, size).mean
+        for k in (k for k in pictures if k not in drawn and values[k].get("frechet") is not None):
+            values[k]["frechet"] = None
+            few = f"the Frechet distance (FID) of a system with {len(pictures[k])} pictures is unknown: others have over twice as many"
+            notes.append(few)
         notes.append(f"Vendi scores of pictures are of {size} scenes of each system, by {pictures[drawn[0]].extractor}")
     numbers = sorted({len(own) for k, own in pictures.items() if values[k].get("frechet") is not None})
     if len(numbers) > 1:

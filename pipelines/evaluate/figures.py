@@ -125,6 +125,7 @@ class Repetition:
     Attributes:
         tasks: Ids of all tasks.
         unlabelled: Those without labels, which ask for nothing that is compared with these.
+        unanswered: Those without a scene because an endpoint did not answer.
         rows: Scene id -> column -> value, for the scenes that were made; only columns whose values were computed.
         values: Key -> value of the figures of the whole set; None where it is not known.
     """
@@ -133,6 +134,7 @@ class Repetition:
     rows: Mapping[str, Mapping[str, Any]]
     values: Mapping[str, float | None]
     unlabelled: frozenset[str] = frozenset()
+    unanswered: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuses scenes of other tasks, whose tasks would count as without a scene (ValueError)."""
@@ -220,4 +222,4 @@ def _values(figure: Figure, one: Repetition, silent: set[str]) -> list[float | N
     asking = [name for name in one.tasks if name not in silent]
     if of_scenes and all(value is None for value in of_scenes.values()):
         return [None] * len(asking)  # nothing was judged: zeros of tasks without a scene alone would be no mean
-    return [of_scenes.get(name, 0.0) for name in asking]
+    return [of_scenes.get(name, None if name in one.unanswered else 0.0) for name in asking]

@@ -37,6 +37,7 @@ Tasks: TypeAlias = Callable[[int], TaskSource]
 """The tasks of a repetition, by its seed."""
 
 _EMPTY = "source_empty"
+_PAPER_VIEWS = ("none", 299, 299)
 _ENOUGH = 10_000  # pictures from which FID hardly depends on their number
 
 
@@ -75,7 +76,7 @@ def evaluate(
             for result, one in zip(done, changed, strict=True):
                 result.repetitions[-1] = one
             notes += [note for note in about if note not in notes]
-    notes += _what_more(names)
+    notes += _what_more(names, settings)
     estimates = estimate_figures({result.system.label: result.repetitions for result in results})
     evaluation = Evaluation(out, len(sources[seeds[0]].tasks), tuple(results), estimates, names, tuple(notes))
     folder = RunFolder(out)
@@ -118,12 +119,18 @@ def _has(result: SystemResult, seed: int) -> bool:
     return bool(result.runs) and result.runs[-1].scenes.endswith(f"/seed_{seed}/{result.system.label}/scenes")
 
 
-def _what_more(names: Mapping[str, str]) -> Iterator[str]:
+def _what_more(names: Mapping[str, str], settings: EvaluateSettings) -> Iterator[str]:
     """Yields what has to be given for those of the paper's figures that others stand for."""
     if names["frechet"] != InceptionFeatures.distance_name:
         yield (
             f"{names['frechet']} is no FID: it needs Inception's weights, stable-data features --fetch inception, then another --out "
             "(docs/picture_distances.md)"
+        )
+    elif settings.reference and (views := settings.views) and (views.surroundings, views.width, views.height) != _PAPER_VIEWS:
+        yield (
+            f"FID is of pictures of {views.width} x {views.height} with surroundings={views.surroundings}; "
+            "MesaTask's, which the paper follows, is of 299 x 299 on black: --set views.surroundings=none --set views.width=299 "
+            "--set views.height=299, and another --out"
         )
     if names["judge"] == SYMBOLIC:
         yield (
@@ -135,7 +142,7 @@ def _what_more(names: Mapping[str, str]) -> Iterator[str]:
 def _reference(out: str, settings: EvaluateSettings, workers: WorkerPool) -> tuple[Reference | None, list[str]]:
     if not settings.reference:
         return None, ["distances from other scenes are unknown: give a run of scenes to compare with, --reference RUN"]
-    place, notes, lost = f"{out.rstrip('/')}/reference", list[str](), 0
+    place, notes, lost = settings.reference_pictures or f"{out.rstrip('/')}/reference", list[str](), 0
     try:
         manifest = draw_views(settings.reference, place, settings.views, workers, where=settings.reference_where)
         lost = manifest["counts"]["failures"]
@@ -179,7 +186,8 @@ def _run_system(
         result.has_failed = True
         result.note(f"seed {seed} was not run: {error}")
         return
-    judge, runs = settings.rate.rating.judge, RunsOfSystem(f"{place}/scenes", is_priced=own.engine.is_priced)
+    judge = settings.rate.rating.judge
+    runs = RunsOfSystem(f"{place}/scenes", is_priced=own.engine.is_priced, is_foreign=own.layout == "files")
     for verb in ("pictures", "ratings"):
         try:
             if verb == "pictures":
@@ -198,6 +206,7 @@ def _run_system(
             if lost := manifest["counts"]["failures"]:
                 result.has_failed = True
                 result.note(f"seed {seed}: {verb} of {lost} scenes are unknown, see the table failures")
+                runs = replace(runs, lost_pictures=lost) if verb == "pictures" else runs
             if codes := manifest["counts"].get("unknown_by_code"):
                 result.has_failed = True
                 told = ", ".join(f"{code} {n}" for code, n in codes.items())
@@ -216,7 +225,9 @@ def _add_repetition(result: SystemResult, source: TaskSource, runs: RunsOfSystem
     repetition, found = read_repetition(runs, [*(task.scene_id for task in tasks), *lost], reference, unlabelled)
     if num := sum(one is not None and one.graph is None for one in labels.values()):
         found.append(f"AwS is unknown for {num} of {len(tasks)} tasks: their labels have no scene graph")
-    if repetition.values["tokens"] is None:
+    if runs.is_foreign:
+        found.append("its time, tokens and cost are those of the system that made its scenes, and are not known here")
+    elif repetition.values["tokens"] is None:
         found.append("tokens and cost are unknown: the endpoint did not count the tokens of all replies (no usage)")
     elif repetition.values["cost"] is None:
         found.append("the cost is unknown: --set generate.engine.http.prompt_price and reply_price give prices")

@@ -28,6 +28,11 @@ class EvaluateSettings(Settings):
     reference_where: str = ""
     """Which scenes of the reference, such as ``split == 'test'``. Empty: all."""
 
+    reference_pictures: str = ""
+    """Run of the pictures of the reference: they are drawn there once, and further evaluations take them from there. Empty: each
+    evaluation has its own.
+    """
+
     num_pictures: Count = 6
     """Tasks whose scenes the report shows side by side."""
 

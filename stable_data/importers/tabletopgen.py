@@ -186,7 +186,11 @@ class _Layout:
         return False
 
     def _turn(self, name: str) -> float:
-        degrees = number(self._turns.get(name, 0.0))
+        if name not in self._turns:
+            if name != self._main:  # tables are not turned in most scenes
+                self._log.warn("rotation_missing", f"{quote_value(name)} has no rotation; it is not turned")
+            return 0.0
+        degrees = number(self._turns[name])
         if degrees is None or not math.isfinite(degrees):
             raise self._log.error("layout_invalid", f"the rotation of {quote_value(name)} is no number, expected degrees")
         return math.radians(math.remainder(degrees, 360.0))

@@ -26,6 +26,14 @@ def wilson_interval(successes: int, attempts: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
+def share_text(num: int, of: int) -> str:
+    """Returns a share for a table, such as ``6/8 [41, 93]``, with Wilson's 95 % interval in percent; ``0/0`` has none."""
+    if not of:
+        return "0/0"
+    low, high = wilson_interval(num, of)
+    return f"{num}/{of} [{100 * low:.0f}, {100 * high:.0f}]"
+
+
 def mean_text(values: Sequence[float | None], digits: int) -> str | None:
     """Returns a mean for a table, with half of the width of its 95 % interval; None if a value, or every one, is not known.
 

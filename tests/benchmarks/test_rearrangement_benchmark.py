@@ -278,7 +278,7 @@ def test_the_command_measures_held_out_scenes_of_a_run(clean_run: Path, tmp_path
     assert found["networks"] == {
         "lego_net": {"file": Path(weights).name, "sha256": digest, "steps": None, "data_fingerprint": "abc"}
     }
-    assert "lego_net: unknown training steps, data abc, " in done.stdout
+    assert "lego_net: unknown steps in its last training, data abc, " in done.stdout
     assert trained_on({"flow": DEFAULT_WEIGHTS})["flow"]["steps"] is not None
     train = of_split(clean_run, tmp_path / "train", "train")
     with pytest.raises(ConfigError, match="no clean scene of the split test"):

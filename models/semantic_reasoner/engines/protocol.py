@@ -25,6 +25,9 @@ OFF = (
 )
 """Codes of failures of the engine itself: it would not answer another request either."""
 
+UNANSWERED = ("connection_failed", "endpoint_error", "endpoint_timeout", "rate_limited")
+"""Codes of failures of an endpoint for one request, which say nothing of its model."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sampling(Settings):

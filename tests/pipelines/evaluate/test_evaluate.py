@@ -15,7 +15,7 @@ from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.__main__ import app
-from pipelines.evaluate.collect import of_similar_size
+from pipelines.evaluate.collect import RunsOfSystem, of_similar_size, read_reference, read_repetition
 from pipelines.evaluate.figures import FIGURES
 from pipelines.evaluate.job import evaluate
 from pipelines.evaluate.report import evaluation_text
@@ -30,7 +30,7 @@ from pipelines.views import shard
 from pipelines.views.settings import ViewsSettings
 from stable_data.cli import app as stable_data
 from stable_data.commands.command_line import DONE, SOME_FAILED
-from stable_data.errors import ConfigError, SceneError
+from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject
 from stable_data.rating.criteria import KEYS
@@ -38,6 +38,7 @@ from stable_data.scene import Stage, Tabletop
 from stable_data.simulation.offscreen import can_render
 from stable_data.simulation.views import draw_scored_views
 from stable_data.storage.run_folder import RunFolder
+from stable_data.storage.table_rows import notice_row
 from tests.pipelines.runs import content
 from tests.pipelines.scripts import entry
 
@@ -206,6 +207,9 @@ def test_pictures_are_compared_with_those_of_a_reference(
     found = evaluate(lambda _: tasks, str(tmp_path), alone, ALONE, [str(dataset)], report=False)
     assert found.names["frechet"] == "Frechet distance (gradients)"
     assert found.estimates["same"]["frechet"].value == pytest.approx(0.0, abs=1e-6)
+    spent = ("processor_seconds", "seconds", "tokens", "cost")
+    assert all(found.estimates["same"][key].value is None for key in spent)  # another system made the scenes
+    assert any("of the system that made its scenes" in note for note in found.results[0].notes)
     others = replace(alone, reference=_with_other_tables(scenes, tmp_path / "others"))
     found = evaluate(lambda _: tasks, str(tmp_path / "out"), others, ALONE, [str(dataset)], report=False)
     assert found.estimates["same"]["frechet"].value is None
@@ -265,6 +269,30 @@ def test_lost_pictures_are_unknown_and_a_failure(
     found = evaluate(lambda _: tasks, str(out), replace(settings, systems=("one_shot",)), ALONE, [str(dataset)])
     assert found.has_failed
     assert "seed 0: pictures of 1 scenes are unknown, see the table failures" in found.results[0].notes
+
+
+def test_a_set_without_some_of_its_pictures_has_no_distance(evaluated: tuple[Path, dict[str, Any]]) -> None:
+    place = evaluated[0] / "seed_0" / "holodeck"
+    whole = RunsOfSystem(f"{place}/scenes", f"{place}/views")
+    reference = read_reference(whole.scenes, whole.views, "")
+    names = [f"task_{n}" for n in range(3)]
+    assert read_repetition(whole, names, reference)[0].values["frechet"] == pytest.approx(0.0, abs=1e-6)
+    for key in ("frechet", "kernel"):
+        assert read_repetition(replace(whole, lost_pictures=1), names, reference)[0].values.get(key) is None
+
+
+def test_a_task_that_an_endpoint_did_not_answer_is_unknown(evaluated: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    scenes = shutil.copytree(evaluated[0] / "seed_0" / "holodeck" / "scenes", tmp_path / "scenes")
+    names = [f"task_{n}" for n in range(3)]
+    before, notes = read_repetition(RunsOfSystem(str(scenes)), names, None)
+    assert not before.unanswered
+    assert not any("did not answer" in note for note in notes)
+    RunFolder(str(scenes)).write_shard(
+        "failures", "more", [notice_row(Notice("task_2", "generate", "rate_limited", "task_2: 429"))]
+    )
+    after, notes = read_repetition(RunsOfSystem(str(scenes)), names, None)
+    assert after.unanswered == {"task_2"}
+    assert any("1 tasks are unknown: the endpoint did not answer" in note for note in notes)
 
 
 def test_sets_that_are_much_smaller_do_not_make_the_number_of_scenes_small_for_all() -> None:

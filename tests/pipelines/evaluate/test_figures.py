@@ -152,3 +152,9 @@ def test_published_averages_are_those_of_their_criteria() -> None:
     for published in TABLE_1.values():
         assert math.isclose(sum(published.criteria) / 5, published.average, abs_tol=0.1), published
     assert set(TABLE_3B) == {"one_shot", "stable"}
+
+
+def test_a_task_that_was_not_answered_is_unknown_and_no_zero() -> None:
+    found = figures_of(Repetition(("a", "b"), {"a": row(awt=1.0)}, {}, unanswered=frozenset({"b"})))
+    for key in ("made", "awt"):
+        assert (found[key].value, found[key].known, found[key].unknown) == (100.0, 1, 1)

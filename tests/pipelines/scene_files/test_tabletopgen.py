@@ -95,7 +95,8 @@ def test_meshes_are_where_its_own_assembly_puts_them(table_turn: float, tmp_path
     done = CliRunner().invoke(app, ["import-tabletopgen", str(tmp_path / "theirs"), "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     assert "'stool_4' is not on the table" in done.output
-    assert "1 scenes, 1 warnings, 0 failures" in done.output
+    assert "'coffee mug_1' has no rotation" in done.output
+    assert "1 scenes, 2 warnings, 0 failures" in done.output
     dataset = MesaTaskDataset(tmp_path / "out")
     scene, notices = dataset.read("scene_7")
     assert not notices

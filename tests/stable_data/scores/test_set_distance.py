@@ -150,6 +150,14 @@ def test_distances_of_fixed_features_are_those_of_other_formulas() -> None:
     assert kernel == pytest.approx(1.495607728332324, rel=1e-9)
 
 
+def test_distances_of_fixed_features_are_those_of_other_libraries() -> None:
+    """What pytorch-fid 0.3.0 and torch-fidelity 0.4.0 gave; tests/consumers/test_fid.py runs them."""
+    first, second = frozen_features()
+    frechet = frechet_distance(FeatureStatistics.of(first), FeatureStatistics.of(second))
+    assert frechet == pytest.approx(1.0446893997130706, rel=1e-9)
+    assert kernel_distance(first[:45], second) == pytest.approx(1.5493067566777228, rel=1e-9)
+
+
 def test_draws_of_kernel_distances() -> None:
     one, other = draw(30, 5), draw(40, 5, seed=1, shift=0.2)
     found = kernel_distance_at(one, other, 20, draws=8, seed=5)
