@@ -129,3 +129,12 @@ def test_versions_are_pinned_in_one_place() -> None:
     assert "torch==2.13.0" in constraints
     for path in (ROOT / "pyproject.toml", ROOT / "Makefile", ROOT / ".ci" / "run"):
         assert not re.search(r"[a-z]==\d", path.read_text("utf-8")), path
+
+
+@pytest.mark.parametrize("package", sorted(OURS))
+def test_no_group_of_a_pattern_is_repeated_possessively(package: str) -> None:
+    """Python before 3.11.5 matches that wrongly (gh-106052); an atomic group does it."""
+    for path in modules(package):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert not re.search(r"(?<!\\)\)(?:[*+?]|\{[\d,]+\})\+", node.value), f"{path}:{node.lineno}"

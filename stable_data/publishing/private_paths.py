@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 
 # A path is its root, folders, and its last part. A folder is a name with a separator and a further name behind it: so it may have signs
 # that end a last part in a sentence, and a few spaces. No pattern repeats what can be read in two ways: time is linear in the length.
+# Groups are repeated within atomic groups, since Python before 3.11.5 repeats them wrongly with possessive quantifiers.
 _SEPARATORS = r"[/\\]++"
 _NEXT = r"(?=[^\s/\\:\"<>|])"
 _FILE_TYPES = (
@@ -24,9 +25,9 @@ def _folder(without: str) -> "re.Pattern[str]":
 
     Up to three spaces may be in a name, but not behind what ends a part of a sentence, or behind the name of a file.
     """
-    word = rf"(?:[^\s/\\:\"<>|{without}]|:(?![\s/\\]))++"
+    word = rf"(?>(?:[^\s/\\:\"<>|{without}]|:(?![\s/\\]))+)"
     return re.compile(
-        rf"(?:[A-Za-z]:|(?![^\s/\\]*\.(?:{_FILE_TYPES}) ){word}(?:(?<![,;.!?]) {word}){{0,3}}+){_SEPARATORS}{_NEXT}"
+        rf"(?:[A-Za-z]:|(?![^\s/\\]*\.(?:{_FILE_TYPES}) ){word}(?>(?:(?<![,;.!?]) {word}){{0,3}})){_SEPARATORS}{_NEXT}"
     )
 
 
@@ -38,14 +39,14 @@ _ROOT = re.compile(
 _HOMES = re.compile(r"(?:/+|[A-Za-z]:[/\\]+)(?:home|Users)[/\\]+")
 _ROOT_HOME = re.compile(r"root(?![\w.-])")
 _NAME_OF_HOME = re.compile(r"[^\s/\\:\"<>|,;()]*[^\s/\\:\"<>|,;().'!?]")
-_BUCKET = re.compile(r"(?:[^\s/\\:\"'<>|]|:(?!\s))*+[/\\]*+")
-_NAME_OF_STORE = re.compile(r"([^\s/\\:\"'<>|?,;()]*+)(?:[?][^\s\"'<>]*+)?+")
+_BUCKET = re.compile(r"(?>(?:[^\s/\\:\"'<>|]|:(?!\s))*)[/\\]*+")
+_NAME_OF_STORE = re.compile(r"([^\s/\\:\"'<>|?,;()]*+)(?>(?:[?][^\s\"'<>]*+)?)")
 _WEB = re.compile(r"[^\s\"'<>?()\[\]{},;|]*+")
 _USER = re.compile(r"\A[^/]*@")
 _FILE_ADDRESS = re.compile(r"\bfile:/{1,3}(?=[^\s/])")
 _CLOSING = {'"': re.compile(r'["\n]'), "`": re.compile(r"[`\n]"), "'": re.compile(r"'(?!\w)|\n"), "“": re.compile(r"[”\n]")}
 _LONGEST_PATH = 1024  # characters of a path in quotation marks
-_LITERAL = re.compile(r'"(?:[^"\\]|\\.)*+"?+', re.DOTALL)
+_LITERAL = re.compile(r'"(?>(?:[^"\\]|\\.)*)"?+', re.DOTALL)
 _MAY_HAVE_ONE = re.compile(r"[/\\]")
 
 _PATHS = frozenset({"layout_path", "source_path", "licence_where", "source", "source_url"})

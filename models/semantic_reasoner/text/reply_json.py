@@ -24,7 +24,7 @@ DECIMALS = 1
 
 _INSTANCE = re.compile(r"[^\W\d_]\w*?_[0-9]+")
 # A whole string or a comma before a closing bracket; possessive, so that a string without an end costs linear time.
-_STRING_OR_COMMA = re.compile(r'("(?:[^"\\]|\\.)*+(?:"|\Z))|,(?=\s*[\]}])', re.DOTALL)
+_STRING_OR_COMMA = re.compile(r'("(?>(?:[^"\\]|\\.)*)(?:"|\Z))|,(?=\s*[\]}])', re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
