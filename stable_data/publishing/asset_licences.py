@@ -66,7 +66,7 @@ def asset_licences(run: RunFolder) -> list[AssetLicence]:
     """Returns the licences of the assets of a run, sorted by asset and without private paths; none if it has no assets.
 
     Raises:
-        ConfigError: The table ``assets`` cannot be read.
+        ConfigError: The table ``assets`` cannot be read, or has a row without an identifier (``table_invalid``).
     """
     return sorted(_licences(run), key=lambda one: one.asset_id) if run.files("assets") else []
 
@@ -74,6 +74,9 @@ def asset_licences(run: RunFolder) -> list[AssetLicence]:
 def _licences(run: RunFolder) -> Iterator[AssetLicence]:
     for batch in run.batches("assets", _COLUMNS):
         for row in rows_without_folders(pa.Table.from_batches([batch])).to_pylist():
+            if row["asset_id"] is None:
+                expected = "expected an identifier in each; stable-data verify names the rows"
+                raise ConfigError(f"{run.uri}: assets has a row without asset_id, {expected}", "table_invalid")
             stated = row["licence_text"] or row["licence"]
             yield AssetLicence(
                 row["asset_id"],

@@ -83,7 +83,7 @@ def upgrade(run: RunFolder) -> Upgrade:
         for table in SCHEMAS:
             count += _change(run, table, partial(_to_present_version, table, f"{run.uri}/{table}"), known)
         manifest |= {"upgraded_to": TABLE_VERSION} if manifest.get("table_version") != TABLE_VERSION else {}
-        gets_plan = is_complete and PLANNED not in manifest and manifest.get("job") in _WITHOUT_NUMBERS
+        gets_plan = is_complete and PLANNED not in manifest and str(manifest.get("job")) in _WITHOUT_NUMBERS
         manifest |= {PLANNED: []} if gets_plan else {}
         write_manifest(run, manifest)
     return Upgrade(count, is_complete and not has_checksums, gets_plan)
