@@ -227,16 +227,17 @@ def set_diversity(repetitions: Sequence[tuple[Repetition, RunsOfSystem]]) -> tup
             f"Vendi scores of layouts are of {min(SAMPLE, *(len(layouts[k]) for k in compared))} scenes of each system"
         )
     pictures = {k: PictureSet.read(runs.views) for k, (_, runs) in enumerate(repetitions) if _has_pictures(runs)}
+    drawn = of_similar_size({k: len(one) for k, one in pictures.items()})
+    for k in (k for k in pictures if k not in drawn and values[k].get("frechet") is not None):
+        values[k]["frechet"] = None
+        few = f"the Frechet distance (FID) of a system with {len(pictures[k])} pictures is unknown: others have over twice as many"
+        notes.append(few)
     if len({one.fingerprint for one in pictures.values()}) > 1:
         notes.append("Vendi scores of pictures are unknown: the features of the systems are not the same")
-    elif drawn := of_similar_size({k: len(one) for k, one in pictures.items()}):
+    elif drawn:
         size = min(SAMPLE, *(len(pictures[k]) for k in drawn))
         for k in drawn:
             values[k]["vendi_pictures"] = vendi_at(pictures[k].features, size).mean
-        for k in (k for k in pictures if k not in drawn and values[k].get("frechet") is not None):
-            values[k]["frechet"] = None
-            few = f"the Frechet distance (FID) of a system with {len(pictures[k])} pictures is unknown: others have over twice as many"
-            notes.append(few)
         notes.append(f"Vendi scores of pictures are of {size} scenes of each system, by {pictures[drawn[0]].extractor}")
     numbers = sorted({len(own) for k, own in pictures.items() if values[k].get("frechet") is not None})
     if len(numbers) > 1:

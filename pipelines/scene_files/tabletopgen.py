@@ -1,6 +1,5 @@
 """Imports what TabletopGen has made as a folder in the MesaTask-10K format."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from pipelines.sources.tasks import read_tasks
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, Notice, StableDataError, cannot_write
 from stable_data.importers.tabletopgen import convert_scene, number_of, scene_folders
+from stable_data.json_text import quote_value
 from stable_data.mesatask.writing import write_annotations
 
 
@@ -86,5 +86,5 @@ def _id_of(folder: str, ids: Mapping[int, str]) -> str:
     number = number_of(folder)
     if number is None or number not in ids:
         expected = f"scene_K with K from 1 to {len(ids)}, the number of a task; rename or remove it"
-        raise ConfigError(f"{json.dumps(folder)} has the number of no task, expected {expected}", "task_missing")
+        raise ConfigError(f"{quote_value(folder)} has the number of no task, expected {expected}", "task_missing")
     return ids[number]

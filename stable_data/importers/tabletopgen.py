@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, MeshError, Notice
@@ -90,10 +89,12 @@ def convert_scene(root: Path, folder: str, scene_id: str, out: Path) -> WrittenS
     boundary = Boundary(root / folder)
     layout = _Layout(boundary, log)
     objects, extents, annotations = list[SceneObject](), dict[str, Vec3](), dict[str, AssetAnnotation]()
+    meshes: dict[str, bytes] = {}
     counts: Counter[str] = Counter()
     for name in layout.names_on_table():
         category = _category(name) or "thing"
-        asset_id = asset_id_of(f"{scene_id}_{name}")
+        instance, words = f"{len(objects)}_{category}_{counts[category]}", category.replace("_", " ")
+        asset_id = asset_id_of(f"{scene_id}_{instance}")  # names may differ in signs alone that no identifier has
         try:
             glb, own, center = _turned_mesh(boundary, name, asset_id)
         except MeshError as error:
@@ -101,18 +102,18 @@ def convert_scene(root: Path, folder: str, scene_id: str, out: Path) -> WrittenS
                 raise
             log.warn("mesh_missing", f"{quote_value(name)} has no mesh and is left out: {error}")
             continue
-        write_asset(out, asset_id, glb)
         origin, yaw, size = layout.placed(name)
         scale = _scale(size, own)
         shift = rotation_matrix(yaw_quat(yaw)) @ (np.array(center) * scale)
         position = (origin[0] + float(shift[0]), origin[1] + float(shift[1]), origin[2] + float(shift[2]))
-        instance, words = f"{len(objects)}_{category}_{counts[category]}", category.replace("_", " ")
         objects.append(SceneObject(instance, category, position, yaw, size, asset_id, scale, description=words))
         counts[category] += 1
-        extents[asset_id] = own
+        meshes[asset_id], extents[asset_id] = glb, own
         annotations[asset_id] = AssetAnnotation(asset_id, category, words, source=SOURCE)
     if not objects:
         raise log.error("no_objects", "no object is on its table, expected some")
+    for asset_id, glb in meshes.items():  # only now: a scene that cannot be read leaves nothing
+        write_asset(out, asset_id, glb)
     write_scene(out, Scene(scene_id, layout.table, tuple(objects)), extents=extents)
     return WrittenScene(annotations, tuple(log.notices))
 
@@ -165,7 +166,7 @@ class _Layout:
     def placed(self, name: str) -> tuple[Vec3, float, Vec3]:
         """The place of the origin of an object's mesh, its yaw in radians, and its size."""
         size = self._vector(name, "size")
-        away = Rotation.from_euler("z", -self._yaw).apply(np.array(self._vector(name, "pose")) - self._origin)
+        away = rotation_matrix(yaw_quat(-self._yaw)) @ (np.array(self._vector(name, "pose")) - self._origin)
         width, depth = self.table.size_xy
         return (width / 2 - float(away[0]), depth / 2 - float(away[1]), float(away[2])), self._turn(name) - self._yaw, size
 

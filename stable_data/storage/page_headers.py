@@ -51,10 +51,10 @@ def check_pages(path: Path) -> None:
                     raise pa.ArrowInvalid(f"a row group states {group[_BYTES]:,} bytes, but its columns state {of_columns:,}")
                 for column in columns:
                     num_pages += _check_column(data, column, _MOST_PAGES - num_pages)
-        except (LookupError, TypeError, ValueError) as error:
-            raise (
-                error if isinstance(error, pa.ArrowInvalid) else pa.ArrowInvalid(f"its metadata cannot be read: {error!r}")
-            ) from error
+        except pa.ArrowInvalid:
+            raise
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            raise pa.ArrowInvalid(f"its metadata cannot be read: {error!r}") from error
 
 
 def _check_column(data: mmap.mmap, column: _Struct, most_pages: int) -> int:

@@ -411,9 +411,8 @@ class RunFolder:
             for part in self._parts(table, files):
                 with self._naming_what_is_broken(part):
                     if self.is_local and all(pool.map(is_small, part.get_fragments())):
-                        rows.append(
-                            checked(part.to_table(wanted, filter=where))
-                        )  # of local files, one scan costs less for each
+                        # Of local files, one scan costs less for each.
+                        rows.append(checked(part.to_table(wanted, filter=where)))
                     else:
                         rows += pool.map(lambda path: self._read(table, path, wanted, where), part.files)
         return pa.concat_tables(rows)

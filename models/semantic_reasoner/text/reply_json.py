@@ -23,7 +23,7 @@ DECIMALS = 1
 """Decimals of a length in centimetres."""
 
 _INSTANCE = re.compile(r"[^\W\d_]\w*?_[0-9]+")
-# A whole string or a comma before a closing bracket; possessive, so that a string without an end costs linear time.
+# A whole string or a comma before a closing bracket; in an atomic group, so that a string without an end costs linear time.
 _STRING_OR_COMMA = re.compile(r'("(?>(?:[^"\\]|\\.)*)(?:"|\Z))|,(?=\s*[\]}])', re.DOTALL)
 
 

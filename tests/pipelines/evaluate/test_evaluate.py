@@ -203,14 +203,17 @@ def test_pictures_are_compared_with_those_of_a_reference(
     tasks: TaskSource, settings: EvaluateSettings, dataset: Path, evaluated: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     scenes = f"{evaluated[0]}/seed_0/holodeck/scenes"
-    alone = replace(settings, systems=(f"same:files={scenes}",), reference=scenes)
+    drawn = tmp_path / "drawn"
+    alone = replace(settings, systems=(f"same:files={scenes}",), reference=scenes, reference_pictures=str(drawn))
     found = evaluate(lambda _: tasks, str(tmp_path), alone, ALONE, [str(dataset)], report=False)
+    assert RunFolder(str(drawn)).num_rows("views") == 2
+    assert not (tmp_path / "reference").exists()
     assert found.names["frechet"] == "Frechet distance (gradients)"
     assert found.estimates["same"]["frechet"].value == pytest.approx(0.0, abs=1e-6)
     spent = ("processor_seconds", "seconds", "tokens", "cost")
     assert all(found.estimates["same"][key].value is None for key in spent)  # another system made the scenes
     assert any("of the system that made its scenes" in note for note in found.results[0].notes)
-    others = replace(alone, reference=_with_other_tables(scenes, tmp_path / "others"))
+    others = replace(alone, reference_pictures="", reference=_with_other_tables(scenes, tmp_path / "others"))
     found = evaluate(lambda _: tasks, str(tmp_path / "out"), others, ALONE, [str(dataset)], report=False)
     assert found.estimates["same"]["frechet"].value is None
     assert found.estimates["same"]["pairs_unseen"].value is None

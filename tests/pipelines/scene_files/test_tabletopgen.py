@@ -124,7 +124,7 @@ def test_scenes_get_the_ids_of_their_tasks_and_are_found_by_them(made: Path, tmp
     command = ["import-tabletopgen", str(made), "--out", str(tmp_path / "out"), "--tasks", str(tmp_path / "tasks.jsonl")]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 1
-    assert '"scene_10" has the number of no task' in done.output
+    assert "'scene_10' has the number of no task" in done.output
     files = LayoutFiles(str(tmp_path / "out"))
     for name in ("first", "second"):
         found, _ = files.of_task(name)
@@ -166,6 +166,7 @@ def test_a_broken_scene_is_named_and_the_others_are_imported(
     assert done.exit_code == 1, done.output
     assert what in done.output
     assert "2 scenes" in done.output
+    assert not list((tmp_path / "out" / "Assets_library").glob("scene_2_*"))
     assert set(MesaTaskDataset(tmp_path / "out").scene_ids) == {"scene_1", "scene_10"}
 
 
