@@ -448,8 +448,9 @@ def memory_limited(num_bytes: int) -> Iterator[None]:
     """Bounds the memory that this process allocates in the body, beyond what it has already; on Linux, elsewhere nothing happens.
 
     The system refuses what exceeds the bound: Python and most libraries raise MemoryError, other code ends the process. Memory that
-    is shared with other processes, or mapped from files, does not count, and neither does what an earlier body has freed, although
-    the process keeps it: what a body may allocate does not depend on those before it.
+    is shared with other processes, or mapped from files, does not count, and neither does what an earlier body has freed to malloc,
+    although the process keeps it: what a body may allocate does not depend on those before it. Only what Arrow keeps in its own
+    pool can be used in addition, and by Arrow alone.
 
     Args:
         num_bytes: The bound.
@@ -457,7 +458,7 @@ def memory_limited(num_bytes: int) -> Iterator[None]:
     Raises:
         MemoryError: The body needs more, also in place of the error of a library that has another one for it.
     """
-    used = _MEMORY.used()
+    used = _used_memory()
     if used is None:
         yield
         return
@@ -480,35 +481,38 @@ def is_out_of_memory(error: Exception) -> bool:
     return isinstance(error, MemoryError) or (is_foreign and "allocate memory" in str(error))
 
 
-class _Memory:
-    """The memory of this process."""
+def _used_memory() -> int | None:
+    """What RLIMIT_DATA counts of this process, less what malloc keeps for later; bytes, None if it is unknown."""
+    if not sys.platform.startswith("linux"):
+        return None
+    _give_back()
+    try:
+        with open("/proc/self/status", "rb") as status:  # noqa: PTH123 - called for each item
+            counted = next((int(line.split()[1]) * KIB for line in status if line.startswith(b"VmData:")), None)
+    except OSError:
+        return None
+    if counted is None or not hasattr(_C, "mallinfo2"):  # of glibc 2.33
+        return counted
+    _C.mallinfo2.restype = _MallocState
+    return counted - int(_C.mallinfo2().fordblks)
 
-    def __init__(self) -> None:
-        self._spare: int | None = None  # memory that is reserved and was never used, as stacks of threads, at the first call
 
-    def used(self) -> int | None:
-        """The part of what RLIMIT_DATA counts that is in use, or was reserved at the first call; bytes, None if it is unknown."""
-        if not sys.platform.startswith("linux"):
-            return None
-        self._give_back()
-        try:
-            with open("/proc/self/status", "rb") as status:  # noqa: PTH123 - called for each item
-                sizes = {name: rest for name, _, rest in (line.partition(b":") for line in status)}
-            counted, *touched = (int(sizes[name].split()[0]) * KIB for name in (b"VmData", b"RssAnon", b"VmSwap"))
-        except (OSError, KeyError):
-            return None
-        spare = max(0, counted - sum(touched))
-        self._spare = spare if self._spare is None else self._spare
-        return counted - max(0, spare - self._spare)
+def _give_back() -> None:
+    """Gives the system what libraries have freed and keep, as far as they can; their addresses stay reserved."""
+    arrow = sys.modules.get("pyarrow")
+    if arrow is not None:
+        arrow.default_memory_pool().release_unused()
+    if hasattr(_C, "malloc_trim"):  # of glibc
+        _C.malloc_trim(0)
 
-    def _give_back(self) -> None:
-        """Gives the system what libraries have freed and keep, as far as they can; their addresses stay reserved."""
-        arrow = sys.modules.get("pyarrow")
-        if arrow is not None:
-            arrow.default_memory_pool().release_unused()
-        if hasattr(_C, "malloc_trim"):  # of glibc
-            _C.malloc_trim(0)
+
+class _MallocState(ctypes.Structure):
+    """``struct mallinfo2`` of glibc; ``fordblks`` is what was freed and is used again before the system is asked for more."""
+
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")
+    ]
 
 
 _C: Any = ctypes.CDLL(None) if sys.platform.startswith("linux") else None
-_MEMORY = _Memory()

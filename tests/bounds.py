@@ -1,7 +1,8 @@
-"""What tests of limits share: a bound on the time of a body, and other limits for one test."""
+"""What tests of limits share: bounds on the time and the memory of a body, and other limits for one test."""
 
 import gc
 import time
+import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,6 +22,17 @@ def soon(seconds: float = 1.0) -> Iterator[None]:
     yield
     elapsed = time.process_time() - start
     assert elapsed < seconds
+
+
+@contextmanager
+def little_memory(num_bytes: int) -> Iterator[None]:
+    """Asserts that Python objects of its body never take more bytes at once, whatever the process had before."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < num_bytes
+    finally:
+        tracemalloc.stop()
 
 
 def limit(monkeypatch: pytest.MonkeyPatch, group: str, **values: Any) -> None:

@@ -172,6 +172,27 @@ for size in (200, 200, 300, 300, 200):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
+def test_what_arrow_keeps_is_not_taken_from_a_body() -> None:
+    code = """
+import ctypes
+import numpy as np
+import pyarrow as pa
+from stable_data.limits import memory_limited
+with memory_limited(2**28):
+    pass
+buffers = [pa.allocate_buffer(2**20) for _ in range(600)]
+for buffer in buffers:
+    ctypes.memset(buffer.address, 1, buffer.size)
+del buffers, buffer
+with memory_limited(2**28):
+    np.ones(2**27, np.uint8)
+print("allocated")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "allocated\n"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
 def test_a_reader_with_too_little_memory_does_not_call_its_file_broken() -> None:
     code = """
 import io

@@ -11,12 +11,12 @@ from typer.testing import CliRunner
 from stable_data.cli import app
 from stable_data.commands.command_line import SOME_FAILED
 from stable_data.errors import ConfigError
-from stable_data.limits import MIB, memory_limited
+from stable_data.limits import MIB
 from stable_data.storage.checksums import CHECKSUMS, read_checksums
 from stable_data.storage.run_folder import RunFolder
 from stable_data.verification.evaluation_folder import EVALUATION, is_evaluation, verify_evaluation
 from stable_data.verification.verifier import VerifyOptions
-from tests.bounds import limit
+from tests.bounds import limit, little_memory
 from tests.stable_data.verification.editing import small_run
 
 HUGE = 10**400  # an integer that no float holds
@@ -154,9 +154,8 @@ def test_huge_checksums_are_damage_and_are_not_read_whole(run: Path, document: d
     copy = Path(shutil.copytree(run, tmp_path / "run"))
     (copy / "manifest.json").write_text(json.dumps(document), "utf-8")
     words = ["verify", str(copy), "--verdicts", "none", "--quiet"]
-    CliRunner().invoke(app, words)  # what a process starts once is not of the file
     write_sparse(copy / CHECKSUMS)
-    with memory_limited(300 * MIB):
+    with little_memory(300 * MIB):
         done = CliRunner().invoke(app, words, catch_exceptions=False)
     assert done.exit_code == SOME_FAILED, done.output
     (line,) = (line for line in done.stdout.splitlines() if line.startswith(f"{CHECKSUMS}: "))
@@ -165,7 +164,7 @@ def test_huge_checksums_are_damage_and_are_not_read_whole(run: Path, document: d
 
 def test_checksums_of_empty_lines_take_little_memory(tmp_path: Path) -> None:
     (tmp_path / CHECKSUMS).write_bytes(b"\n" * (64 * MIB))
-    with memory_limited(300 * MIB), pytest.raises(ConfigError, match="line 1 is"):
+    with little_memory(200 * MIB), pytest.raises(ConfigError, match="line 1 is"):
         read_checksums(RunFolder(str(tmp_path)))
 
 
@@ -175,7 +174,7 @@ def test_a_huge_evaluation_is_damage_and_is_not_read_whole(tmp_path: Path, monke
     for name in (EVALUATION, "seed_0/stable/scenes/manifest.json"):
         write_sparse(tmp_path / name)
     told, folder = list[str](), RunFolder(str(tmp_path))
-    with memory_limited(200 * MIB):
+    with little_memory(200 * MIB):
         assert is_evaluation(folder)
         found = list(verify_evaluation(folder, lambda finding: told.append(str(finding)), VerifyOptions()))
     assert [one.is_whole for one in found] == [False, False]
