@@ -128,6 +128,7 @@ class ModelLimits:
         max_layer_levels: Layers within one another.
         max_prims: Prims of a composed USD stage.
         max_prim_levels: Prims within one another.
+        max_bracket_levels: Brackets of a text layer of USD within one another.
         max_subsets: Parts of a USD mesh with a material of their own.
         max_members: Files in a USD package.
         max_copies: Copies that one element of MJCF makes.
@@ -147,6 +148,7 @@ class ModelLimits:
     max_layer_levels: int = 16
     max_prims: int = 100_000
     max_prim_levels: int = 200
+    max_bracket_levels: int = 1_000
     max_subsets: int = 1_000
     max_members: int = 2_000
     max_copies: int = 10_000

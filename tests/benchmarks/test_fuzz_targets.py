@@ -55,6 +55,11 @@ def test_edits_of_every_form_give_bytes() -> None:
                     edited_file(path, content, Random(number + 1), (content,), target.words)  # noqa: S311 - inputs
 
 
+def test_weights_whose_header_an_edit_has_emptied_are_edited_again() -> None:
+    for number in range(200):
+        edited_file("a.safetensors", bytes(8), Random(number), (), ())  # noqa: S311 - inputs
+
+
 @pytest.mark.parametrize(("target", "name", "case"), STORED, ids=[f"{target}-{name}" for target, name, _ in STORED])
 def test_what_once_broke_stays_mended(readers: _Pool, target: str, name: str, case: Case) -> None:
     finding = readers.replay(target, case).finding

@@ -41,7 +41,7 @@ def edited_tensors(content: bytes, rng: Random, donors: Sequence[bytes] = (), wo
         return _joined(
             header, data[: rng.randrange(len(data) + 1)] if rng.random() < 0.5 else data + b"\0" * rng.randrange(1, 100)
         )
-    size = rng.choice((0, 1, len(header) - 1, len(header) + 1, len(content), 2**31, 2**63, 2**64 - 1))
+    size = rng.choice((0, 1, max(0, len(header) - 1), len(header) + 1, len(content), 2**31, 2**63, 2**64 - 1))
     return struct.pack("<Q", size) + content[8:]
 
 

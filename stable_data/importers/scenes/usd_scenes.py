@@ -28,6 +28,7 @@ from stable_data.importers.scenes.formats import repaired_name
 from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
 from stable_data.importers.usd.layers import check_prims, reason_of
 from stable_data.importers.usd.physics import Collider, StageFrame, inertial_of
+from stable_data.importers.usd.text_layers import check_brackets
 from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, Vec3
@@ -122,6 +123,7 @@ def _collect_layers(boundary: Boundary, path: str) -> dict[str, bytes]:
                 most = at_most(LIMITS.model, "max_layers")
                 raise MeshError(f"{path}: has more layers, expected {most}; flatten it", "file_too_large")
             contents[name] = content = boundary.read_bytes(name)
+            check_brackets(content, name)
             alone = Path(folder, f"{len(contents)}{posixpath.splitext(name)[1]}")  # no other layer is beside it
             alone.write_bytes(content)
             layers[name] = layer = _opened(alone, name)

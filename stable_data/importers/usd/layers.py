@@ -18,6 +18,7 @@ from typing import Any
 from stable_data.errors import ConfigError, MeshError, StableDataError
 from stable_data.extras import install_hint
 from stable_data.importers.boundary import Boundary
+from stable_data.importers.usd.text_layers import check_brackets
 from stable_data.json_text import quote_value
 from stable_data.limits import LIMITS, SETTING, at_most
 
@@ -158,8 +159,8 @@ class LayerLoader:
 
         if PurePosixPath(place.member or place.path).suffix.lower() not in SUFFIXES[:3]:
             raise _refusal(str(place), "is no layer", f"a file of the kinds {', '.join(SUFFIXES)}", "model_unreadable")
-        if not place.member:
-            self.boundary.read_bytes(place.path)  # counts it, and refuses what is too large
+        content = self._member(place) if place.member else self.boundary.read_bytes(place.path)  # counted, and not too large
+        check_brackets(content, str(place))
         with quiet_usd(str(place)):
             layer = Sdf.Layer.OpenAsAnonymous(str(Place(str(self.boundary.root / place.path), place.member)))
         if layer is None:
