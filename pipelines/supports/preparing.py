@@ -138,6 +138,9 @@ def prepare_supports(
     chosen = list(dict.fromkeys(asset_ids)) or _fixed_furniture(place) or list(known)
     if not chosen:
         raise ConfigError(f"{library}: has no asset, expected furniture; make it with stable-data import", "no_surface")
+    folder, settings = RunFolder(out), asdict(options)
+    # Another run is refused before the work; what depends on the surfaces is compared when it is written.
+    check_resume(folder, new_manifest("supports", library, shelf.fingerprints), settings, grown={"inputs.meshes"})
     found, failures = list[PreparedSupport](), list[Notice]()
     with IsolatedProcess() as process:
         for asset_id in tqdm(chosen, desc="supports", unit="support", disable=not progress):
@@ -151,7 +154,7 @@ def prepare_supports(
                 found.append(made)
     if not found:
         raise ConfigError(f"{library}: no asset has a surface, expected at least one; {failures[0].message}", "no_surface")
-    _write_run(RunFolder(out), library, shelf, options, found, failures)
+    _write_run(folder, library, shelf, settings, found, failures)
     return SupportCounts(tuple(found), tuple(failures), len(known) - len(chosen))
 
 
@@ -249,11 +252,11 @@ def _write_run(
     folder: RunFolder,
     library: str,
     shelf: AssetLibraries,
-    options: SupportOptions,
+    options: Mapping[str, Any],
     found: Sequence[PreparedSupport],
     failures: Sequence[Notice],
 ) -> None:
-    settings: dict[str, Any] = asdict(options) | {"supports": [s.asset_id for s in found]}
+    settings = {**options, "supports": [s.asset_id for s in found]}
     inputs: Mapping[str, Any] = dict(shelf.fingerprints) | {
         "meshes": content_id([(s.asset_id, _hash_of(s.mesh)) for s in found])
     }

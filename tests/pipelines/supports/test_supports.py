@@ -104,9 +104,12 @@ def test_a_coffee_table_has_its_top_and_three_compartments(supports: str) -> Non
     assert not any(row["on_table"] for row in rows.values())  # none is offered where things for a table are asked for
 
 
-def test_a_support_run_is_resumed_and_refuses_another_one(library: str, supports: str) -> None:
+def test_a_support_run_is_resumed_and_refuses_another_one_at_once(
+    library: str, supports: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     prepare_supports(library, [COFFEE], supports)
     assert len(scenes_of(supports)) == 4
+    monkeypatch.setattr("pipelines.supports.preparing.IsolatedProcess", None)
     with pytest.raises(ConfigError, match="table"):
         prepare_supports(library, [COFFEE], supports, SupportOptions(table="desk"))
 
