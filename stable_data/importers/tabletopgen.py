@@ -99,7 +99,7 @@ def convert_scene(root: Path, folder: str, scene_id: str, out: Path) -> WrittenS
             glb, own, center = _turned_mesh(boundary, name, asset_id)
         except MeshError as error:
             if error.code != "file_missing":
-                raise
+                raise log.error(error.code, str(error)) from error
             log.warn("mesh_missing", f"{quote_value(name)} has no mesh and is left out: {error}")
             continue
         origin, yaw, size = layout.placed(name)
@@ -208,7 +208,10 @@ class _Layout:
         return (boundary.root / _LAYOUTS / file).is_file()
 
     def _read(self, boundary: Boundary, file: str) -> dict[str, Any]:
-        content = boundary.read_bytes(f"{_LAYOUTS}/{file}", "max_bytes", LIMITS.layout)
+        try:
+            content = boundary.read_bytes(f"{_LAYOUTS}/{file}", "max_bytes", LIMITS.layout)
+        except MeshError as error:
+            raise self._log.error(error.code, str(error)) from error
         return parse_object(content, file, self._log)
 
 

@@ -27,7 +27,7 @@ JUDGED = CorrectSettings(
     position_convention="box_centre",
     judge_raw=False,
     judges="mujoco,sapien",
-    robust_rest=2,
+    robust_rest=1,
 )
 
 

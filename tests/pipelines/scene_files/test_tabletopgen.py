@@ -135,39 +135,44 @@ def test_scenes_get_the_ids_of_their_tasks_and_are_found_by_them(made: Path, tmp
     assert "has content" in again.output
 
 
-@pytest.mark.parametrize(
-    ("file", "content", "what"),
-    [
-        ("layout_pose.json", "{", "layout_pose.json"),
-        ("layout_pose.json", '{"main_object": "table_2", "objects": {}}', "lacks objects"),
-        ("layout_pose.json", None, "does not exist"),
-        ("layout_rotation.json", '{"book_3": "left"}', "rotation of 'book_3' is no number"),
-        ("layout_pose.json", {"book_3": {"size": [1, 2], "pose": [0, 0, 80]}}, "size of 'book_3' is not known"),
-        (
-            "layout_pose.json",
-            {"book_3": {"size": [1, 2, 0], "pose": [0, 0, 80]}},
-            "expected three lengths in centimetres above 0",
-        ),
-        ("layout_pose.json", {"book_3": {"size": [1, 2, 3], "pose": [0, 0, 1e999]}}, "pose of 'book_3' is not known"),
-        ("../centered_mesh/book_3.glb", "no mesh", "book_3.glb"),
-    ],
+BROKEN: tuple[tuple[str, str | dict[str, Any] | None, str], ...] = (
+    ("layout_pose.json", "{", "layout_pose.json"),
+    ("layout_pose.json", '{"main_object": "table_2", "objects": {}}', "lacks objects"),
+    ("layout_pose.json", None, "does not exist"),
+    ("layout_rotation.json", '{"book_3": "left"}', "rotation of 'book_3' is no number"),
+    ("layout_pose.json", {"book_3": {"size": [1, 2], "pose": [0, 0, 80]}}, "size of 'book_3' is not known"),
+    (
+        "layout_pose.json",
+        {"book_3": {"size": [1, 2, 0], "pose": [0, 0, 80]}},
+        "expected three lengths in centimetres above 0",
+    ),
+    ("layout_pose.json", {"book_3": {"size": [1, 2, 3], "pose": [0, 0, 1e999]}}, "pose of 'book_3' is not known"),
+    ("../centered_mesh/book_3.glb", "no mesh", "book_3.glb"),
 )
-def test_a_broken_scene_is_named_and_the_others_are_imported(
-    file: str, content: str | dict[str, Any] | None, what: str, made: Path, tmp_path: Path
-) -> None:
-    path = made / "scene_2" / "output_assets" / "layout_json" / file
-    if content is None:
-        path.unlink()
-    elif isinstance(content, str):
-        path.write_text(content)
-    else:
-        path.write_text(json.dumps({"main_object": "table_2", "objects": {**OBJECTS, **content}}))
+
+
+def test_broken_scenes_are_named_and_the_others_are_imported(tmp_path: Path) -> None:
+    made = tmp_path / "output_scene"
+    names = [f"scene_{number}" for number in range(2, 2 + len(BROKEN))]
+    for name in ("scene_1", *names, "scene_20"):
+        write_scene_of_tabletopgen(made / name)
+    for name, (file, content, _) in zip(names, BROKEN, strict=True):
+        path = made / name / "output_assets" / "layout_json" / file
+        if content is None:
+            path.unlink()
+        elif isinstance(content, str):
+            path.write_text(content)
+        else:
+            path.write_text(json.dumps({"main_object": "table_2", "objects": {**OBJECTS, **content}}))
     done = CliRunner().invoke(app, ["import-tabletopgen", str(made), "--out", str(tmp_path / "out")])
     assert done.exit_code == 1, done.output
-    assert what in done.output
+    lines = [line for line in done.output.splitlines() if "scene_" in line]
+    for name, (_, _, what) in zip(names, BROKEN, strict=True):
+        assert any(line.startswith(f"not imported: {name}: ") and what in line for line in lines), "\n".join([name, *lines])
     assert "2 scenes" in done.output
-    assert not list((tmp_path / "out" / "Assets_library").glob("scene_2_*"))
-    assert set(MesaTaskDataset(tmp_path / "out").scene_ids) == {"scene_1", "scene_10"}
+    left = {"_".join(path.name.split("_")[:2]) for path in (tmp_path / "out" / "Assets_library").glob("scene_*")}
+    assert left == {"scene_1", "scene_20"}
+    assert set(MesaTaskDataset(tmp_path / "out").scene_ids) == {"scene_1", "scene_20"}
 
 
 def test_an_object_without_a_mesh_is_left_out_with_a_warning(made: Path, tmp_path: Path) -> None:
