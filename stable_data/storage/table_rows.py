@@ -40,13 +40,16 @@ def _json(source: Mapping[str, Any] | None) -> str | None:
     return None if source is None else json_text(source, separators=(",", ":"))
 
 
-def _source(text: str | None) -> Any:
+def _source(text: str | None) -> dict[str, Any] | None:
     """What :func:`_json` wrote, read with limits: what a file of others has there is written again by jobs that copy a scene.
 
     Raises:
-        ValueError: It is no JSON, or no file could be written with it, such as half of a surrogate pair.
+        ValueError: It is no JSON object, or no file could be written with it, such as half of a surrogate pair.
     """
-    return None if text is None else json_value(text)
+    found = None if text is None else json_value(text)
+    if not isinstance(found, dict | None):
+        raise ValueError(f"source_json is {quote_value(found)}, expected a JSON object")
+    return found
 
 
 def _relation_rows(relations: Iterable[Relation]) -> list[Row]:

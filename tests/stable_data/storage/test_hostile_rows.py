@@ -77,6 +77,8 @@ HOSTILE: list[tuple[str, Any]] = [
     ("objects.0.source_json", "nan"),
     ("objects.0.source_json", "[" * 100_000),
     ("source_json", "{"),
+    ("source_json", "3"),
+    ("objects.0.source_json", "[]"),
     ("source_json", HALF),
     ("objects.0.source_json", HALF),
     ("task", {**dict(task_row(SCENE.task) or {}), "source_json": HALF}),
