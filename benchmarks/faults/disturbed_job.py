@@ -29,6 +29,7 @@ _HANG_SECONDS = 3600.0  # longest time without another file while the job runs
 _RIVAL_SECONDS = 180.0  # longest life of a second driver after its work has begun
 _AT_WORK = re.compile(r"\d+/\d+ \w+s \[")  # the progress bar of a job whose shards are planned
 _CLOSING_LINE = "; report/index.html"  # a process that crashes may end with the status of a job that is done
+_ADVICE = "start the cluster again"  # what the job asks of its user where Ray has lost a node without noticing it
 _MAX_STOPS = 10  # times in a row that the job may end by itself while nothing is written
 
 
@@ -158,6 +159,8 @@ class DisturbedJob:
                     raise RuntimeError(f"the job has written nothing for {_HANG_SECONDS:g} s, see {self._driver.log}")
                 if (status := self._driver.process.poll()) is not None and not self._driver.is_done:
                     self._note_stop(status)
+                    if _ADVICE in self.course.last_words[-1].lower():
+                        self._replace_cluster()
                     idle_stops += 1
                     if idle_stops > _MAX_STOPS:
                         raise RuntimeError(f"the job ended {idle_stops} times by itself: {self.course.last_words[-1]}")
@@ -232,11 +235,14 @@ class DisturbedJob:
         """Kills the head, waits for the job to end by itself, and starts a new cluster; returns False if it was complete without it."""
         self.nodes.lose_head()
         is_hit = self._expect_end(self._driver, FaultKind.KILL_HEAD, r"error: .*(head|Ray)")
+        self._replace_cluster()
+        return is_hit
+
+    def _replace_cluster(self) -> None:
         for rival, _ in self._rivals:
             rival.kill()
         self._rivals.clear()
         self.nodes.start_again()
-        return is_hit
 
     def _fill_disk(self) -> bool:
         """Fills the disk until the job has ended by itself; returns False if it was complete without it."""

@@ -43,6 +43,7 @@ _LOOK_SECONDS = 10.0  # between checks of the cluster while no shard ends
 _RAY_HEAD_SECONDS = float(os.environ.get("RAY_gcs_rpc_server_reconnect_timeout_s", "60"))  # noqa: SIM112 - its name in Ray
 _HEAD_SECONDS = _RAY_HEAD_SECONDS / 2  # how long Ray's head may be silent; after the whole time Ray itself ends the process
 _HEAD_LOOK_SECONDS = 5.0
+_SILENT_SECONDS = 120.0  # how long a node that Ray counts may not answer; Ray itself finds a lost node within a minute
 _PATIENCE_SECONDS = 1800.0  # how long a cluster may have no core, for example while spot machines are replaced
 _START_SECONDS = 600.0  # time limit for the start of a separate process
 _CHECKOUT = Path(__file__).resolve().parents[2]
@@ -123,6 +124,7 @@ class _RayRun(Generic[T, R]):
     def __init__(self, workers: WorkerPool, work: Work[T, R], shards: Sequence[T]) -> None:
         self._workers, self._shards = workers, shards
         self._empty_since: float | None = None
+        self._silent_since: dict[str, float] = {}
         self._connected = connect(workers)
         self._work = ray.put(work)
         self._task = ray.remote(num_cpus=1, max_retries=0)(_call)  # a lost worker is counted here
@@ -140,6 +142,7 @@ class _RayRun(Generic[T, R]):
                 ended, _ = ray.wait(list(in_flight), timeout=_LOOK_SECONDS)
                 if not ended:
                     self._look_for_nodes()
+                    self._look_for_silent_nodes()
                     continue
                 self._empty_since, attempt = None, in_flight.pop(ended[0])
                 try:
@@ -187,6 +190,28 @@ class _RayRun(Generic[T, R]):
                 "nodes and run again: finished shards are kept",
                 "cluster_empty",
             )
+
+    def _look_for_silent_nodes(self) -> None:
+        """Ends a run that waits for a node that is lost, but not for Ray.
+
+        Ray's head times its health checks by the clock of its machine: if that jumps back, a node that is lost afterwards counts until
+        the clock is where it was, and so long no call ends.
+
+        Raises:
+            ConfigError: Such a node does not answer for too long.
+        """
+        if self._workers.address is None or "://" in self._workers.address:  # a client need not see the nodes
+            return
+        counted = {f"{node['NodeManagerAddress']}:{node['NodeManagerPort']}" for node in ray.nodes() if node["Alive"]}
+        now = time.monotonic()
+        self._silent_since = {node: self._silent_since.get(node, now) for node in sorted(counted) if not _answers(node)}
+        for node, since in self._silent_since.items():
+            if now - since > _SILENT_SECONDS:
+                raise ConfigError(
+                    f"Ray's head still counts the node at {node}, which has not answered for {_SILENT_SECONDS / 60:g} min; did the "
+                    "clock of the head jump back? Start the cluster again and run again: finished shards are kept",
+                    "node_silent",
+                )
 
     def _width(self) -> int:
         """The number of shards that may be in flight; read each time, because a cluster may grow."""
@@ -299,6 +324,15 @@ def _test_connection(address: str) -> None:
     """Opens and closes a connection to ``host:port`` or ``ray://host:port``."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     socket.create_connection((host, int(port)), timeout=10).close()
+
+
+def _answers(address: str) -> bool:
+    """Whether something listens at ``host:port``."""
+    try:
+        _test_connection(address)
+    except OSError:
+        return False
+    return True
 
 
 def _call(work: Work[T, R], shard: T, isolated: bool) -> R:

@@ -347,3 +347,25 @@ def test_a_cluster_without_any_node_is_waited_for_and_given_up_in_the_end(
     monkeypatch.setattr(ray_executor, "_PATIENCE_SECONDS", 120.0)
     assert sorted(WorkerPool(0, cluster.address).run(Double(), [1, 2, 3])) == [2, 4, 6]
     assert said[1] == "the cluster has no core at the moment; waiting for a node, up to 2 min"
+
+
+@pytest.mark.slow
+@pytest.mark.ray
+def test_a_lost_node_that_ray_does_not_notice_ends_the_run_with_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after a jump of the head's clock, by which Ray times its health checks."""
+    from ray.cluster_utils import Cluster
+
+    never = {"health_check_initial_delay_ms": 10**8}
+    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "_system_config": never})
+    try:
+        nodes.add_node(num_cpus=1)
+        monkeypatch.setattr(ray_executor, "_LOOK_SECONDS", 0.5)
+        monkeypatch.setattr(ray_executor, "_SILENT_SECONDS", 3.0)
+        with pytest.raises(ConfigError, match=r"which has not answered for 0\.05 min; .*Start the cluster again") as caught:
+            list(WorkerPool(1, nodes.address).run(Sinking(tmp_path / "mark"), [0]))
+        assert caught.value.code == "node_silent"
+    finally:
+        ray.shutdown()
+        nodes.shutdown()
