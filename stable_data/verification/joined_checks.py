@@ -195,13 +195,14 @@ class TurnCheck:
     def __init__(self, scenes: ScenesOfShards, findings: Findings, mates: ShardMates | None = None) -> None:
         self._scenes, self._findings, self._mates = scenes, findings, mates
         self._file: ShardFile | None = None
+        self._here: Mapping[str, tuple[Row, Scene | None]] = {}  # the scenes of its shard
         self._next, self._turns = dict[str, int](), dict[str, list[_Turn]]()
 
     def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
         """Checks rows of a file, of which the first has a number; the turns of a scene are in one shard."""
         if self._file is not None and self._file.shard_id != file.shard_id:
             self.close()
-        self._file = file
+        self._file, self._here = file, self._scenes.of(file.shard_id)
         for number, row in enumerate(rows, start):
             name = row["scene_id"]
             if (expected := self._next.get(name, 0)) != row["turn"]:
@@ -223,9 +224,8 @@ class TurnCheck:
     def close(self) -> None:
         """Compares the turns of the scenes of a shard with the scenes."""
         if self._file is not None:
-            scenes = self._scenes.of(self._file.shard_id)
             for name, turns in self._turns.items():
-                row, scene = scenes.get(name, (None, None))
+                row, scene = self._here.get(name, (None, None))
                 if row is not None and scene is not None:
                     for number, what in _turn_faults(turns, row, scene):
                         self._findings.damage(self._file.name, f"{name}: {what}", number)
@@ -403,3 +403,6 @@ _FAULTS = {
     "corrections": _correction_faults,
     "edits": _edit_faults,
 }
+
+JOINED = frozenset({"turns", *_FAULTS})
+"""Tables whose rows are checked together with their scenes."""

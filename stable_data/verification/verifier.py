@@ -26,7 +26,7 @@ from stable_data.verification.column_checks import SchemaCheck, check_values
 from stable_data.verification.column_rules import RULES
 from stable_data.verification.findings import Finding, Findings
 from stable_data.verification.generated_checks import GeneratedCheck
-from stable_data.verification.joined_checks import JoinedCheck, ScenesOfShards, ShardMates, TurnCheck
+from stable_data.verification.joined_checks import JOINED, JoinedCheck, ScenesOfShards, ShardMates, TurnCheck
 from stable_data.verification.known_ids import KEYS, ForeignKey, KeyCheck, KnownIds
 from stable_data.verification.manifest_checks import (
     OF_DATASET,
@@ -157,6 +157,12 @@ class Verification:
         return f"{self.uri}: {' and '.join(states) or 'whole'} ({self.job or 'unknown job'}; {checked})"
 
 
+def _turn_of(file: ShardFile) -> tuple[int, str, str]:
+    """When a file is read: after those that its rows refer to, and beside those of the same scenes, which are then read once."""
+    order = _FIRST.index(file.table) if file.table in _FIRST else len(_FIRST)
+    return order, file.shard_id if file.table in JOINED else "", file.table
+
+
 class RowCheck(Protocol):
     """Checks rows of a table."""
 
@@ -223,10 +229,9 @@ class _Verifier:
         made_by = self._manifest.get("code_versions")
         carried = _CARRIED if self._manifest.get("job") in ("correct", "edit", "reach") else frozenset[str]()
         schemas = SchemaCheck(list(map(str, made_by)) if isinstance(made_by, list) else [], carried, self._findings)
-        order = {table: number for number, table in enumerate(_FIRST)}
-        files = sorted(self._files, key=lambda file: (order.get(file.table, len(order)), file.table))
         if older_version(self._manifest) is not None:
             return self._result({}, 0, 0, began)
+        files = sorted(self._files, key=_turn_of)
         for number, file in enumerate(files):
             self._check_file(file, schemas)
             self._progress("files", number + 1, len(files))

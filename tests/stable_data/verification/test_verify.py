@@ -5,6 +5,7 @@ import subprocess
 import sys
 from copy import deepcopy
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import pyarrow as pa
@@ -24,8 +25,10 @@ from stable_data.storage.schemas import SCHEMAS, Row
 from stable_data.storage.subset import select
 from stable_data.verification.column_rules import RULES
 from stable_data.verification.findings import Finding
+from stable_data.verification.joined_checks import ScenesOfShards
 from stable_data.verification.known_ids import KEYS
 from stable_data.verification.manifest_checks import CountCheck
+from stable_data.verification.shard_files import ShardFile
 from stable_data.verification.verifier import Verdicts, Verification, VerifyOptions, verify_run
 from tests.object_store import object_store
 from tests.stable_data.verification.damages import (
@@ -99,6 +102,18 @@ def corrected(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.mark.parametrize("name", OF_CORRECTIONS)
 def test_damaged_corrections_are_found(name: str, corrected: Path, tmp_path: Path) -> None:
     check(corrected, tmp_path, *OF_CORRECTIONS[name])
+
+
+def test_scenes_are_read_once_for_all_rows_of_their_shard(generated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    once, read = ScenesOfShards._scenes_of, list[str]()
+
+    def scenes_of(scenes: ScenesOfShards, file: ShardFile) -> Any:
+        read.append(file.name)
+        return once(scenes, file)
+
+    monkeypatch.setattr(ScenesOfShards, "_scenes_of", scenes_of)
+    assert verified(generated)[0].is_whole
+    assert len(read) == len(set(read)) > 3
 
 
 @pytest.mark.sim
