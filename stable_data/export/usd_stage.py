@@ -35,6 +35,7 @@ from stable_data.export.usd_prop import (
     write_package,
 )
 from stable_data.geometry.surface import Surface
+from stable_data.json_text import json_text
 from stable_data.simulation.mujoco_model import SUPPORT
 from stable_data.simulation.room import furnish
 from stable_data.simulation.scene_geometry import SceneGeometry
@@ -96,7 +97,12 @@ def _facts(geometry: SceneGeometry) -> dict[str, Any]:
         "unknown_verdicts": sorted(given["verdicts"].keys() - known.keys()),
         **(given["task"] or {}),
     }
-    return {name: Vt.StringArray(value) if isinstance(value, list) else value for name, value in facts.items()}
+    return {
+        name: Vt.StringArray([one if isinstance(one, str) else json_text(one) for one in value])
+        if isinstance(value, list)
+        else value
+        for name, value in facts.items()
+    }
 
 
 def prim_names(placed: Sequence[PlacedProp]) -> list[str]:

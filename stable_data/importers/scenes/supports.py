@@ -20,6 +20,7 @@ _SAME_HEIGHT = 2e-3  # metres between tops of one body that are one surface
 _SMALLEST = 0.08  # metres: the shorter side of a surface; smaller tops are things that may carry others, not tables
 _BESIDE = 0.05  # metres by which a centre may lie beside its surface
 _GROUND_MARGIN = 0.5  # metres of the ground around the bodies on it
+_FARTHEST = 1e4  # metres from the origin
 _CELLS = 96  # raster of an outline that is no rectangle, along each side
 
 
@@ -60,15 +61,22 @@ def find_supports(file: SceneFile, table: str = "") -> list[SceneSurface]:
 
     Args:
         file: The scene.
-        table: The body whose highest large surface carries all free bodies; empty: for each free body, the surface below it.
+        table: The body whose highest large surface carries all free bodies; empty: for each free body, the surface below it, or
+            without one the surface with the most bodies.
 
     Returns:
         The surfaces with the most bodies first.
 
     Raises:
-        SceneError: There is no such body or it has no surface (``table_unknown``), or nothing is below any free body
-            (``no_table``).
+        SceneError: There is no such body or it has no surface (``table_unknown``), nothing is below any free body (``no_table``), or
+            a body is kilometres away (``pose_implausible``).
     """
+    for body in file.bodies:
+        if not max(map(abs, body.position)) <= _FARTHEST:
+            raise SceneError(
+                f"{file.path}: {body.name!r} is at {body.position}, expected at most {_FARTHEST:,.0f} m from the origin; correct it",
+                "pose_implausible",
+            )
     tops = list(_tops(file))
     free = [body for body in file.bodies if body.is_free]
     groups: dict[int, list[SceneBody]] = defaultdict(list)
@@ -80,14 +88,18 @@ def find_supports(file: SceneFile, table: str = "") -> list[SceneSurface]:
                 f"{file.path}: {table!r} has no level surface, expected a body that has one: {there}", "table_unknown"
             )
         groups[max(own, key=lambda k: (_area(tops[k]) > _SMALLEST, tops[k].height))] = free
+    lost = list[SceneBody]()
     for body in free if not table else ():
         points = np.concatenate([body.placed(part) for part in body.parts])
         below = [(top.height, k) for k, top in enumerate(tops) if _is_below(top, body.center, points)]
         if below:
             groups[max(below)[1]].append(body)
+        else:
+            lost.append(body)
     if not groups:
         found = "no level surface is below its free bodies, expected a table or a floor that collides"
         raise SceneError(f"{file.path}: {found}; name it with --table", "no_table")
+    max(groups.values(), key=len).extend(lost)  # it is judged there: it floats, or is out of bounds
     ordered = sorted(groups.items(), key=lambda item: (-len(item[1]), tops[item[0]].owner, tops[item[0]].height))
     return [_surface(tops[k], bodies) for k, bodies in ordered]
 

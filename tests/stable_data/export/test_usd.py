@@ -1,5 +1,6 @@
 """Scenes as OpenUSD, as OpenUSD's own library composes them."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +12,10 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade, UsdValidation
 from scipy.spatial.transform import Rotation
 
 from stable_data.assets.store import AssetStore
+from stable_data.condition import ConditionKind, GoalCondition, condition_of
 from stable_data.export.props import placed_props, prop_parts
 from stable_data.export.usd import UsdFormat
-from stable_data.scene import Scene
+from stable_data.scene import Scene, TaskInfo
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
 from stable_data.simulation.scene_geometry import SceneGeometry
 from stable_data.storage.run_folder import RunFolder
@@ -113,6 +115,14 @@ def test_the_stage_says_what_the_scene_is(run: RunFolder, tmp_path: Path) -> Non
     np.testing.assert_allclose(box.GetMax(), [*scene.table.size_xy, 0.0], atol=1e-7)
     [odd] = [p for p in objects(stage) if p.GetCustomData()["stable_data"]["instance"] == ODD_INSTANCE]
     assert odd.GetName().isidentifier()
+
+
+def test_the_conditions_of_a_task_are_texts_of_json(store: AssetStore, tmp_path: Path) -> None:
+    condition = GoalCondition("0_can_0", ConditionKind.ON, "2_plate_0")
+    task = TaskInfo("", "Put the can on the plate.", conditions=(condition,))
+    stage = opened(SceneGeometry.of(replace(at_rest(), task=task), store), tmp_path)
+    [found] = stage.GetDefaultPrim().GetCustomData()["stable_data"]["conditions"]
+    assert condition_of(json.loads(found)) == condition
 
 
 def test_isaac_lab_makes_its_own_world(store: AssetStore, tmp_path: Path) -> None:

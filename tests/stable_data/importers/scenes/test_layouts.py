@@ -48,6 +48,26 @@ def test_the_surface_of_a_turned_table_is_its_top(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.origin, corner, atol=2e-4)
 
 
+def test_a_body_with_nothing_below_it_is_judged_with_the_most_others() -> None:
+    mug, lost = body("mug", (0.2, 0.1, 0.05)), body("lost", (5.0, 0.0, 1.0))
+    (imported,) = scenes_of_file(SceneFile("a.xml", "0" * 64, "initial", (table(), mug, lost), (), ()))
+    assert imported.scene.source is not None
+    assert imported.scene.source["bodies"] == ["mug", "lost"]
+    assets = SceneAssets()
+    assets.add([imported])
+    _, shapes, _ = AssetStore(assets).resolved(imported.scene)
+    card = audit_scene(imported.scene, shapes).card()
+    assert (card.clean, card.float_rate, card.out_of_bounds_rate) == (False, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("position", [(1e308, 0.0, 1.0), (0.0, -2e4, 1.0)])
+def test_a_body_that_is_kilometres_away_is_an_error_of_its_scene(position: Vec3) -> None:
+    file = SceneFile("a.xml", "0" * 64, "initial", (table(), body("mug", (0.2, 0.1, 0.05)), body("lost", position)), (), ())
+    with pytest.raises(SceneError, match=r"'lost' is at .*, expected at most 10,000 m from the origin") as caught:
+        scenes_of_file(file)
+    assert caught.value.code == "pose_implausible"
+
+
 def test_each_body_belongs_to_the_surface_below_it() -> None:
     bodies = (
         table(),
