@@ -5,22 +5,25 @@ in the source folder. The model is then compiled from copies of these files in a
 """
 
 import posixpath
+import struct
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from math import prod
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
 from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
 from stable_data.json_text import quote_value
-from stable_data.limits import LIMITS, at_most
+from stable_data.limits import LIMITS, at_most, is_out_of_memory, memory_limited
 
 if TYPE_CHECKING:
     import mujoco  # takes long to import
 
+_PNG = b"\x89PNG\r\n\x1a\n"
 _COPYING = frozenset({"replicate", "composite", "flexcomp"})
 FILE_ATTRIBUTES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 """Attributes of an element that name files."""
@@ -192,29 +195,38 @@ def read_spec(place: Path, path: str) -> "mujoco.MjSpec":
         path: The name of the file in messages.
 
     Raises:
-        MeshError: MuJoCo refuses the model (``model_unreadable``).
+        MeshError: As :func:`compile_model`.
     """
-    from stable_data.simulation.mujoco_import import mujoco, without_log_file
+    from stable_data.simulation.mujoco_import import mujoco
 
-    try:
-        with without_log_file():
-            return mujoco.MjSpec.from_file(str(place))
-    except (ValueError, mujoco.FatalError) as error:
-        raise refused_model(path, error) from error
+    with _refusals(path):
+        return mujoco.MjSpec.from_file(str(place))
 
 
 def compile_model(spec: "mujoco.MjSpec", path: str) -> "mujoco.MjModel":
     """Compiles a description.
 
     Raises:
-        MeshError: MuJoCo refuses the model (``model_unreadable``).
+        MeshError: MuJoCo refuses the model (``model_unreadable``), or it needs too much memory (``file_too_large``).
     """
+    with _refusals(path):
+        return spec.compile()
+
+
+@contextmanager
+def _refusals(path: str) -> Iterator[None]:
+    """Bounds the memory of MuJoCo, and turns its errors into that of a model which it refuses."""
     from stable_data.simulation.mujoco_import import mujoco, without_log_file
 
     try:
-        with without_log_file():
-            return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
+        with without_log_file(), memory_limited(LIMITS.scene_file.max_memory_bytes):
+            yield
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError, mujoco.UnexpectedError) as error:
+        if is_out_of_memory(error):
+            most = at_most(LIMITS.scene_file, "max_memory_bytes", "bytes")
+            raise MeshError(
+                f"{path}: MuJoCo needs more memory for it, expected {most}; make it smaller", "file_too_large"
+            ) from error
         raise refused_model(path, error) from error
 
 
@@ -283,7 +295,40 @@ def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> tuple[list
                 attached_elements = max(attached_elements, _collect_model(scan, attached, (*above, path))[1])
                 continue
             _place(scan, path, folder, file_reference(tag.name, name, compiler))
+    for element in elements:
+        _check_size(element)
     return elements, _num_copied(path, elements, attached_elements)
+
+
+def _check_size(element: Element) -> None:
+    """Refuses an element that asks for very much in a few words: MuJoCo reserves it, or fills it, while it reads the file."""
+    given = element.tag.attributes
+    asked: tuple[float, Any, str]
+    match element.tag.name:
+        case "texture":
+            width, is_flat = _largest(given, "width"), given.get("type") == "2d"
+            asked = width * (_largest(given, "height") if is_flat else 6 * width), LIMITS.image, "max_pixels"
+        case "hfield":
+            asked = 2 * _largest(given, "nrow") * _largest(given, "ncol"), LIMITS.mesh, "max_faces"
+        case "mesh" if "builtin" in given:
+            asked = _largest(given, "params") ** 2, LIMITS.mesh, "max_faces"
+        case "size":
+            asked = _largest(given, "nkey"), LIMITS.scene_file, "max_poses"
+        case _:
+            return
+    size, group, limit = asked
+    if not size <= getattr(group, limit):
+        found = f"element {element.tag.name} asks for {size:,.0f} {limit.removeprefix('max_')}"
+        raise MeshError(f"{element.path}: {found}, expected {at_most(group, limit)}; make it smaller", "file_too_large")
+
+
+def _largest(attributes: Mapping[str, str], name: str) -> float:
+    """The largest number of an attribute; 0 if there is none, which MuJoCo refuses or has a small default for."""
+    numbers = [0.0]
+    for word in attributes.get(name, "").split():
+        with suppress(ValueError):
+            numbers.append(float(word))
+    return max(numbers)
 
 
 def _collect_document(scan: _Scan, main: str, path: str, seen: set[str]) -> None:
@@ -316,7 +361,16 @@ def _place(scan: _Scan, path: str, folder: str, reference: str, *, is_include: b
     if place.startswith("../") or place == "..":
         raise MeshError(f"{path}: {quote_value(reference)} leaves the folder, expected a path inside of it", "path_outside")
     if place not in scan.contents:
-        scan.contents[place] = scan.boundary.read_bytes(found)
+        scan.contents[place] = content = scan.boundary.read_bytes(found)
+        if (
+            content.startswith(_PNG)
+            and len(content) >= 24
+            and prod(struct.unpack(">II", content[16:24])) > LIMITS.image.max_pixels
+        ):
+            most = at_most(LIMITS.image, "max_pixels", "pixels")
+            raise MeshError(
+                f"{path}: {quote_value(reference)} has more pixels, expected {most}; make it smaller", "file_too_large"
+            )
     return place
 
 

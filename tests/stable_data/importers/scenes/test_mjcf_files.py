@@ -7,6 +7,8 @@ import pytest
 from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.mjcf_files import collect_files, compile_model, load_spec, start_tags
+from stable_data.importers.scenes.mjcf_scenes import read_mjcf_scene
+from tests.bounds import soon
 from tests.scene_files import write_corner, write_model
 
 
@@ -92,3 +94,36 @@ def test_attribute_values_keep_their_offsets() -> None:
     content = "<a><!-- é -->\n<b x='1'/></a>".encode()
     tag = start_tags(content, "x.xml")[1]
     assert content[tag.offset :].startswith(b"<b x=")
+
+
+GREEDY = {
+    "a texture": ('<asset><texture type="2d" builtin="flat" width="60000" height="60000"/></asset>', "3,600,000,000 pixels"),
+    "a sky": ('<asset><texture type="skybox" builtin="flat" width="60000"/></asset>', "21,600,000,000 pixels"),
+    "a height field": ('<asset><hfield name="h" nrow="46341" ncol="46341" size="1 1 1 1"/></asset>', "faces"),
+    "a plate": ('<asset><mesh name="m" builtin="plate" params="20000 20000"/></asset>', "400,000,000 faces"),
+    "a cone": ('<asset><mesh name="m" builtin="cone" params="100000000 .5"/></asset>', "faces"),
+    "keyframes": ('<size nkey="20000000"/>', "20,000,000 poses"),
+    "numbers of the user": ('<size nuser_body="500000000"/>', "refuses the model"),
+    "data of the user": ('<size nuserdata="1000000000"/>', "needs more memory"),
+    "contacts": ('<size nconmax="1000000000"/>', "needs more memory"),
+    "memory": ('<size memory="100G"/>', "needs more memory"),
+    "a sensor": ('<sensor><user dim="1000000000"/></sensor>', "needs more memory"),
+}
+
+
+@pytest.mark.parametrize("name", GREEDY)
+def test_a_few_words_that_ask_for_very_much_are_refused_at_once(name: str, tmp_path: Path) -> None:
+    words, what = GREEDY[name]
+    (tmp_path / "a.xml").write_text(f'<mujoco>{words}<worldbody><geom size=".1"/></worldbody></mujoco>')
+    with soon(), pytest.raises(MeshError, match=what):
+        read_mjcf_scene(Boundary(tmp_path), "a.xml")
+
+
+def test_a_picture_of_very_many_pixels_is_refused_before_mujoco_reads_it(tmp_path: Path) -> None:
+    head = b"\x89PNG\r\n\x1a\n" + bytes([0, 0, 0, 13]) + b"IHDR" + (60_000).to_bytes(4, "big") * 2
+    (tmp_path / "a.png").write_bytes(head + bytes(100))
+    texture = '<asset><texture name="t" type="2d" file="a.png"/></asset>'
+    (tmp_path / "a.xml").write_text(f'<mujoco>{texture}<worldbody><geom size=".1"/></worldbody></mujoco>')
+    with pytest.raises(MeshError, match=r"'a.png' has more pixels, expected at most 134,217,728 pixels") as caught:
+        read_mjcf_scene(Boundary(tmp_path), "a.xml")
+    assert caught.value.code == "file_too_large"
