@@ -36,6 +36,7 @@ SOURCE = "TabletopGen"
 _LAYOUTS = "output_assets/layout_json"
 _MESHES = "output_assets/centered_mesh"
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+_FARTHEST = 1e5  # centimetres
 _NUMBER = re.compile(r"[\s_]*\d+$")  # what ends a name: "book_1"
 
 
@@ -199,8 +200,8 @@ class _Layout:
     def _vector(self, name: str, key: str) -> Vec3:
         entry = self._entries[name]
         found = numbers(entry.get(key), 3) if isinstance(entry, dict) else None
-        if found is None or not are_finite(found) or (key == "size" and min(found) <= 0):
-            expected = "three lengths in centimetres" + (" above 0" if key == "size" else "")
+        if found is None or not are_finite(found) or max(map(abs, found)) > _FARTHEST or (key == "size" and min(found) <= 0):
+            expected = f"three lengths in centimetres{' above 0' * (key == 'size')}, at most {_FARTHEST:,.0f}"
             raise self._log.error("layout_invalid", f"{key} of {quote_value(name)} is not known, expected {expected}")
         return _vec3(value / 100 for value in found)
 

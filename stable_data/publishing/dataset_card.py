@@ -162,14 +162,15 @@ def card_text(content: CardContent) -> str:
 
 
 def hub_licence(content: CardContent) -> dict[str, str]:
-    """Returns the entries of a card's head that state the licence: a single name if all rows and all assets have it, else a list."""
+    """Returns the entries of a card's head that state the licence: a known name if all rows and all assets have it, else all in a word."""
     every = list_licences(content)
     if every == [ROWS_NOT_STATED] and not content.licences:
         return {"license": "unknown"}
     if len(every) == 1 and every[0] in _HUB_LICENCES:
         return {"license": _HUB_LICENCES[every[0]]}
     link = ATTRIBUTION_FILE if content.licences else "README.md"
-    return {"license": "other", "license_name": ", ".join(map(str.lower, every)), "license_link": link}
+    name = re.sub(r"[^a-z0-9.]+", "-", " and ".join(every).lower()).strip("-")  # the hub takes one word
+    return {"license": "other", "license_name": name, "license_link": link}
 
 
 def list_licences(content: CardContent) -> list[str]:

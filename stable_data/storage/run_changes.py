@@ -108,7 +108,9 @@ def prune(run: RunFolder) -> dict[str, int]:
         manifest = _manifest_of(run)
         if manifest.get("status") != "complete":
             raise ConfigError(f"{run.uri}: is not complete, expected a complete run; run its job again first", "run_incomplete")
-        run.dataset("rejected")
+        if not run.files("rejected"):
+            found = "has no table rejected, expected a run of generate, which alone has rejected scenes"
+            raise ConfigError(f"{run.uri}: {found}; there is nothing to delete", "table_missing")
         tables = [table for table in (*ASSET_TABLES, "textures", *_OF_SCENES) if run.files(table)]
         refuse_changed_files(run, tables)
         # The manifest still counts what a call that was stopped has deleted.

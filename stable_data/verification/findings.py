@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from stable_data.errors import short_line
 
+MOST_TOLD = 1000
+"""Findings of one file that are shown: a file of few bytes may have millions of equal rows."""
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -29,7 +32,7 @@ class Finding:
 
 
 class Findings:
-    """Collects what the checks find. Findings are passed on at once and not kept, so that there may be very many.
+    """Collects what the checks find. Findings are passed on at once and not kept; of one file, only the first are passed on.
 
     Args:
         tell: Called with each finding.
@@ -40,14 +43,18 @@ class Findings:
     """
 
     def __init__(self, tell: Callable[[Finding], None]) -> None:
-        self._tell = tell
+        self._tell, self._of_file = tell, Counter[str]()
         self.num_damaged = Counter[str]()
         self.unknown = list[str]()
 
     def damage(self, where: str, what: str, row: int | None = None) -> None:
         """Notes damage; the arguments are the attributes of :class:`Finding`."""
         self.num_damaged[where.partition("/")[0] or "the run"] += 1
-        self._tell(Finding(where, row, what))
+        self._of_file[where] += 1
+        if self._of_file[where] <= MOST_TOLD:
+            self._tell(Finding(where, row, what))
+        elif self._of_file[where] == MOST_TOLD + 1:
+            self._tell(Finding(where, None, f"has more than {MOST_TOLD:,} findings; the others are counted and not shown"))
 
     def cannot_know(self, what: str) -> None:
         """Notes that something cannot be known: such a run is not known to be whole."""

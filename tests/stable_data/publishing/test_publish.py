@@ -62,7 +62,7 @@ def test_the_head_of_the_card_is_what_a_hub_reads(folder: Path) -> None:
     assert head["pretty_name"] == "Three tables"
     assert (head["license"], head["license_name"], head["license_link"]) == (
         "other",
-        "cc-by-4.0, apache-2.0",
+        "cc-by-4.0-and-apache-2.0",
         "ATTRIBUTION.md",
     )
     assert (head["size_categories"], head["task_categories"]) == (["n<1K"], ["robotics"])

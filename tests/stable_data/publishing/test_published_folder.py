@@ -187,7 +187,7 @@ def test_the_head_names_a_licence_only_if_all_content_has_it(run: Path, folder: 
 
     assert head(folder) == {
         "license": "other",
-        "license_name": "not stated for the rows, apache-2.0",
+        "license_name": "not-stated-for-the-rows-and-apache-2.0",
         "license_link": "ATTRIBUTION.md",
     }
     assert published(run, tmp_path / "out", "--licence", "Apache-2.0").exit_code == DONE

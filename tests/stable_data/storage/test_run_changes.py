@@ -207,5 +207,5 @@ def test_runs_that_cannot_be_pruned(tmp_path: Path) -> None:
         prune(run)
     assert content(tmp_path / "run") == before
     other = RunFolder(shutil.copytree(STORED / "run_v3" / "preprocess", tmp_path / "other"))
-    with pytest.raises(ConfigError, match="no table rejected"):
+    with pytest.raises(ConfigError, match="no table rejected, expected a run of generate"):
         prune(other)
