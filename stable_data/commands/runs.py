@@ -104,8 +104,8 @@ def join(
 
     first, *others = map(RunFolder, runs)
     target = RunFolder(to)
-    if target.root in {first.root, *(other.root for other in others)}:
-        raise ConfigError(f"--to is {to}, which is one of the runs; name a new folder", "usage")
+    if any(f"{target.root}/".startswith(f"{run.root}/") for run in (first, *others)):
+        raise ConfigError(f"--to is {to}, which is one of the runs or within one; name a new folder", "usage")
     with target.locked():
         counts = select(first, where, target, others)
     doubles = (read_manifest(target) or {}).get("doubles", {"scenes": 0, "different": 0})

@@ -141,7 +141,10 @@ class MesaTaskDataset:
 def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
     """Finds the folders of the scenes by id."""
     if not root.is_dir():
-        raise ConfigError(f"{root} is not a folder; expected one in the MesaTask-10K format", "root_missing")
+        hint = f"; did you mean its folder, {root.parent}?" if root.is_file() else ""
+        raise ConfigError(
+            f"{root} is not a folder, expected one in the MesaTask-10K format or of scene files{hint}", "root_missing"
+        )
     layouts = root / LAYOUT_FOLDER
     if not layouts.is_dir():
         hint = f"; did you mean {root.parent}?" if root.name == LAYOUT_FOLDER else ""

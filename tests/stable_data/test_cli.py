@@ -136,6 +136,7 @@ def test_runs_are_joined_pruned_and_upgraded_on_the_command_line(tmp_path: Path)
     count = RunFolder(tmp_path / "joined").num_rows("scenes")
     assert f"{count} scenes, " in result.stdout
     assert run("join", made, made, "--to", tmp_path / "twice").stdout.endswith(" scenes were in several runs\n")
+    assert "which is one of the runs or within one" in run("join", made, "--to", Path(made) / "scenes" / "x").stderr
     refused = run("join", made, "--to", made)
     assert refused.exit_code == 2
     assert "is one of the runs" in refused.stderr
