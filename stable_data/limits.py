@@ -282,7 +282,7 @@ class WorkLimits:
     """Work on content that is read; what exceeds it is unknown or refused.
 
     Attributes:
-        max_audit_triangles: Triangles that the exact tests of one scene examine: about 25 s. The fullest tables need 40 million.
+        max_audit_triangles: Work of the exact tests of one scene, in triangles: about 25 s. The fullest tables need some 50 million.
         max_repair_parts: Parts of a mesh that is repaired, and its holes.
         max_repair_pairs: Pairs of parts whose boxes overlap, and pairs of a face and a hole.
         max_repair_sums: Faces that are summed for winding numbers over all points.

@@ -28,6 +28,7 @@ _USELESS_MARGIN = 5e-3  # metres; with a larger margin the filter drops too few 
 _CLUSTER = 256  # triangles of one tree
 _ANY_CONTACT = fcl.CollisionRequest()
 _CONTACT_WORK = 50  # work of one listed contact, in triangles
+_CALL_WORK = 100  # work of one question about two clusters, however small they are
 _BOX_PAIRS = 4  # pairs of boxes that cost as much as one triangle
 # Bits of a number from 0 to 31, three apart: the Morton code of a cell sorts triangles so that neighbours share a cluster.
 _MORTON = np.array([sum((n >> bit & 1) << 3 * bit for bit in range(5)) for n in range(32)], np.uint16)
@@ -301,7 +302,7 @@ class MeshPair:
         moved, left = np.asarray(shift, np.float64), _EVERY_CONTACT if every else _MAX_CONTACTS
         for first, second in self._meeting_clusters(moved):
             result = fcl.CollisionResult()
-            self.budget.spend(self._a.size(first) + self._b.size(second))
+            self.budget.spend(_CALL_WORK + self._a.size(first) + self._b.size(second))
             request = fcl.CollisionRequest(num_max_contacts=left, enable_contact=True)
             if fcl.collide(self._a.body(first, moved), self._b.body(second), request, result) == 0:
                 continue
@@ -335,7 +336,7 @@ class MeshPair:
         return zip(first[order].tolist(), second[order].tolist(), strict=True)
 
     def _clusters_cross(self, first: int, second: int, shift: FloatArray, result: fcl.CollisionResult) -> bool:
-        self.budget.spend(self._a.size(first) + self._b.size(second))
+        self.budget.spend(_CALL_WORK + self._a.size(first) + self._b.size(second))
         return bool(fcl.collide(self._a.body(first, shift), self._b.body(second), _ANY_CONTACT, result) > 0)
 
 

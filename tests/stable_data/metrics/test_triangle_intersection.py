@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, boxes, near_triangles
+from stable_data.metrics.triangle_intersection import MeshPair, PosedTriangles, WorkBudget, boxes, near_triangles
 from stable_data.scene import FloatArray
 from tests.scenes import ball, bowl, box, sheet, triangles
 
@@ -82,6 +82,16 @@ def test_crossing_is_symmetric() -> None:
     there, back = MeshPair(a, b, 0.01), MeshPair(b, a, 0.01)
     for shift in np.random.default_rng(0).uniform(-0.01, 0.01, (20, 3)):
         assert there.cross(shift) == back.cross(-shift)
+
+
+def test_a_question_is_work_however_few_triangles_there_are() -> None:
+    """Else hundreds of boxes in each other took minutes within the limit of half a minute."""
+    budget = WorkBudget()
+    cube = triangles(box(0.1, 0.1, 0.1))
+    pair = MeshPair(cube, cube, 0.001, budget)
+    before = budget.spent
+    assert pair.cross()
+    assert budget.spent - before > 100
 
 
 def test_moving_both_meshes_changes_nothing() -> None:
