@@ -239,6 +239,7 @@ class DisturbedJob:
         return is_hit
 
     def _replace_cluster(self) -> None:
+        """Starts a new cluster; second drivers end with the old one."""
         for rival, _ in self._rivals:
             rival.kill()
         self._rivals.clear()

@@ -97,12 +97,12 @@ def _facts(geometry: SceneGeometry) -> dict[str, Any]:
         "unknown_verdicts": sorted(given["verdicts"].keys() - known.keys()),
         **(given["task"] or {}),
     }
-    return {
-        name: Vt.StringArray([one if isinstance(one, str) else json_text(one) for one in value])
-        if isinstance(value, list)
-        else value
-        for name, value in facts.items()
-    }
+    return {name: _texts(value) if isinstance(value, list) else value for name, value in facts.items()}
+
+
+def _texts(values: list[Any]) -> Vt.StringArray:
+    """A list as USD can state it; what is no text becomes JSON."""
+    return Vt.StringArray([value if isinstance(value, str) else json_text(value) for value in values])
 
 
 def prim_names(placed: Sequence[PlacedProp]) -> list[str]:

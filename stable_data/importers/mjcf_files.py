@@ -5,11 +5,9 @@ in the source folder. The model is then compiled from copies of these files in a
 """
 
 import posixpath
-import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from math import prod
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -362,16 +360,19 @@ def _place(scan: _Scan, path: str, folder: str, reference: str, *, is_include: b
         raise MeshError(f"{path}: {quote_value(reference)} leaves the folder, expected a path inside of it", "path_outside")
     if place not in scan.contents:
         scan.contents[place] = content = scan.boundary.read_bytes(found)
-        if (
-            content.startswith(_PNG)
-            and len(content) >= 24
-            and prod(struct.unpack(">II", content[16:24])) > LIMITS.image.max_pixels
-        ):
+        if _num_pixels(content) > LIMITS.image.max_pixels:
             most = at_most(LIMITS.image, "max_pixels", "pixels")
             raise MeshError(
                 f"{path}: {quote_value(reference)} has more pixels, expected {most}; make it smaller", "file_too_large"
             )
     return place
+
+
+def _num_pixels(content: bytes) -> int:
+    """The pixels of a PNG file as MuJoCo reads them, which has no limit of its own; 0 for other files."""
+    if not content.startswith(_PNG):
+        return 0
+    return int.from_bytes(content[16:20], "big") * int.from_bytes(content[20:24], "big")
 
 
 def _read_twice(path: str, other: str) -> MeshError:

@@ -162,7 +162,7 @@ def card_text(content: CardContent) -> str:
 
 
 def hub_licence(content: CardContent) -> dict[str, str]:
-    """Returns the entries of a card's head that state the licence: a known name if all rows and all assets have it, else all in a word."""
+    """Returns the entries of a card's head that state the licence: a known name if all content has it, else all in one word."""
     every = list_licences(content)
     if every == [ROWS_NOT_STATED] and not content.licences:
         return {"license": "unknown"}

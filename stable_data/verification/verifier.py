@@ -157,8 +157,8 @@ class Verification:
         return f"{self.uri}: {' and '.join(states) or 'whole'} ({self.job or 'unknown job'}; {checked})"
 
 
-def _turn_of(file: ShardFile) -> tuple[int, str, str]:
-    """When a file is read: after those that its rows refer to, and beside those of the same scenes, which are then read once."""
+def _reading_order(file: ShardFile) -> tuple[int, str, str]:
+    """The place of a file among all: after those that its rows refer to, and beside those of the same scenes, which are read once."""
     order = _FIRST.index(file.table) if file.table in _FIRST else len(_FIRST)
     return order, file.shard_id if file.table in JOINED else "", file.table
 
@@ -231,7 +231,7 @@ class _Verifier:
         schemas = SchemaCheck(list(map(str, made_by)) if isinstance(made_by, list) else [], carried, self._findings)
         if older_version(self._manifest) is not None:
             return self._result({}, 0, 0, began)
-        files = sorted(self._files, key=_turn_of)
+        files = sorted(self._files, key=_reading_order)
         for number, file in enumerate(files):
             self._check_file(file, schemas)
             self._progress("files", number + 1, len(files))

@@ -12,7 +12,7 @@ from stable_data.errors import MeshError
 from stable_data.json_text import quote_value
 from stable_data.limits import LIMITS, at_most
 
-_BINARY = b"PXR-USDC"  # what a layer in the crate format begins with
+_TEXT = b"#usda"  # what a text layer begins with; USD parses no other
 # A text that is not closed ends with its line, or with the file: USD refuses it, and the search stays linear.
 _NO_CODE = re.compile(
     rb'"""(?>(?:[^"\\]+|\\.|"(?!""))*)(?:""")?'
@@ -28,7 +28,7 @@ _PIECE = 2**20  # brackets that are counted at once
 
 
 def check_brackets(content: bytes, path: str) -> None:
-    """Refuses a text layer whose brackets nest too deep; binary layers pass.
+    """Refuses a text layer whose brackets nest too deep; binary layers and packages pass.
 
     Args:
         content: The file.
@@ -37,7 +37,7 @@ def check_brackets(content: bytes, path: str) -> None:
     Raises:
         MeshError: ``model_unreadable``.
     """
-    if not content.startswith(_BINARY) and bracket_levels(content) > LIMITS.model.max_bracket_levels:
+    if content.startswith(_TEXT) and bracket_levels(content) > LIMITS.model.max_bracket_levels:
         most = at_most(LIMITS.model, "max_bracket_levels", "levels")
         raise MeshError(
             f"{quote_value(path)} has brackets that nest deeper, expected {most}; is it hostile?", "model_unreadable"

@@ -60,8 +60,9 @@ def test_hostile_texts_are_counted_in_linear_time(piece: str) -> None:
         bracket_levels(piece.encode() * 500_001)
 
 
-def test_binary_layers_and_honest_texts_pass() -> None:
-    check_brackets(b"PXR-USDC" + b"(" * 2 * MOST, "a.usdc")
+def test_binary_layers_packages_and_honest_texts_pass() -> None:
+    for start in (b"PXR-USDC", b"PK\x03\x04"):
+        check_brackets(start + b"(" * 2 * MOST, "a.usd")
     check_brackets(b"#usda 1.0\n" + b"(" * MOST, "a.usda")
 
 
