@@ -51,6 +51,19 @@ def normalise_quat(quat_xyzw: QuatXyzw) -> QuatXyzw:
     return (x / norm, y / norm, z / norm, w / norm)
 
 
+def canonical_quaternion(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
+    """Returns the unit quaternion with a fixed choice of sign, since q and -q are the same rotation."""
+    sign = 1.0 if next((q for q in reversed(tilt_quat_xyzw) if abs(q) > 0.01), 1.0) > 0 else -1.0
+    x, y, z, w = (sign * q + 0.0 for q in normalise_quat(tilt_quat_xyzw))
+    return x, y, z, w
+
+
+def tilt_key(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
+    """Returns a tilt with each component rounded to 0.01, so that tilts within about one degree are equal."""
+    x, y, z, w = (round(q, 2) + 0.0 for q in canonical_quaternion(tilt_quat_xyzw))
+    return x, y, z, w
+
+
 def wxyz(quat_xyzw: QuatXyzw) -> list[float]:
     """Returns the quaternion with the real part first, as MuJoCo expects it."""
     return [quat_xyzw[3], *quat_xyzw[:3]]

@@ -9,9 +9,10 @@ import numpy.typing as npt
 from pipelines.execution.item_progress import ItemProgress
 from stable_data.assets.asset_rows import file_columns, part_columns, shape_columns, volume_columns
 from stable_data.assets.looks import LookRows, look_rows, texture_rows
-from stable_data.assets.store import AssetMesh, AssetStore, aspect_of
+from stable_data.assets.store import AssetMesh, AssetStore
 from stable_data.errors import Notice
 from stable_data.geometry.mesh_colors import Paint
+from stable_data.geometry.sdf.aspects import aspect_of
 from stable_data.geometry.sdf.second_opinion import (
     SdfBackend,
     SecondOpinion,
@@ -38,7 +39,7 @@ class AssetUse:
         asset_id: The asset.
         mesh_sha256: Hash of its mesh file.
         typical_scale: Median scale, metres per mesh unit, or None if no scene uses it.
-        aspects: Aspects that get a grid, in steps of 5 % (``stable_data.assets.store.aspect_steps``).
+        aspects: Aspects that get a grid, in steps of 5 % (``stable_data.geometry.sdf.aspects.aspect_steps``).
         tilts: Tilts with their counts, most frequent first.
     """
 

@@ -8,31 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipelines.execution.item_progress import ItemProgress
-from stable_data.assets.store import AssetStore, aspect_of
+from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError
+from stable_data.geometry.sdf.aspects import aspect_of
 from stable_data.geometry.shape import Shape
-from stable_data.scene import QuatXyzw
+from stable_data.mesatask.asset_uses import ShapeUse
 from stable_data.storage import schemas
 
 if TYPE_CHECKING:  # torch is loaded only if features are computed
     from models.point_encoder import PointEncoder
 
 AUTO, NONE = "auto", "none"
-
-
-@dataclass(frozen=True, slots=True)
-class ShapeUse:
-    """An aspect and tilt in which scenes use an asset.
-
-    Attributes:
-        steps: The aspect, in steps of 5 % (``stable_data.assets.store.aspect_steps``).
-        tilt_quat_xyzw: Rotation before yaw.
-        scale: Median of the scales' largest components, metres per mesh unit.
-    """
-
-    steps: tuple[int, int, int]
-    tilt_quat_xyzw: QuatXyzw
-    scale: float
 
 
 @dataclass(frozen=True, slots=True)

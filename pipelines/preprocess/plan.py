@@ -7,27 +7,22 @@ depends on the dataset and the settings alone.
 import hashlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
 
 import stable_data
 from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard
 from pipelines.preprocess.asset import AssetUse, TextFeature
-from pipelines.preprocess.features import FeatureUse, ShapeUse
+from pipelines.preprocess.features import FeatureUse
 from pipelines.preprocess.settings import PreprocessSettings
-from stable_data.assets.store import aspect_steps, canonical_quaternion, tilt_key
 from stable_data.content_id import content_id
 from stable_data.errors import Notice
 from stable_data.mesatask import MesaTaskDataset, read_text_features
-from stable_data.scene import QuatXyzw, Vec3
+from stable_data.mesatask.asset_uses import AssetUseCount
 from stable_data.storage import schemas
-
-_MAX_SCALES = 1001  # of one asset, of which the typical scale is the median
-_MAX_TILTS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,48 +58,6 @@ class PreprocessPlan:
             "num_assets_without_mesh": sum(n.code == "glb_missing" for n in self.notices),
             "num_features": sum(len(use.shapes) for shard in self.features for use in shard.items),
         }
-
-
-@dataclass
-class AssetUseCount:
-    """Counts how scenes use an asset."""
-
-    scales: list[Vec3] = field(default_factory=list)
-    tilts: dict[QuatXyzw, tuple[QuatXyzw, int]] = field(default_factory=dict)
-    shapes: dict[tuple[tuple[int, int, int], QuatXyzw], list[float]] = field(default_factory=dict)
-
-    def add(self, scale: Vec3 | None, tilt: QuatXyzw) -> None:
-        """Counts an object."""
-        key = tilt_key(tilt)  # nearly equal tilts share a key; the first of them is stored
-        first, count = self.tilts.get(key, (canonical_quaternion(tilt), 0))
-        self.tilts[key] = (first, count + 1)
-        if scale is not None:
-            self.shapes.setdefault((aspect_steps(scale), key), []).append(max(scale))
-            if len(self.scales) < _MAX_SCALES:
-                self.scales.append(scale)
-
-    def typical_scale(self) -> Vec3 | None:
-        """The median scale, metres per mesh unit, or None if no scale is known."""
-        if not self.scales:
-            return None
-        x, y, z = np.median(np.array(self.scales), axis=0).tolist()
-        return x, y, z
-
-    def aspects(self) -> set[tuple[int, int, int]]:
-        """The aspects in which the asset is used, in steps."""
-        return {steps for steps, _ in self.shapes}
-
-    def most_tilts(self) -> list[tuple[QuatXyzw, int]]:
-        """The tilts with their counts, most frequent first."""
-        return sorted(self.tilts.values(), key=lambda item: (-item[1], item[0]))[:_MAX_TILTS]
-
-    def shape_uses(self) -> tuple[ShapeUse, ...]:
-        """Every used pair of aspect and tilt, and the uniform scale (which generation uses) at the most frequent tilts."""
-        scales = {key: float(np.median(found)) for key, found in self.shapes.items()}
-        if (typical := self.typical_scale()) is not None:
-            for tilt, _ in self.most_tilts():
-                scales.setdefault(((0, 0, 0), tilt_key(tilt)), max(typical))
-        return tuple(ShapeUse(steps, self.tilts[key][0], scales[steps, key]) for steps, key in sorted(scales))
 
 
 @dataclass
@@ -215,7 +168,7 @@ def _count_uses(dataset: MesaTaskDataset, scene_id: str, uses: dict[str, AssetUs
 
 
 def _asset_use(asset_id: str, digest: str, use: AssetUseCount) -> AssetUse:
-    aspects = tuple(sorted(use.aspects() | {(0, 0, 0)}))
+    aspects = tuple(sorted(use.aspects()))
     return AssetUse(asset_id, digest, use.typical_scale(), aspects, tuple(use.most_tilts()))
 
 

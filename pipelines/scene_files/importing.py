@@ -11,7 +11,7 @@ from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import IsolatedProcess
 from pipelines.execution.resume import check_resume, new_manifest
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset
-from pipelines.preprocess.plan import AssetUseCount, file_digest
+from pipelines.preprocess.plan import file_digest
 from pipelines.scene_files.folder import call_for_file
 from pipelines.scene_files.repair import RepairOptions, put_upright
 from stable_data.assets.annotation import AssetAnnotation
@@ -23,6 +23,7 @@ from stable_data.importers.scenes.layouts import ImportedScene, scene_source, sc
 from stable_data.importers.scenes.lint import no_scene_error, scene_candidates
 from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_assets import SceneAssets
+from stable_data.mesatask.asset_uses import AssetUseCount
 from stable_data.metrics.audit import audit_scene
 from stable_data.storage.manifest import COMPLETE, PLANNED, PlannedItems, write_manifest
 from stable_data.storage.run_folder import RunFolder

@@ -16,11 +16,12 @@ from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import NOT_OF_AN_ITEM, ItemStep, Rows, Shard
 from pipelines.preprocess.asset import AssetSettings, AssetUse, preprocess_asset, use_columns
-from pipelines.preprocess.plan import AssetUseCount, file_digest
+from pipelines.preprocess.plan import file_digest
 from pipelines.sources.assets import AssetLibraries
 from stable_data.assets.store import AssetStore
 from stable_data.content_id import content_id
 from stable_data.errors import Notice
+from stable_data.mesatask.asset_uses import AssetUseCount
 from stable_data.scene import UPRIGHT
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row

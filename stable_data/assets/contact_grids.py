@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stable_data.assets.store import aspect_of
 from stable_data.assets.user_cache import ArrayFiles, array_key
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf import build as build_module
+from stable_data.geometry.sdf.aspects import aspect_of
 from stable_data.geometry.sdf.build import GridLimits, build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 
@@ -33,7 +33,7 @@ class ContactGrids:
         self._num_bytes = 0
 
     def grid(self, mesh: Mesh, steps: tuple[int, int, int], *, is_sheet: bool) -> SdfGrid:
-        """Returns the grid of a repaired mesh at an aspect in steps (``stable_data.assets.store.aspect_steps``)."""
+        """Returns the grid of a repaired mesh at an aspect in steps (``stable_data.geometry.sdf.aspects.aspect_steps``)."""
         key = _digest(mesh, steps, is_sheet)
         if key not in self._grids:
             self._grids[key] = grid = self._read(key) or self._built(key, mesh, steps, is_sheet)

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow.compute as pc
 
-from stable_data.assets.store import aspect_of, aspect_steps, tilt_key
 from stable_data.errors import ConfigError
+from stable_data.geometry.sdf.aspects import aspect_of, aspect_steps
+from stable_data.rotations import tilt_key
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 from stable_data.storage.run_folder import RunFolder
 

@@ -1,6 +1,5 @@
 """The geometry of assets and of objects at their scale and tilt, computed once and cached."""
 
-import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from stable_data.geometry.images import texture_pixels
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_colors import Paint, load_paint
 from stable_data.geometry.mesh_repair import MeshReport, mesh_report, repair_mesh
+from stable_data.geometry.sdf.aspects import aspect_of, aspect_steps
 from stable_data.geometry.sdf.build import build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
@@ -28,11 +28,7 @@ from stable_data.position_convention import (
     keeps_box,
     to_box_centre,
 )
-from stable_data.rotations import normalise_quat
 from stable_data.scene import QuatXyzw, Scene, SceneObject, Vec3
-
-ASPECT_STEP = math.log(1.05)
-"""Aspects are rounded to powers of 1.05, so that assets with similar scales share a grid."""
 
 # A shape also owns its search tree of 560 bytes per triangle, so the cache weighs it as a multiple of its vertices.
 _SHAPE_WEIGHT = 48
@@ -455,32 +451,6 @@ def _look_bytes(look: tuple[Surface, ...] | None) -> int:
     images = {id(s.image): len(s.image) for s in look or () if s.image is not None}
     arrays = (a for s in look or () for a in (s.triangles, s.corner_colours, s.corner_uv) if a is not None)
     return 256 + sum(images.values()) + sum(a.nbytes for a in arrays)
-
-
-def aspect_steps(scale: Vec3) -> tuple[int, int, int]:
-    """Returns the aspect of a scale, rounded to 5 %: the number of factors 1.05 between each axis and the largest one."""
-    largest = max(scale)
-    x, y, z = (round(math.log(largest / s) / ASPECT_STEP) for s in scale)
-    return x, y, z
-
-
-def aspect_of(steps: tuple[int, int, int]) -> Vec3:
-    """Returns the aspect of the steps of :func:`aspect_steps`, (3,), with 1 as its largest component."""
-    x, y, z = (math.exp(-ASPECT_STEP * k) for k in steps)
-    return x, y, z
-
-
-def canonical_quaternion(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
-    """Returns the unit quaternion with a fixed choice of sign, since q and -q are the same rotation."""
-    sign = 1.0 if next((q for q in reversed(tilt_quat_xyzw) if abs(q) > 0.01), 1.0) > 0 else -1.0
-    x, y, z, w = (sign * q + 0.0 for q in normalise_quat(tilt_quat_xyzw))
-    return x, y, z, w
-
-
-def tilt_key(tilt_quat_xyzw: QuatXyzw) -> QuatXyzw:
-    """Returns a tilt with each component rounded to 0.01, so that tilts within about one degree are equal."""
-    x, y, z, w = (round(q, 2) + 0.0 for q in canonical_quaternion(tilt_quat_xyzw))
-    return x, y, z, w
 
 
 def fitted_scale(mesh: Mesh, tilt_quat_xyzw: QuatXyzw, size: Vec3) -> Vec3:

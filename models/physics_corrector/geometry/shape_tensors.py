@@ -21,8 +21,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
-from stable_data.assets.store import AssetStore, aspect_of, aspect_steps
+from stable_data.assets.store import AssetStore
 from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.sdf.aspects import aspect_of, aspect_steps
 from stable_data.geometry.sdf.build import build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
@@ -30,7 +31,7 @@ from stable_data.geometry.surface_sampling import bottom_points, surface_points
 from stable_data.scene import FloatArray, QuatXyzw, SceneObject, Vec3
 
 GridKey: TypeAlias = tuple[str, tuple[int, int, int]]
-"""Asset and its aspect in steps of 5 % (``stable_data.assets.store.aspect_steps``)."""
+"""Asset and its aspect in steps of 5 % (``stable_data.geometry.sdf.aspects.aspect_steps``)."""
 
 STRETCH = 1.03
 """Bound of the factor between a length in a grid's frame and the true length: half a step of the aspect, and a margin."""

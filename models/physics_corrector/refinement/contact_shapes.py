@@ -15,8 +15,9 @@ from models.physics_corrector.certify.static_stability import centre_of_mass
 from models.physics_corrector.geometry.sdf_atlas import SdfAtlas
 from models.physics_corrector.geometry.shape_tensors import ShapeTensors, grid_map, shell_reach, source_of
 from stable_data.assets.contact_grids import ContactGrids
-from stable_data.assets.store import AssetStore, aspect_steps
+from stable_data.assets.store import AssetStore
 from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.sdf.aspects import aspect_steps
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import surface_points

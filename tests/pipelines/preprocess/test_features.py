@@ -17,16 +17,18 @@ from models.point_encoder.cloud import MODELNET
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_job import describe
-from pipelines.preprocess.features import FeatureUse, ShapeUse, encoder_of, feature_rows, fingerprint_of
+from pipelines.preprocess.features import FeatureUse, encoder_of, feature_rows, fingerprint_of
 from pipelines.preprocess.job import PreprocessJob, preprocess
 from pipelines.preprocess.plan import plan_run
 from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.assets.point_features import PointFeatures, feature_key, read_features
-from stable_data.assets.store import AssetStore, aspect_of, aspect_steps
+from stable_data.assets.store import AssetStore
 from stable_data.embedded_world.modelling.family import LAID
 from stable_data.errors import ConfigError
+from stable_data.geometry.sdf.aspects import aspect_of, aspect_steps
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset
+from stable_data.mesatask.asset_uses import ShapeUse
 from stable_data.scene import UPRIGHT
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row

@@ -15,10 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stable_data.assets.store import ASPECT_STEP, AssetStore, aspect_of, aspect_steps, fitted_scale
+from stable_data.assets.store import AssetStore, fitted_scale
 from stable_data.errors import MeshError
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.sdf.aspects import ASPECT_STEP, aspect_of, aspect_steps
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import PositionConvention
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Tabletop, Vec3

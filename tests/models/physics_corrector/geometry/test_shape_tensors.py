@@ -8,8 +8,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from models.physics_corrector.geometry.shape_tensors import STRETCH, ShapeCollector, grids_from_rows
-from stable_data.assets.store import aspect_of, aspect_steps
 from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.sdf.aspects import aspect_of, aspect_steps
 from stable_data.geometry.sdf.exact import SignedDistance
 from stable_data.geometry.shape import Shape
 from stable_data.scene import UPRIGHT, QuatXyzw, SceneObject, Vec3
