@@ -18,7 +18,7 @@ from models.semantic_reasoner.text.reply_json import LayoutObject, LayoutReply, 
 from stable_data.errors import SceneError
 from stable_data.scene import TABLE, Relation, Scene, SceneObject, Vec3
 from stable_data.scene_graph.relations import supports
-from stable_data.scene_graph.staging import generation_order
+from stable_data.scene_graph.stage_samples import generation_order
 
 _ARTICLES = frozenset(("a", "an", "the", "some"))
 

@@ -19,7 +19,8 @@ from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene
 from stable_data.scene_graph.relations import SceneGraph
-from stable_data.scene_graph.staging import samples_of, stage_scene
+from stable_data.scene_graph.stage_samples import samples_of
+from stable_data.scene_graph.staging import stage_scene
 from stable_data.storage import schemas
 from stable_data.storage.table_rows import card_row, object_row, scene_row
 

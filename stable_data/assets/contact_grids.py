@@ -9,8 +9,8 @@ from stable_data.assets.user_cache import ArrayFiles, array_key
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf import build as build_module
 from stable_data.geometry.sdf.aspects import aspect_of
-from stable_data.geometry.sdf.build import GridLimits, build_grid
-from stable_data.geometry.sdf.grid import SdfGrid
+from stable_data.geometry.sdf.build import build_grid
+from stable_data.geometry.sdf.grid import GridLimits, SdfGrid
 
 LIMITS = GridLimits(min_nodes=32**3, max_nodes=80**3)
 """Resolution of the grids: coarser than those of preprocess, because the exact audit judges the result, but with nodes inside of

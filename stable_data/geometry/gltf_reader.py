@@ -36,7 +36,8 @@ PART_FACES = "part_faces"
 """Key in the ``extras`` of that mesh: the number of faces of each part, in order."""
 
 FACE_ORDER = "face_order"
-"""Key in the ``extras`` of a painted mesh: the accessor with the number of each face before faces were grouped by colour."""
+"""Key in the ``extras`` of a painted mesh: the accessor with the number of each face before faces were grouped by colour,
+or null if that changed no number."""
 
 TEXTURE = "texture:"
 """Start of the address of an image that is a row of the table ``textures``; its SHA-256 follows."""
@@ -301,6 +302,8 @@ class _GlbReader:
         mesh = meshes[0]
         if len(meshes) != 1 or FACE_ORDER not in mesh.get("extras", {}):
             return None if sum(len(each["primitives"]) for each in meshes) > 1 else np.arange(num_faces)
+        if mesh["extras"][FACE_ORDER] is None:
+            return np.arange(num_faces)
         order = self._accessor(mesh["extras"][FACE_ORDER], 1)[:, 0].astype(np.int64)
         if not np.array_equal(np.sort(order), np.arange(num_faces)):
             self.fail("glb_invalid", f"{FACE_ORDER} is not an order of its {num_faces} faces", "each number once")

@@ -42,8 +42,8 @@ def write_glb(
             its ``extras.part_faces`` lists the number of faces of each part.
         surfaces: The faces of the mesh with materials and textures, each once; they take the place of ``paint``. Their images, PNG
             or JPEG, are in the file.
-        keeps_order: Where ``paint`` changes the order of the faces, also write their numbers, an accessor that the mesh's
-            ``extras.face_order`` names: a sample of a surface depends on the order of its faces.
+        keeps_order: With ``paint``, also say in which order the faces were, on which a sample of a surface depends: ``extras.face_order``
+            of the mesh names the accessor of their numbers, or is null if they are in that order.
 
     Returns:
         The content of the file. The scene is y up, as glTF demands.
@@ -72,7 +72,9 @@ def write_glb(
             document["materials"] = [material(color) for color, _ in paint]
             meshes[0]["primitives"] = [{**primitive, "material": k} for k, primitive in enumerate(primitives)]
             order = np.concatenate([rows for _, rows in paint])
-            if keeps_order and not np.array_equal(order, np.arange(len(order))):
+            if keeps_order and np.array_equal(order, np.arange(len(order))):
+                meshes[0]["extras"] = {FACE_ORDER: None}
+            elif keeps_order:
                 meshes[0]["extras"] = {FACE_ORDER: len(arrays)}
                 arrays.append(order)
     if parts:

@@ -53,7 +53,7 @@ def read_object(entry: Mapping[str, Any], instance: str, context: ReadContext) -
         yaw, tilt, scale = _reply_yaw(entry, instance, log), UPRIGHT, None
     else:
         yaw, tilt = _rotation(entry, instance, log)
-        scale = _scale(entry, instance, log)
+        scale = read_scale(entry, instance, log)
     return SceneObject(
         instance,
         category_of(annotation.category if annotation and annotation.category else instance),
@@ -109,8 +109,8 @@ def _position(entry: Mapping[str, Any], instance: str, context: ReadContext) -> 
     return position
 
 
-def _scale(entry: Mapping[str, Any], instance: str, log: ReadLog) -> Vec3 | None:
-    """Metres per mesh unit; None if the file's factor is unusable."""
+def read_scale(entry: Mapping[str, Any], instance: str, log: ReadLog) -> Vec3 | None:
+    """Reads the scale of an object, metres per mesh unit; None, and a notice, if the file's factor is unusable."""
     value = entry.get("scale_factor")
     found = numbers(value, 3)
     if found is not None and are_finite(found) and min(found) > 0:

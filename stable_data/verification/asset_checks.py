@@ -2,13 +2,15 @@
 
 from collections.abc import Iterator, Sequence
 from sys import intern
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
 from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import load_stored_mesh, load_surfaces, texture_addresses
-from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh import Mesh, double_areas, signed_volumes
+from stable_data.geometry.sdf.grid import USUAL_LIMITS
 from stable_data.scene import FloatArray
 from stable_data.storage.checksums import checksum_of
 from stable_data.storage.schemas import Row
@@ -21,20 +23,40 @@ _ROUNDING = 1e-5  # of the largest extent: vertices of a file are float32
 _MASS_SLACK = 0.01  # of the largest extent: by how much a centre of mass may lie outside of the box
 _DENSEST = 25_000.0  # kg/m³: nothing is denser
 _LIGHTEST = 1e-3  # kg: the least mass that an import gives to an asset
+_NODE_SLACK = 0.01  # spacings: vertices of a file are float32
 _LOOK_SLACK = 0.02  # of the largest extent: the box of a look may leave out faces without area
 
 
+class MeshFacts(NamedTuple):
+    """What follows from a stored mesh, in its own unit; the names are those of the report of an asset.
+
+    Attributes:
+        extents: Of its box.
+        num_vertices: Vertices.
+        num_faces: Triangles.
+        area: Its surface.
+        volume: What it encloses, if it is closed.
+    """
+
+    extents: tuple[float, float, float]
+    num_vertices: int
+    num_faces: int
+    area: float
+    volume: float
+
+
 class AssetFacts:
-    """The extents and the number of triangles of every mesh of a run, and the category of every asset: 50 bytes an asset."""
+    """What follows from every mesh of a run, and the category of every asset: 300 bytes an asset."""
 
     def __init__(self) -> None:
-        self._facts: dict[str, tuple[float, float, float, int]] = {}
+        self._facts: dict[str, MeshFacts] = {}
         self._categories: dict[str, str] = {}
 
     def add(self, asset_id: str, mesh: Mesh) -> None:
         """Adds a mesh."""
         x, y, z = mesh.extents.tolist()
-        self._facts[asset_id] = x, y, z, len(mesh.faces)
+        area, volume = float(double_areas(mesh).sum() / 2), float(signed_volumes(mesh.triangles).sum())
+        self._facts[asset_id] = MeshFacts((x, y, z), len(mesh.vertices), len(mesh.faces), area, volume)
 
     def name(self, asset_id: str, category: str) -> None:
         """Adds the category of an asset."""
@@ -47,12 +69,11 @@ class AssetFacts:
     def extents(self, asset_id: str) -> FloatArray | None:
         """The extents of a mesh, (3,) float64, mesh units; None if it is not known."""
         found = self._facts.get(asset_id)
-        return None if found is None else np.array(found[:3])
+        return None if found is None else np.array(found.extents)
 
-    def num_faces(self, asset_id: str) -> int | None:
-        """The number of triangles of a mesh; None if it is not known."""
-        found = self._facts.get(asset_id)
-        return None if found is None else found[3]
+    def mesh(self, asset_id: str) -> MeshFacts | None:
+        """What follows from a mesh; None if it is not known."""
+        return self._facts.get(asset_id)
 
 
 class TextureCheck:
@@ -153,12 +174,12 @@ class AssetCheck:
                 self._findings.damage(file.name, f"asset {row['asset_id']}: {what}", number)
 
     def _faults(self, row: Row) -> Iterator[str]:
-        extents, num_faces = self._facts.extents(row["asset_id"]), self._facts.num_faces(row["asset_id"])
+        mesh, extents = self._facts.mesh(row["asset_id"]), self._facts.extents(row["asset_id"])
         stated, report = row["extents"], row["report"]
         if extents is not None and not np.allclose(extents, stated, rtol=0, atol=_ROUNDING * float(extents.max())):
             yield f"extents are {stated}, expected {extents.tolist()} as of its mesh"
-        if num_faces is not None and report is not None and report["num_faces"] != num_faces:
-            yield f"its report says {report['num_faces']} faces, expected {num_faces} as of its mesh"
+        if mesh is not None and report is not None:
+            yield from _report_faults(report, mesh)
         points, normals = (np.asarray(row[name], np.float64) for name in ("points", "normals"))
         if points.size != normals.size or points.size % 3:
             yield f"it has {points.size / 3:g} points and {normals.size / 3:g} normals, expected as many"
@@ -175,6 +196,19 @@ class AssetCheck:
             if not np.isclose(volume, expected, rtol=1e-6, atol=1e-15):
                 yield f"volume is {volume}, expected {expected} by its report and typical_scale"
         yield from _mass_faults(row)
+
+
+def _report_faults(report: Row, mesh: MeshFacts) -> Iterator[str]:
+    """Faults of the report on a mesh, in what needs no library for geometry."""
+    for name in ("num_vertices", "num_faces"):
+        if report[name] != getattr(mesh, name):
+            yield f"its report says {name} {report[name]}, expected {getattr(mesh, name)} as of its mesh"
+    if report["is_solid"] == report["is_sheet"]:
+        yield f"its report says is_solid {report['is_solid']} and is_sheet {report['is_sheet']}, expected one of them"
+    volume = mesh.volume if report["is_solid"] else 0.0
+    for name, expected, unit in (("area", mesh.area, mesh.area), ("volume", volume, max(mesh.extents) * mesh.area)):
+        if abs(report[name] - expected) > _ROUNDING * unit:
+            yield f"its report says {name} {report[name]:.6g}, expected {expected:.6g} as of its mesh"
 
 
 def _mass_faults(row: Row) -> Iterator[str]:
@@ -201,21 +235,42 @@ def _mass_faults(row: Row) -> Iterator[str]:
 
 
 class GridCheck:
-    """Checks rows of ``sdf``."""
+    """Checks rows of ``sdf`` against the meshes of the run.
 
-    def __init__(self, findings: Findings) -> None:
-        self._findings = findings
+    Args:
+        facts: What the meshes are.
+        findings: Where damage is noted.
+    """
+
+    def __init__(self, facts: AssetFacts, findings: Findings) -> None:
+        self._facts, self._findings = facts, findings
 
     def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
         """Checks rows of a file, of which the first has a number."""
         for number, row in enumerate(rows, start):
-            if len(row["values"]) != int(np.prod(np.asarray(row["shape"], np.int64))):
-                what = f"its grid has {len(row['values'])} values, expected as many as its shape {list(row['shape'])} says"
+            for what in self._faults(row):
                 self._findings.damage(file.name, f"asset {row['asset_id']}: {what}", number)
-            elif abs(max(row["aspect"]) - 1.0) > 1e-9:
-                self._findings.damage(
-                    file.name, f"asset {row['asset_id']}: aspect is {row['aspect']}, expected 1 as largest", number
-                )
+
+    def _faults(self, row: Row) -> Iterator[str]:
+        if len(row["values"]) != int(np.prod(np.asarray(row["shape"], np.int64))):
+            yield f"its grid has {len(row['values'])} values, expected as many as its shape {list(row['shape'])} says"
+        elif abs(max(row["aspect"]) - 1.0) > 1e-9:
+            yield f"aspect is {row['aspect']}, expected 1 as largest"
+        elif (extents := self._facts.extents(row["asset_id"])) is not None:
+            yield from _lattice_faults(row, extents * row["aspect"])
+
+
+def _lattice_faults(row: Row, extents: FloatArray) -> Iterator[str]:
+    """Nodes of a grid that do not lie around the box of its mesh, whose extents at the aspect of the grid are given."""
+    unit, spacing, padding = float(extents.max()), row["spacing"], USUAL_LIMITS.padding
+    if abs(row["extent"] - unit) > _ROUNDING * unit:
+        yield f"extent is {row['extent']}, expected {unit}: the largest extent of its mesh at its aspect"
+    spans = np.array(row["shape"]) - 1
+    beyond = spans - 2 * padding - extents / unit / max(spacing, 1e-12)  # nodes that the box does not fill: less than one
+    if (beyond < -_NODE_SLACK).any() or (beyond >= 1 + _NODE_SLACK).any():
+        yield f"spacing is {spacing}, with which its {row['shape']} nodes do not cover its mesh and {padding} nodes around it"
+    elif (np.abs(row["origin"] + spacing * spans / 2) > _NODE_SLACK * spacing).any():
+        yield f"origin is {row['origin']}, expected {(-spacing * spans / 2).tolist()}: its mesh is in the middle of its grid"
 
 
 class FeatureCheck:

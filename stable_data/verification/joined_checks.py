@@ -97,7 +97,7 @@ class JoinedCheck:
     """Checks rows of a table together with the scenes that they name.
 
     Args:
-        table: The table: turns, settled, grasps, samples, corrections or edits.
+        table: The table: settled, grasps, corrections or edits.
         scenes: The scenes.
         key: Column of the id of the scene.
         findings: Where damage is noted.
@@ -191,6 +191,8 @@ class TurnCheck:
         findings: Where damage is noted.
         mates: Set if the scenes must be in the shards of the rows.
     """
+
+    TABLE = "turns"
 
     def __init__(self, scenes: ScenesOfShards, findings: Findings, mates: ShardMates | None = None) -> None:
         self._scenes, self._findings, self._mates = scenes, findings, mates
@@ -337,19 +339,6 @@ def _grasp_faults(row: Row, _: Row, scene: Scene) -> Iterator[str]:
         yield f"instance is {row['instance']}, expected one of its objects"
 
 
-def _sample_faults(row: Row, scene_row: Row, scene: Scene) -> Iterator[str]:
-    there = {o.instance: replace(o, stage=None) for o in scene.objects}
-    for column in ("objects_in", "objects_out"):
-        for each in row[column]:
-            o = object_from_row(each)
-            if there.get(o.instance) != replace(o, stage=None):
-                yield f"{column}: {o.instance} is not as in its scene"
-            if column == "objects_out" and each["stage"] != row["stage"]:
-                yield f"objects_out: {o.instance} is of stage {each['stage']}, expected {row['stage']}"
-    if row.get("split") != scene_row.get("split"):
-        yield f"split is {row.get('split')}, expected {scene_row.get('split')} as of its scene"
-
-
 def _correction_faults(row: Row, scene_row: Row, scene: Scene) -> Iterator[str]:
     if row["status"] == "infeasible":
         yield "status is infeasible, expected no scene"
@@ -399,10 +388,9 @@ _SETTLED_SLACK = 0.01  # millimetres and degrees: an angle near zero follows fro
 _FAULTS = {
     "settled": _settled_faults,
     "grasps": _grasp_faults,
-    "samples": _sample_faults,
     "corrections": _correction_faults,
     "edits": _edit_faults,
 }
 
-JOINED = frozenset({"turns", *_FAULTS})
+JOINED = frozenset({"turns", "samples", *_FAULTS})
 """Tables whose rows are checked together with their scenes."""

@@ -1,7 +1,7 @@
 """Checks rows of ``scenes`` and ``rejected``: names within a scene, and every column that follows from others."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -20,7 +20,7 @@ from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE
 from stable_data.metrics.verdicts import audit_of_row
 from stable_data.position_convention import has_size
 from stable_data.rotations import rotated_extents
-from stable_data.scene import TABLE, UPRIGHT, FloatArray, RelationKind, Scene, SceneObject
+from stable_data.scene import TABLE, UPRIGHT, FloatArray, RelationKind, Scene, SceneObject, TaskInfo
 from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import VARIANT_COLUMNS, scene_from_row
 from stable_data.verification.asset_checks import AssetFacts
@@ -207,27 +207,32 @@ def names_faults(row: Row, scene: Scene) -> Iterator[str]:
     names = {o.instance for o in scene.objects}
     places = names | {TABLE}
 
-    def odd(what: str, found: Iterable[str], known: set[str]) -> Iterator[str]:
-        for name in dict.fromkeys(found):
-            if name not in known:
-                yield f"{what} names {name}, expected one of its objects"
-
-    yield from odd("fixed", scene.fixed, names)
-    yield from odd("support", (o.support for o in scene.objects if o.support is not None), places)
-    yield from odd("pairs", (p[key] for p in row["pairs"] or () for key in ("first", "second")), names)
-    yield from odd("verdicts", (name for v in row["verdicts"] or () for name in v["supports"]), places)
+    yield from _odd("fixed", scene.fixed, names)
+    yield from _odd("support", (o.support for o in scene.objects if o.support is not None), places)
+    yield from _odd("pairs", (p[key] for p in row["pairs"] or () for key in ("first", "second")), names)
+    yield from _odd("verdicts", (name for v in row["verdicts"] or () for name in v["supports"]), places)
     pairs = [frozenset((p["first"], p["second"])) for p in row["pairs"] or ()]
     if len(set(pairs)) < len(pairs) or any(len(pair) == 1 for pair in pairs):
         yield "pairs has a pair twice, or an object with itself"
     for relation in scene.relations:
         ends = set(relation.subject.split(", "))
         ends |= set() if relation.kind in _NO_INSTANCES else set(relation.target.split(", "))
-        yield from odd(f"relation {relation}", ends, places)
-    task = scene.task
-    if task is not None:
-        yield from odd("task_objects", task.task_objects, names)
-        stated = [each.subject for each in task.relations] + [each.subject for each in task.conditions]
-        yield from odd("task", (name for subject in stated for name in subject.split(", ")), places)
+        yield from _odd(f"relation {relation}", ends, places)
+    if scene.task is not None:
+        yield from task_faults(scene.task, names)
+
+
+def task_faults(task: TaskInfo, names: Set[str]) -> Iterator[str]:
+    """Yields names in a task that no object of its scene has, of which the names are given."""
+    yield from _odd("task_objects", task.task_objects, names)
+    stated = [each.subject for each in task.relations] + [each.subject for each in task.conditions]
+    yield from _odd("task", (name for subject in stated for name in subject.split(", ")), names | {TABLE})
+
+
+def _odd(what: str, found: Iterable[str], known: Set[str]) -> Iterator[str]:
+    for name in dict.fromkeys(found):
+        if name not in known:
+            yield f"{what} names {name}, expected one of its objects"
 
 
 def derived_faults(row: Row, scene: Scene, *, may_be_older: bool = False) -> Iterator[str]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
-from stable_data.assets.run_assets import run_annotations, run_store
+from stable_data.assets.run_assets import RowsOfAssets, run_annotations, run_store
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, MeshError, StableDataError
 from stable_data.geometry.shape import Shape
@@ -14,8 +14,9 @@ from stable_data.metrics.related_scene import relate_scene
 from stable_data.metrics.sampled_collision import add_sampled_collisions
 from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene
+from stable_data.scene_graph.staging import stage_scene
 from stable_data.storage.run_folder import RunFolder
-from stable_data.storage.schemas import Row
+from stable_data.storage.schemas import SCHEMAS, Row
 from stable_data.storage.table_rows import scene_from_row
 from stable_data.verification.findings import Findings
 from stable_data.verification.shard_files import ShardFile
@@ -41,6 +42,11 @@ _REST_SLACK = {
 }
 """Column -> by how much two simulations of a stable scene may differ."""
 
+_REPORT = ("is_watertight", "is_solid", "is_sheet", "num_components", "num_boundary_edges", "num_nonmanifold_edges")
+"""Entries of the report on a mesh that follow from the mesh as it is stored; others are of its repair, or are compared for all assets."""
+
+_REPORTED = frozenset({"asset_id", "report"})
+
 _NEAR = 0.3  # share of a limit: verdicts on movements nearer to it may differ from one machine to another
 _LIMITS = {"settle_move_max_mm": 10.0, "settle_turn_max_deg": 5.0, "drift_mm": 50.0}
 _SAME = ("floats", "leaves_table", "enters_restricted_zone", "has_mesh")
@@ -53,15 +59,28 @@ class VerdictCheck:
         folder: The run.
         simulates: Whether stability is simulated.
         is_settled: Whether the job asked MuJoCo about every scene: a scene without verdict is then simulated too.
+        important_threshold: The setting of preprocess with which it set the stages of scenes; None: they are not set again.
         findings: Where damage is noted.
 
     Raises:
         ConfigError: The run has no meshes (``table_missing``), or they cannot be read.
     """
 
-    def __init__(self, folder: RunFolder, findings: Findings, *, simulates: bool, is_settled: bool) -> None:
+    def __init__(
+        self,
+        folder: RunFolder,
+        findings: Findings,
+        *,
+        simulates: bool,
+        is_settled: bool,
+        important_threshold: float | None = None,
+    ) -> None:
         self._findings, self._simulates, self._is_settled = findings, simulates, is_settled
+        self._important_threshold = important_threshold
         self._store, self._containers = _opened(folder)
+        has_reports = bool(folder.files("assets") and folder.files("meshes"))
+        self._reports = RowsOfAssets(folder, "assets", set(SCHEMAS["assets"].names) - _REPORTED) if has_reports else None
+        self._reported = set[str]()
         self.num_audited = self.num_simulated = 0
 
     def check(self, row: Row, number: int, file: ShardFile) -> None:
@@ -81,6 +100,8 @@ class VerdictCheck:
         posed = PosedScene(resolved, shapes)
         audit = audit_posed_scene(posed)
         self.num_audited += 1
+        yield from self._report_faults(scene)
+        yield from self._stage_faults(scene)
         unordered = frozenset(o.instance for o in scene.objects if o.asset_id is not None and self._lost_order(o.asset_id))
         yield from audit_faults(row, audit, unordered)
         yield from sampled_faults(row, posed, audit, unordered)
@@ -93,6 +114,26 @@ class VerdictCheck:
                     yield f"support of {o.instance} is {was.support}, expected {o.support}"
         if self._simulates and (self._is_settled or row.get("stable") is not None):
             yield from self._rest_faults(row, resolved, shapes)
+
+    def _report_faults(self, scene: Scene) -> Iterator[str]:
+        """Yields what the reports on the meshes of a scene say that does not follow from the stored meshes."""
+        for asset_id in sorted({o.asset_id for o in scene.objects if o.asset_id is not None} - self._reported):
+            self._reported.add(asset_id)
+            row = None if self._reports is None or self._store.fault_of(asset_id) is not None else self._reports.row(asset_id)
+            if row is None or row["report"] is None:
+                continue
+            found = self._store.asset(asset_id).report
+            for name in _REPORT:
+                if row["report"][name] != getattr(found, name):
+                    yield f"the report on asset {asset_id} says {name} {row['report'][name]}, expected {getattr(found, name)}"
+
+    def _stage_faults(self, scene: Scene) -> Iterator[str]:
+        """Yields stages that do not follow from the task of a scene and the distances of its objects."""
+        if self._important_threshold is None or scene.task is None:
+            return
+        for o, expected in zip(scene.objects, stage_scene(scene, self._important_threshold).objects, strict=True):
+            if o.stage != expected.stage:
+                yield f"stage of {o.instance} is {o.stage}, expected {expected.stage}"
 
     def _lost_order(self, asset_id: str) -> bool:
         return self._store.fault_of(asset_id) is None and not self._store.asset(asset_id).is_in_order

@@ -42,7 +42,9 @@ from stable_data.verification.manifest_checks import (
     unasked_columns,
 )
 from stable_data.verification.other_files import check_other_files
+from stable_data.verification.preprocessed_checks import PreprocessedCheck
 from stable_data.verification.row_checks import OwnCheck
+from stable_data.verification.sample_checks import SampleCheck
 from stable_data.verification.scene_checks import UNRESOLVED, SceneCheck
 from stable_data.verification.shard_files import (
     ShardFile,
@@ -83,6 +85,9 @@ _IN_ONE_SHARD: Mapping[str, frozenset[str]] = {
     "reach": frozenset({"grasps"}),
 }
 """Job -> tables whose rows it writes to the shards of their scenes."""
+
+_OF_PREPROCESS = ("samples", "sdf", "features")
+"""Tables of what preprocess computes of each scene and each asset."""
 
 _CARRIED = frozenset({"assets", "meshes", "textures", "sdf", "features", "settled"})
 """Tables that correct, edit and reach copy from the run that they read."""
@@ -215,8 +220,14 @@ class _Verifier:
         self._keys = {table: KeyCheck(table, findings) for table in KEYS if not (is_selection and table == "textures")}
         # A run that is not finished may have rows whose scenes, and scenes whose assets, are still to be made.
         self._foreign_keys = _foreign_keys(self._manifest) if self._is_finished else {}
-        self._checks = self._row_checks()
         origin = origin_of(self._manifest)
+        facts = AssetFacts()
+        self._preprocessed: PreprocessedCheck | None = None
+        if self._is_finished and origin.get("job") == "preprocess":
+            # A published run has the tables that its publisher chose.
+            tables = self._known.there if origin is not self._manifest else frozenset(_OF_PREPROCESS)
+            self._preprocessed = PreprocessedCheck(origin, tables, self._known, facts, findings)
+        self._checks = self._row_checks(facts)
         self._generated = GeneratedCheck(origin, self._known, findings) if origin.get("job") == "generate" else None
         self._chosen = _ChosenScenes(options.sample, options.seed)
         self._num_checked = 0
@@ -236,7 +247,7 @@ class _Verifier:
             self._check_file(file, schemas)
             self._progress("files", number + 1, len(files))
         for check in self._checks.values():
-            if isinstance(check, TurnCheck):
+            if isinstance(check, TurnCheck | SampleCheck):
                 self._close(check)
         for keys in self._keys.values():
             keys.close()
@@ -244,6 +255,8 @@ class _Verifier:
             self._check_assets_have_meshes()
             if self._generated is not None:
                 self._generated.close()
+            if self._preprocessed is not None:
+                self._close(self._preprocessed)
         self._counts.close(has_checksums=self._checksums is not None)
         audited, simulated = self._check_verdicts()
         return self._result({table: count for table, count in self._counts.rows.items() if count}, audited, simulated, began)
@@ -264,17 +277,18 @@ class _Verifier:
             perf_counter() - began,
         )
 
-    def _row_checks(self) -> dict[str, RowCheck]:
-        known, findings, facts = self._known, self._findings, AssetFacts()
+    def _row_checks(self, facts: AssetFacts) -> dict[str, RowCheck]:
+        known, findings = self._known, self._findings
         scenes = ScenesOfShards(self._folder, self._files)
         job = self._manifest.get("job")
+        may_be_older = "upgraded_to" in self._manifest or job in _OF_OTHER_RUNS
         of_scene = SceneCheck(
             known,
             facts,
             split_rule(self._manifest),
             findings,
             needs_assets=self._is_finished and job not in _WITHOUT_ASSETS,
-            may_be_older="upgraded_to" in self._manifest or job in _OF_OTHER_RUNS,
+            may_be_older=may_be_older,
             is_finished=self._is_finished,
             unasked=unasked_columns(origin_of(self._manifest)),
         )
@@ -286,14 +300,15 @@ class _Verifier:
             "textures": TextureCheck(findings),
             "meshes": MeshCheck(known, facts, findings),
             "assets": AssetCheck(facts, findings),
-            "sdf": GridCheck(findings),
+            "sdf": GridCheck(facts, findings),
             "features": FeatureCheck(encoder if isinstance(encoder, str) else None, findings),
             **dict.fromkeys(_SCENES, of_scene),
             "turns": TurnCheck(scenes, findings, mates.get("turns")),
             **{
                 table: JoinedCheck(table, scenes, "scene_id", findings, mates.get(table))
-                for table in ("settled", "grasps", "samples", "corrections")
+                for table in ("settled", "grasps", "corrections")
             },
+            "samples": SampleCheck(scenes, findings, mates.get("samples"), may_be_older=may_be_older),
             **({"edits": JoinedCheck("edits", scenes, "edit_id", findings, mates.get("edits"))} if is_edit else {}),
             **{table: OwnCheck(table, findings) for table in ("episodes", "ratings", "views")},
         }
@@ -320,7 +335,10 @@ class _Verifier:
         except Exception as error:  # noqa: BLE001 - a value that no check expects is damage, and ends no verification
             self._findings.damage(file.name, _unchecked(error), start)
         if file.table in self._checks:
-            self._check_slices(self._checks[file.table], rows, start, file)
+            checks = [self._checks[file.table]]
+            if self._preprocessed is not None and file.table in PreprocessedCheck.TABLES:
+                checks.append(self._preprocessed)
+            self._check_slices(checks, rows, start, file)
 
     def _note_rows(self, rows: pa.Table, start: int, file: ShardFile) -> None:
         """Counts rows, notes their ids, and looks up what they refer to."""
@@ -339,19 +357,21 @@ class _Verifier:
         if table in _SCENES:
             self._chosen.note(rows, start, file)
 
-    def _check_slices(self, check: RowCheck, rows: pa.Table, start: int, file: ShardFile) -> None:
+    def _check_slices(self, checks: Sequence[RowCheck], rows: pa.Table, start: int, file: ShardFile) -> None:
         for part in row_slices(rows):
-            try:
-                check.check(rows_from_table(part), start, file)
-            except Exception as error:  # noqa: BLE001 - as above
-                self._findings.damage(file.name, _unchecked(error), start)
+            found = rows_from_table(part)
+            for check in checks:
+                try:
+                    check.check(found, start, file)
+                except Exception as error:  # noqa: BLE001 - as above
+                    self._findings.damage(file.name, _unchecked(error), start)
             start += part.num_rows
 
-    def _close(self, check: TurnCheck) -> None:
+    def _close(self, check: TurnCheck | SampleCheck | PreprocessedCheck) -> None:
         try:
             check.close()
         except Exception as error:  # noqa: BLE001 - as above
-            self._findings.damage("turns", _unchecked(error))
+            self._findings.damage(check.TABLE, _unchecked(error))
 
     def _read_source(self, source: RunFolder) -> None:
         """Reads the ids of the scenes of the source."""
@@ -388,7 +408,14 @@ class _Verifier:
             findings.cannot_know(f"whether scenes are stable: MuJoCo {hint}; or leave it out with --verdicts audit")
             simulates = False
         try:
-            check: VerdictCheck = checks.VerdictCheck(self._folder, findings, simulates=simulates, is_settled=is_settled)
+            threshold = settings_of(origin).get("important_threshold") if origin.get("job") == "preprocess" else None
+            check: VerdictCheck = checks.VerdictCheck(
+                self._folder,
+                findings,
+                simulates=simulates,
+                is_settled=is_settled,
+                important_threshold=threshold if isinstance(threshold, float) else None,
+            )
         except ConfigError as error:
             findings.cannot_know(f"verdicts: {error}")
             return 0, 0

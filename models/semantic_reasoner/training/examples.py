@@ -18,7 +18,7 @@ from models.semantic_reasoner.text.reply_json import LayoutObject, layout_names,
 from stable_data.metrics.alignment import members
 from stable_data.scene import RelationKind, Scene, Stage, Tabletop, TaskInfo
 from stable_data.scene_graph.relations import CELLS, relations_of, scene_graph
-from stable_data.scene_graph.staging import generation_order
+from stable_data.scene_graph.stage_samples import generation_order
 from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import object_from_row, task_from_row
 

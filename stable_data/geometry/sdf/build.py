@@ -4,7 +4,7 @@ Nodes farther than half a spacing from the surface form connected regions that n
 sign of a whole region. docs/signed_distance.md compares this with an evaluation of every node.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
@@ -12,7 +12,7 @@ from scipy import ndimage
 from stable_data.errors import MeshError
 from stable_data.geometry.mesh import Mesh, unit_normals
 from stable_data.geometry.sdf.exact import BoolArray, SignedDistance
-from stable_data.geometry.sdf.grid import SdfGrid, sample_grid
+from stable_data.geometry.sdf.grid import USUAL_LIMITS, GridLimits, SdfGrid, sample_grid
 from stable_data.geometry.sdf.narrow_band import GridNodes, NarrowBand, unsigned_distances
 from stable_data.scene import FloatArray, IntArray, Vec3
 
@@ -23,23 +23,6 @@ _VOTE_STRIDE = 8
 _WALK_DISTANCES = (1.0, 1.7)  # spacings from the surface at which a node with a known sign is looked for
 _NUM_NEAR, _NUM_FAR = 512, 256
 _GOLDEN = 0.6180339887498949
-
-
-@dataclass(frozen=True, slots=True)
-class GridLimits:
-    """Limits on the resolution of a grid.
-
-    Attributes:
-        min_nodes: Nodes of the coarsest grid, whatever the wall thickness.
-        max_nodes: Nodes of the finest grid, however thin the wall.
-        nodes_per_wall: Wanted wall thickness in spacings, if ``max_nodes`` permits it.
-        padding: Nodes around the mesh's box on each side.
-    """
-
-    min_nodes: int = 56**3
-    max_nodes: int = 96**3
-    nodes_per_wall: float = 3.0
-    padding: int = 2
 
 
 def unit_mesh(mesh: Mesh, aspect: Vec3 = (1.0, 1.0, 1.0)) -> tuple[Mesh, float]:
@@ -78,7 +61,7 @@ def build_grid(
     aspect: Vec3 = (1.0, 1.0, 1.0),
     is_sheet: bool = False,
     shell_thickness: float = 0.0,
-    limits: GridLimits = GridLimits(),
+    limits: GridLimits = USUAL_LIMITS,
 ) -> SdfGrid:
     """Builds the grid of a mesh at an aspect.
 

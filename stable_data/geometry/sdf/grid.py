@@ -54,6 +54,27 @@ class SdfGrid:
     sign_error: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class GridLimits:
+    """Limits on the resolution of a grid.
+
+    Attributes:
+        min_nodes: Nodes of the coarsest grid, whatever the wall thickness.
+        max_nodes: Nodes of the finest grid, however thin the wall.
+        nodes_per_wall: Wanted wall thickness in spacings, if ``max_nodes`` permits it.
+        padding: Nodes around the mesh's box on each side.
+    """
+
+    min_nodes: int = 56**3
+    max_nodes: int = 96**3
+    nodes_per_wall: float = 3.0
+    padding: int = 2
+
+
+USUAL_LIMITS = GridLimits()
+"""The limits of the grids of a run."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GridAtlas:
     """G grids in one flat buffer, so that points of different grids are sampled together.

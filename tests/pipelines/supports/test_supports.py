@@ -51,7 +51,8 @@ from stable_data.geometry.surface_sampling import sample_surface
 from stable_data.metrics.audit import audit_scene
 from stable_data.rotations import rotate_xy
 from stable_data.scene import Scene, SceneObject, Stage, Tabletop
-from stable_data.scene_graph.staging import samples_of, stage_scene
+from stable_data.scene_graph.stage_samples import samples_of
+from stable_data.scene_graph.staging import stage_scene
 from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.run_reader import SceneSelection
 from stable_data.simulation.settling import settle

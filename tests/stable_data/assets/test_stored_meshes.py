@@ -73,6 +73,15 @@ def test_the_order_of_the_faces_of_an_older_run_is_unknown(tmp_path: Path) -> No
         assert np.array_equal(found.mesh.faces, mesh.faces if keeps_order else np.roll(mesh.faces, -9, axis=0))
 
 
+def test_faces_that_are_already_in_order_are_known_to_be(tmp_path: Path) -> None:
+    shape = ball(0.1)
+    mesh = Mesh(shape.vertices.astype(np.float32), shape.faces)
+    paint = (("#112233", np.arange(9)), ("#445566", np.arange(9, len(mesh.faces))))
+    found = stored(tmp_path, [file_columns("ball", mesh, paint)]).asset("ball")
+    assert found.is_in_order
+    assert np.array_equal(found.mesh.faces, mesh.faces)
+
+
 def test_a_mesh_from_elsewhere_is_still_checked(tmp_path: Path) -> None:
     shape = box(0.1, 0.2, 0.3)
     beside, _ = load_stored_mesh(write_glb(Mesh(shape.vertices + 1.0, shape.faces)), "beside")

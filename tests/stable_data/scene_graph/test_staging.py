@@ -14,7 +14,8 @@ from stable_data.instructions.deriving import derive_task, task_rng
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.scene import TABLE, Scene, SceneObject, Stage, Tabletop, TaskInfo, Vec3
 from stable_data.scene_graph.relations import scene_graph, supports
-from stable_data.scene_graph.staging import box_distance, samples_of, stage_scene
+from stable_data.scene_graph.stage_samples import samples_of
+from stable_data.scene_graph.staging import box_distance, stage_scene
 
 TABLETOP = Tabletop("office_table", (1.2, 0.6))
 

@@ -203,6 +203,50 @@ def shorter(column: str) -> Callable[[Row], None]:
     return lambda row: row.update({column: row[column][:-1]})
 
 
+def everywhere(table: str, change: Change) -> Damage:
+    """Changes the rows of every file of a table, and makes the counts fit."""
+
+    def damage(run: Path) -> None:
+        for number in reversed(range(len(files_of(run, table)))):
+            rows(table, change, number=number, recounts=True)(run)
+
+    return damage
+
+
+def each(change: Callable[[Row], None]) -> Change:
+    """Changes every row."""
+
+    def of_all(found: list[Row]) -> None:
+        for row in found:
+            change(row)
+
+    return of_all
+
+
+def larger_report(name: str) -> Change:
+    """A larger entry of the report on the first asset."""
+    return lambda found: found[0]["report"].update({name: 2 * found[0]["report"][name] + 1})
+
+
+def restaged(run: Path) -> None:
+    """Makes every object of the last stage of a scene one of the second, in the scene and in its samples."""
+    name = RunFolder(str(run)).read_file("scenes", str(files_of(run, "scenes")[0])).to_pylist()[0]["scene_id"]
+
+    def in_scene(row: Row) -> None:
+        if row["scene_id"] == name:
+            for o in row["objects"]:
+                o["stage"] = "important" if o["stage"] == "secondary" else o["stage"]
+
+    rows("scenes", each(in_scene))(run)
+
+
+def rescaled(found: list[Row]) -> None:
+    """Another usual scale of an asset, with the columns that follow from it."""
+    row = next(r for r in found if r["typical_scale"])
+    row["typical_scale"] = [2 * scale for scale in row["typical_scale"]]
+    row["volume"] *= 8
+
+
 def remove(name: str) -> Damage:
     return lambda run: (run / name).unlink()
 
@@ -590,6 +634,50 @@ OF_TEXTURES: Damages = {
     "an asset removed": (rows("assets", without_first, recounts=True), "assets", "expected the 12 that were planned"),
 }
 
+RELATION_OF_NOTHING = {"subject": "ghost_9", "kind": "on", "target": "table"}
+
+OF_FEATURES: Damages = {
+    "a feature gone": (rows("features", without_first, recounts=True), "features", "no feature of the aspect"),
+    "a feature of another aspect": (
+        rows("features", lambda found: found[0].update(aspect=[1.0, 1.0, 0.2])),
+        "features",
+        "no scene uses it",
+    ),
+    "a feature of another size": (
+        rows("features", lambda found: found[0].update(log_extents=[0.0, 0.0, 0.0])),
+        "features",
+        "log_extents at the aspect",
+    ),
+    "the samples of a further task cut": (
+        rows("samples", lambda found: found[:-1], recounts=True),
+        "samples/",
+        "are of the stages task, important, expected",
+    ),
+    "a further task of a ghost": (
+        rows("samples", lambda found: found[-1]["task"]["task_objects"].append("ghost_9")),
+        "samples/",
+        "task_objects names ghost_9",
+    ),
+    "a stage of a further task exchanged": (
+        rows("samples", lambda found: found[-1]["objects_out"].clear()),
+        "samples/",
+        "lack or add",
+    ),
+}
+
+OF_STAGES: Damages = {
+    "an object in another stage": (
+        restaged,
+        "scenes/",
+        "stage of",
+    ),
+    "a report of an open mesh": (
+        rows("assets", each(lambda row: row["report"].update(num_boundary_edges=7))),
+        "scenes/",
+        "says num_boundary_edges 7",
+    ),
+}
+
 OF_SAMPLES: Damages = {
     "a sample edited": (
         rows("samples", lambda found: next(r for r in found if r["objects_out"])["objects_out"][0].update(yaw=0.123)),
@@ -621,6 +709,91 @@ OF_SAMPLES: Damages = {
     ),
     "a verdict although nobody simulates": (setting(stable=True, settle_move_max_mm=0.0), "scenes/", "mujoco was not asked"),
     "groups of near-duplicates edited": (rows("scenes", regrouped), "scenes/", "duplicate_group is"),
+    "no samples": (everywhere("samples", lambda _: []), "samples", "scenes have no sample"),
+    "the samples of a shard gone": (rows("samples", lambda _: [], recounts=True), "samples", "scenes have no sample"),
+    "a sample gone": (
+        rows("samples", without_first, recounts=True),
+        "samples/",
+        "are of the stages important, secondary, expected",
+    ),
+    "a sample doubled": (rows("samples", lambda found: [found[0], *found], recounts=True), "samples/", "samples of a task"),
+    "a sample that adds nothing": (
+        rows("samples", lambda found: next(r for r in found if r["objects_out"]).update(objects_out=[])),
+        "samples/",
+        "lack or add",
+    ),
+    "a sample that is given nothing": (
+        rows("samples", lambda found: next(r for r in found if r["objects_in"]).update(objects_in=[])),
+        "samples/",
+        "objects_in is [], expected",
+    ),
+    "objects of a sample in another order": (
+        rows("samples", lambda found: next(r for r in found if len(r["objects_in"]) > 1)["objects_in"].reverse()),
+        "samples/",
+        "in this order",
+    ),
+    "a sample on another table": (
+        rows("samples", lambda found: found[0].update(table_size=[9.0, 9.0])),
+        "samples/",
+        "table_size is [9.0, 9.0], expected",
+    ),
+    "another instruction": (
+        rows("samples", each(lambda row: row["task"].update(task="Juggle."))),
+        "samples/",
+        "no samples of its own task",
+    ),
+    "another goal of the same instruction": (
+        rows("samples", lambda found: found[0]["task"].update(goal=["nothing"])),
+        "samples/",
+        "task.goal is not as in its scene",
+    ),
+    "a task object that is not there": (
+        rows("samples", lambda found: found[0]["task"]["task_objects"].append("ghost_9")),
+        "samples/",
+        "task_objects names ghost_9",
+    ),
+    "a relation of what is not there": (
+        rows("samples", lambda found: found[0]["task"]["relations"].append(RELATION_OF_NOTHING)),
+        "samples/",
+        "task names ghost_9",
+    ),
+    "no grids": (everywhere("sdf", lambda _: []), "sdf", "no grid of the aspect"),
+    "a grid gone": (rows("sdf", without_first, recounts=True), "sdf", "no grid of the aspect"),
+    "a grid beside its mesh": (
+        rows("sdf", lambda found: found[0].update(origin=[0.0, 0.0, 0.0])),
+        "sdf/",
+        "its mesh is in the middle",
+    ),
+    "a grid with other spacings": (
+        rows("sdf", lambda found: found[0].update(spacing=2 * found[0]["spacing"])),
+        "sdf/",
+        "spacing is",
+    ),
+    "a grid of another unit": (rows("sdf", lambda found: found[0].update(extent=7.0)), "sdf/", "extent is 7.0"),
+    **{
+        f"a report of another {name}": (
+            rows("assets", larger_report(name)),
+            "assets/",
+            f"its report says {name}",
+        )
+        for name in ("num_vertices", "area", "volume")
+    },
+    "a report of both kinds": (
+        rows("assets", lambda found: found[0]["report"].update(is_sheet=True, is_solid=True)),
+        "assets/",
+        "expected one of them",
+    ),
+    "tilts counted otherwise": (
+        rows("assets", lambda found: next(r for r in found if r["resting_tilts"])["resting_tilts"][0].update(count=99)),
+        "assets/",
+        "resting_tilts counts",
+    ),
+    "another usual scale": (
+        rows("assets", rescaled),
+        "assets/",
+        "the median of its scales",
+    ),
+    "scenes of another dataset": (setting(source="elsewhere"), "scenes/", "source is 'elsewhere'"),
 }
 
 OF_CORRECTIONS: Damages = {

@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import sys
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -36,7 +37,9 @@ from tests.stable_data.verification.damages import (
     BY_CONTENT,
     BY_VERDICT,
     OF_CORRECTIONS,
+    OF_FEATURES,
     OF_SAMPLES,
+    OF_STAGES,
     OF_TEXTURES,
     OLDER_RUNS,
 )
@@ -88,6 +91,29 @@ def test_damaged_samples_and_grids_are_found(name: str, clean_run: Path, tmp_pat
 
 
 @pytest.fixture(scope="module")
+def encoded(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of preprocess with features, and with two tasks of each scene."""
+    from pipelines.execution.ray_executor import WorkerPool
+    from pipelines.preprocess.job import preprocess
+    from tests.pipelines.runs import SMALL
+
+    out = tmp_path_factory.mktemp("encoded") / "run"
+    preprocess(str(dataset), str(out), replace(SMALL, features="auto", tasks_per_scene=2), WorkerPool())
+    return out
+
+
+@pytest.mark.parametrize("name", OF_FEATURES)
+def test_damaged_features_and_further_tasks_are_found(name: str, encoded: Path, tmp_path: Path) -> None:
+    assert verified(encoded)[0].is_whole
+    check(encoded, tmp_path, *OF_FEATURES[name])
+
+
+@pytest.mark.parametrize("name", OF_STAGES)
+def test_stages_and_reports_are_computed_again(name: str, clean_run: Path, tmp_path: Path) -> None:
+    check(clean_run, tmp_path, *OF_STAGES[name], verdicts="audit")
+
+
+@pytest.fixture(scope="module")
 def corrected(generated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of correct over ``generated``."""
     from pipelines.correct.job import correct
@@ -126,7 +152,7 @@ def test_a_whole_run_is_whole(generated: Path, imported: Path, clean_run: Path) 
 
 
 def test_there_are_many_ways_to_damage_a_run() -> None:
-    assert sum(map(len, (BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_TEXTURES, OF_SAMPLES, OF_CORRECTIONS))) >= 100
+    assert sum(map(len, (BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_TEXTURES, OF_SAMPLES, OF_STAGES, OF_CORRECTIONS))) >= 125
 
 
 # --- what is unknown ----------------------------------------------------------------------------------------------------------
@@ -147,7 +173,7 @@ def test_an_older_run_is_not_known_to_be_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize("version", ["run_v1", "run_v2"])
 def test_an_upgraded_run_is_whole(version: str, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(OLDER_RUNS.parent / version, tmp_path / "run"))
-    RunFolder(str(copy)).write_shard("sdf", "0" * 16, [])  # the stored runs lack their grids
+    RunFolder(str(copy)).write_shard("sdf", "0" * 16, [])
     result, found = verified(copy)
     assert (result.is_whole, found) == (False, [])  # it is older, and not damaged
     assert str(result).count("run stable-data upgrade RUN") == 1
@@ -157,7 +183,8 @@ def test_an_upgraded_run_is_whole(version: str, tmp_path: Path) -> None:
     manifest["counts"]["sdf"] = 0
     write_manifest(RunFolder(str(copy)), manifest)
     result, found = verified(copy, verdicts="audit")
-    assert (result.is_whole, found, result.num_audited) == (True, [], 2), str(result)
+    assert all("no grid of the aspect" in each.what for each in found)  # the stored runs lack their grids
+    assert (list(result.num_damaged), result.unknown, result.num_audited) == (["sdf"], (), 2), str(result)
 
 
 def test_a_scene_whose_last_stage_was_left_out_was_corrected_again(generated: Path, tmp_path: Path) -> None:

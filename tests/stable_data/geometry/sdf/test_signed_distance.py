@@ -12,9 +12,9 @@ from stable_data.errors import MeshError
 from stable_data.geometry.gltf_reader import load_glb
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.mesh_repair import repair_mesh
-from stable_data.geometry.sdf.build import GridLimits, build_grid, probe_points, unit_mesh, wall_thickness
+from stable_data.geometry.sdf.build import build_grid, probe_points, unit_mesh, wall_thickness
 from stable_data.geometry.sdf.exact import SignedDistance
-from stable_data.geometry.sdf.grid import GridAtlas, SdfGrid, sample_grid
+from stable_data.geometry.sdf.grid import GridAtlas, GridLimits, SdfGrid, sample_grid
 from stable_data.geometry.sdf.narrow_band import distance_to_faces
 from stable_data.scene import FloatArray
 
