@@ -1,6 +1,5 @@
 """What of a run's manifest is compared when the run resumes, and what of the run is checked when it ends."""
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any
 
@@ -115,10 +114,10 @@ def count_items(folder: RunFolder, table: str, column: str, planned: Iterable[st
     Raises:
         ConfigError: An item is not exactly one row of its table or one failure.
     """
-    usable = Counter(folder.table(table, [column])[column].to_pylist())
+    usable = folder.count_values(table, column)
     # Only failures of the same shards: items of other tables may fail under the same ids.
     shard_ids = folder.shard_ids(table) | ({OF_DATASET} if with_lost else set())
-    failed = Counter(folder.table("failures", ["id"], shard_ids=shard_ids)["id"].to_pylist())
+    failed = folder.count_values("failures", "id", shard_ids)
     wanted = set(planned)
     odd = sorted({i for i in wanted if usable[i] + failed[i] != 1} | (usable.keys() - wanted))
     if odd:
@@ -132,14 +131,13 @@ def count_items(folder: RunFolder, table: str, column: str, planned: Iterable[st
 
 def count_rows(folder: RunFolder, names: Iterable[str]) -> dict[str, Any]:
     """The number of rows by table, of warnings by code, and of failures by code and step."""
-    failures = folder.table("failures", ["code", "step"])
     return {
         **{table: folder.num_rows(table) for table in names},
-        "warnings_by_code": _counted(folder.table("warnings", ["code"])["code"]),
-        "failures_by_code": _counted(failures["code"]),
-        "failures_by_step": _counted(failures["step"]),
+        "warnings_by_code": _counted(folder, "warnings", "code"),
+        "failures_by_code": _counted(folder, "failures", "code"),
+        "failures_by_step": _counted(folder, "failures", "step"),
     }
 
 
-def _counted(column: Any) -> dict[str, int]:
-    return dict(sorted(Counter(column.to_pylist()).items()))
+def _counted(folder: RunFolder, table: str, column: str) -> dict[str, int]:
+    return dict(sorted(folder.count_values(table, column).items()))

@@ -29,7 +29,7 @@ class IdSet:
 
     def add(self, names: pa.Array | pa.ChunkedArray) -> None:
         """Adds ids."""
-        self._parts.append(id_hashes(names))
+        self._parts.append(id_hashes(names.unique()))  # a small file may hold one id very many times
 
     @property
     def hashes(self) -> Hashes:

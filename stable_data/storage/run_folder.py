@@ -14,6 +14,7 @@ import fcntl
 import hashlib
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -367,9 +368,13 @@ class RunFolder:
         return ds.dataset(files, format="parquet", filesystem=self.filesystem, schema=SCHEMAS[table])
 
     def batches(
-        self, table: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+        self,
+        table: str,
+        columns: Sequence[str] | None = None,
+        where: pc.Expression | None = None,
+        shard_ids: Set[str] | None = None,
     ) -> Iterator[pa.RecordBatch]:
-        """Yields the batches of a table, or of some of its columns and rows; see :meth:`dataset`.
+        """Yields the batches of a table, or of some of its columns, rows and shards; see :meth:`dataset`.
 
         Files of a local run are read one at a time, since most callers need less than a read-ahead would load. Files of an
         object store are read several at a time, since each one has a latency.
@@ -381,7 +386,7 @@ class RunFolder:
         at_once = 1 if self.is_local else _AHEAD
         ahead = {"batch_readahead": 1, "fragment_readahead": at_once, "cache_metadata": False}
         with ThreadPoolExecutor(_AHEAD) as pool:
-            for part in self._parts(table):
+            for part in self._parts(table, self._files_of(table, shard_ids)):
                 with self._naming_what_is_broken(part):
                     if all(pool.map(is_small, part.get_fragments())):
                         yield from map(checked, part.to_batches(wanted, filter=where, **ahead))
@@ -403,7 +408,7 @@ class RunFolder:
         See :meth:`dataset`. A file that needs too much memory is refused (``shard_too_big``); see :class:`stable_data.limits.TableLimits`.
         """
         wanted = columns if columns is None or isinstance(columns, Mapping) else list(columns)
-        files = [path for path in self.dataset(table).files if shard_ids is None or _shard_of(path) in shard_ids]
+        files = self._files_of(table, shard_ids)
         if not files:
             return _chosen(SCHEMAS[table].empty_table(), wanted, where)
         rows = list[pa.Table]()
@@ -479,6 +484,18 @@ class RunFolder:
         fragment = fragment if where is None else fragment.subset(where, schema=SCHEMAS[table])
         with open_parquet(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
             yield file, [group.id for group in fragment.row_groups]
+
+    def count_values(self, table: str, column: str, shard_ids: Set[str] | None = None) -> Counter[Any]:
+        """Counts the values of a column of a table of the run, or of some of its shards; see :meth:`batches`."""
+        found = Counter[Any]()
+        for batch in self.batches(table, [column], shard_ids=shard_ids):
+            for entry in pc.value_counts(batch[column]).to_pylist():
+                found[entry["values"]] += entry["counts"]
+        return found
+
+    def _files_of(self, table: str, shard_ids: Set[str] | None) -> list[str]:
+        """The files of a table, or of some of its shards."""
+        return [path for path in self.dataset(table).files if shard_ids is None or _shard_of(path) in shard_ids]
 
     def _parts(self, table: str, files: Sequence[str] | None = None) -> Iterator[ds.Dataset]:
         """Yields a table of the run, or some of its files, as datasets of a few files.

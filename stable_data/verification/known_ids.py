@@ -71,35 +71,42 @@ class KeyCheck:
 
     def __init__(self, table: str, findings: Findings) -> None:
         self._table, self._findings = table, findings
-        self._parts, self._files = list[Hashes](), list[tuple[ShardFile, int, int]]()
+        self._parts, self._places = list[Hashes](), list[tuple[ShardFile, Sequence[int] | IntArray]]()
 
     def note(self, rows: pa.Table, start: int, file: ShardFile) -> None:
         """Notes the keys of some rows of a file, whose first row has a number in the file."""
-        self._parts.append(id_hashes(key_texts(rows, KEYS[self._table])))
-        self._files.append((file, start, rows.num_rows))
+        keys = key_texts(rows, KEYS[self._table])
+        numbers: Sequence[int] | IntArray = range(start, start + rows.num_rows)
+        if len(unique := keys.unique()) < len(keys):  # what a small file may hold very many times is kept once
+            firsts = pc.index_in(unique, keys).to_numpy()
+            for number in np.setdiff1d(np.arange(len(keys)), firsts).tolist():
+                self._damage(file, start + number)
+            keys, numbers = unique, start + firsts.astype(np.int64)
+        self._parts.append(id_hashes(keys))
+        self._places.append((file, numbers))
 
     def close(self) -> None:
         """Reports each row whose key an earlier row has."""
         if not self._parts:
             return
         hashes = np.concatenate(self._parts)
-        scope = np.concatenate([np.full(count, number) for number, (_, _, count) in enumerate(self._files)])
+        lengths = [len(numbers) for _, numbers in self._places]
+        scope = np.repeat(np.arange(len(lengths)), lengths)
         if self._table in _OF_A_SHARD:
-            numbers = {name: k for k, name in enumerate(dict.fromkeys(file.shard_id for file, _, _ in self._files))}
+            shards = {name: k for k, name in enumerate(dict.fromkeys(file.shard_id for file, _ in self._places))}
             hashes = hashes.copy()
-            hashes[:, 1] ^= np.array([numbers[self._files[k][0].shard_id] for k in scope], np.uint64)
+            hashes[:, 1] ^= np.array([shards[self._places[k][0].shard_id] for k in scope], np.uint64)
         order = np.lexsort((np.arange(len(hashes)), hashes[:, 1], hashes[:, 0]))
         is_again = np.zeros(len(hashes), bool)
         is_again[order[1:]] = (hashes[order[1:]] == hashes[order[:-1]]).all(axis=1)
-        starts = np.cumsum([0, *(count for _, _, count in self._files)])
+        starts = np.cumsum([0, *lengths])
         for place in np.nonzero(is_again)[0].tolist():
-            file, start, _ = self._files[int(scope[place])]
-            columns = ", ".join(KEYS[self._table])
-            self._findings.damage(
-                file.name,
-                f"an earlier row has the same {columns}, expected each once",
-                start + place - int(starts[scope[place]]),
-            )
+            file, numbers = self._places[int(scope[place])]
+            self._damage(file, int(numbers[place - int(starts[scope[place]])]))
+
+    def _damage(self, file: ShardFile, number: int) -> None:
+        columns = ", ".join(KEYS[self._table])
+        self._findings.damage(file.name, f"an earlier row has the same {columns}, expected each once", number)
 
 
 def key_texts(rows: pa.Table, columns: Sequence[str]) -> pa.Array:

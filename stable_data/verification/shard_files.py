@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
 from stable_data.storage.checksums import CHECKSUMS, checksum_of, is_shard_file
-from stable_data.storage.parquet_files import open_parquet, read_row_groups
+from stable_data.storage.parquet_files import bounded_batches, open_parquet
 from stable_data.storage.run_folder import PART, RunFolder
 from stable_data.verification.findings import Findings
 
@@ -110,17 +110,25 @@ def open_file(folder: RunFolder, file: ShardFile, checksum: str | None, findings
 
 
 def row_groups(opened: pq.ParquetFile, file: ShardFile, findings: Findings) -> Iterator[tuple[int, pa.Table]]:
-    """Yields the row groups of a file, each with the number of its first row; damage, and the end, at one that cannot be read."""
+    """Yields the rows of a file, a row group or a part of one at a time, each with the number of its first row.
+
+    At a row group that cannot be read there is damage, and the end. A small file may hold very many rows, so that they are never in memory
+    together.
+    """
     start = 0
     for group in range(opened.num_row_groups):
-        try:
-            rows = read_row_groups(opened, file.name, [group])
-            rows.validate(full=True)
-        except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
-            findings.damage(file.name, f"row group {group} of {opened.num_row_groups} cannot be read ({_line(error)})", start)
-            return
-        yield start, rows
-        start += rows.num_rows
+        batches = bounded_batches(opened, file.name, [group])
+        while True:
+            try:
+                batch = next(batches, None)
+            except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
+                what = f"row group {group} of {opened.num_row_groups} cannot be read ({_line(error)})"
+                findings.damage(file.name, what, start)
+                return
+            if batch is None:
+                break
+            yield start, pa.Table.from_batches([batch])
+            start += batch.num_rows
     if start != opened.metadata.num_rows:
         findings.damage(file.name, f"has {start} rows, expected {opened.metadata.num_rows} as its footer says")
 

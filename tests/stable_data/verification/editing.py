@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -126,3 +127,15 @@ def small_run(folder: Path) -> Path:
             found.write_file(table, Path(path).name, found.read_file(table, path))
     manifest(lambda document: document.update(upgraded_to=TABLE_VERSION))(run)
     return run
+
+
+def write_equal_rows(run: Path, table: str, number: int) -> None:
+    """Replaces the first file of a table by very many rows of empty texts, in a few kilobytes; the checksums fit."""
+    path = files_of(run, table, with_rows=False)[0]
+    schema = pq.read_schema(path)
+    empty = pa.DictionaryArray.from_arrays(pa.array(np.zeros(number, np.int32)), pa.array([""]))
+    rows_of_table = pa.table(dict.fromkeys(schema.names, empty))
+    with pq.ParquetWriter(path, rows_of_table.schema, store_schema=False) as writer:
+        writer.add_key_value_metadata({key.decode(): value.decode() for key, value in schema.metadata.items()})
+        writer.write_table(rows_of_table, row_group_size=number)
+    hide(run)

@@ -43,7 +43,7 @@ from tests.stable_data.verification.damages import (
     OF_TEXTURES,
     OLDER_RUNS,
 )
-from tests.stable_data.verification.editing import Damage, files_of, hide, manifest, rows, small_run
+from tests.stable_data.verification.editing import Damage, files_of, hide, manifest, rows, small_run, write_equal_rows
 
 
 def verified(
@@ -149,6 +149,22 @@ def test_a_whole_run_is_whole(generated: Path, imported: Path, clean_run: Path) 
         assert (result.is_whole, found) == (True, []), (str(result), list(map(str, found)))
         assert result.num_checked == result.num_files > 0
     assert (result.num_scenes, result.num_audited, result.num_simulated) == (4, 4, 0)  # preprocess does not simulate
+
+
+def test_very_many_rows_of_a_small_file_take_little_memory(tmp_path: Path) -> None:
+    run, many = small_run(tmp_path), 4_000_000
+    write_equal_rows(run, "failures", many)
+    assert sum(path.stat().st_size for path in files_of(run, "failures")) < 100_000
+    was, pool = pa.default_memory_pool(), pa.proxy_memory_pool(pa.default_memory_pool())
+    pa.set_memory_pool(pool)
+    try:
+        result, found = verified(run)
+        counts = RunFolder(str(run)).count_values("failures", "code")
+    finally:
+        pa.set_memory_pool(was)
+    assert (result.rows["failures"], counts) == (many, {"": many})
+    assert any("by the rows" in each.what for each in found)
+    assert (pool.max_memory() or 0) < 16 * 2**20
 
 
 def test_there_are_many_ways_to_damage_a_run() -> None:
