@@ -18,10 +18,12 @@ _CLUSTERS = (1024, 768, 512, 384, 256, 192, 128, 64)  # cells along the largest 
 _SMALLEST = 1e-30  # squares and cubes of smaller extents, or of extents above its inverse, leave the range of a double
 _FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
 _NUM_PROBES = 8192
+_LEAST_PROBES = 64
+_MOST_COMPARED = 3_000_000  # triangles that are compared with points, about a second
 
 
 def join_triangles(soups: Sequence[FloatArray], asset_id: str) -> tuple[Mesh, float]:
-    """Welds triangles to one mesh; more than two million are clustered first.
+    """Welds triangles to one mesh, in which each is once; more than two million are clustered first.
 
     Args:
         soups: Triangles of several surfaces, (F, 3, 3) each, any unit.
@@ -50,6 +52,7 @@ def join_triangles(soups: Sequence[FloatArray], asset_id: str) -> tuple[Mesh, fl
     else:
         corners = np.concatenate([soup.reshape(-1, 3) for soup in soups])
         vertices, faces = weld_vertices(corners, np.arange(len(corners)).reshape(-1, 3), WELD * extent)
+        faces = faces[np.sort(np.unique(_turned(faces), axis=0, return_index=True)[1])]  # each once
     mesh = Mesh(*drop_unused_vertices(vertices, faces))
     if not len(faces) or not (double_areas(mesh) > _FLAT * extent * extent).any():
         num = sum(map(len, soups))
@@ -104,9 +107,13 @@ def _distinct(keys: IntArray) -> IntArray:
     """Faces whose corners are in three cells, each set of cells once in each direction."""
     a, b, c = keys.T
     kept = keys[(a != b) & (b != c) & (c != a)]
-    first = kept.argmin(axis=1)[:, None]
-    turned = np.take_along_axis(kept, (first + np.arange(3)) % 3, axis=1)
-    return np.unique(turned, axis=0)
+    return np.unique(_turned(kept), axis=0)
+
+
+def _turned(faces: IntArray) -> IntArray:
+    """Faces (F, 3) with the smallest of their corners first, so that the same face has the same corners."""
+    first = faces.argmin(axis=1)[:, None]
+    return np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
 
 
 def reduce_mesh(mesh: Mesh, max_faces: int) -> tuple[Mesh, float]:
@@ -139,7 +146,15 @@ def _clustered_mesh(mesh: Mesh, low: FloatArray, step: float) -> Mesh:
 
 
 def _reach(one: Mesh, other: Mesh) -> float:
-    """Largest distance of points on one surface from another."""
-    points = sample_surface(one, _NUM_PROBES)
+    """Largest distance of points on one surface from another; of fewer points where very many triangles lie in each other."""
+    most = int(_MOST_COMPARED / (1 + _num_layers(other)))
+    points = sample_surface(one, min(_NUM_PROBES, max(_LEAST_PROBES, most)))
     squared = igl.point_mesh_squared_distance(points, other.vertices, other.faces)[0]
     return float(np.sqrt(squared.max()))
+
+
+def _num_layers(mesh: Mesh) -> float:
+    """How many boxes of triangles a straight line through the box of a mesh meets, on average: by the areas of the boxes."""
+    triangles = mesh.triangles
+    areas = [(x * y + y * z + z * x).sum() for x, y, z in (np.ptp(triangles, axis=1).T, mesh.extents[:, None])]
+    return float(areas[0] / areas[1])

@@ -1,5 +1,6 @@
 """Meshes from triangles of any number."""
 
+import igl
 import numpy as np
 import pytest
 
@@ -71,3 +72,30 @@ def test_the_same_triangles_give_the_same_mesh() -> None:
     assert isinstance(one, Mesh)
     assert (one.vertices == other.vertices).all()
     assert (one.faces == other.faces).all()
+
+
+def test_a_triangle_that_is_listed_often_is_once_in_the_mesh() -> None:
+    soup = torus(20)
+    once, often = (join_triangles([np.tile(soup, (times, 1, 1))], "a")[0] for times in (1, 50))
+    assert np.array_equal(once.faces, often.faces)
+    assert np.array_equal(once.vertices, often.vertices)
+    back = join_triangles([np.concatenate([soup, soup[:, ::-1]])], "a")[0]  # a sheet with two sides has both
+    assert len(back.faces) == 2 * len(once.faces)
+
+
+def test_triangles_that_lie_in_each_other_are_compared_at_few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    measure, points = igl.point_mesh_squared_distance, list[int]()
+
+    def measured(*arguments: FloatArray) -> tuple[FloatArray, ...]:
+        points.append(len(arguments[0]))
+        found: tuple[FloatArray, ...] = measure(*arguments)
+        return found
+
+    monkeypatch.setattr(igl, "point_mesh_squared_distance", measured)
+    soup, rng = torus(6), np.random.default_rng(0)
+    layers = np.concatenate([soup + rng.normal(0, 1e-3, 3) for _ in range(500)])
+    for triangles in (torus(100), layers):
+        reduce_mesh(join_triangles([triangles], "a")[0], 2000)
+    assert points[:2] == [8192, 8192]
+    assert 64 <= points[2] < 4096
+    assert points[3] < 8192
