@@ -24,12 +24,22 @@ help: ## Show this page
 
 env: $(READY) ## Make the environment in .venv with the pinned versions; LOCKED=1 also fixes what these need, with hashes
 
-# pysdf ships as source and needs Eigen's headers, which cmeel-eigen carries: no system package is needed.
+# pysdf ships as source and needs Eigen's headers, which cmeel-eigen carries: no system package is needed. Its build looks for them in the home
+# folder and would else download others, so that a locked build gets a home folder with a link to them.
+PIP := $(BIN)/python -m pip install -q --disable-pip-version-check
+FROM_LOCK := --no-deps --no-build-isolation
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(if $(LOCKED),$(BIN)/python -m pip install -q --disable-pip-version-check --require-hashes -r requirements.lock)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch cmeel-eigen
-	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
+ifeq ($(LOCKED),)
+	$(PIP) -c constraints.txt torch cmeel-eigen
+	CPLUS_INCLUDE_PATH=$(abspath $(EIGEN)) $(PIP) -c constraints.txt -e '.[$(EXTRAS)]'
+else
+	$(PIP) --only-binary :all: --require-hashes -r requirements.lock
+	mkdir -p $(VENV)/home/.local/include && ln -sfn $(abspath $(EIGEN)) $(VENV)/home/.local/include/eigen3
+	PIP_CONFIG_FILE=$${PIP_CONFIG_FILE:-$$HOME/.config/pip/pip.conf} HOME=$(abspath $(VENV))/home \
+	  $(PIP) $(FROM_LOCK) --require-hashes -r requirements-source.lock
+	$(PIP) $(FROM_LOCK) -e .
+endif
 	touch $@
 
 demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a contact sheet: embedded set, preprocess, generate
@@ -139,15 +149,19 @@ wheel: $(TOOLS)/.ready ## Build the wheel and the sdist of the light library in 
 test-wheel: $(READY) ## Install the wheel in an empty environment without a compiler: load a run, lint, export (what CI runs)
 	$(BIN)/python -m pytest -m slow -k library_alone tests/test_wheel.py
 
-# What constraints.txt does not pin has the version of .venv, as the tests ran with it; pysdf has no wheel and stays out.
+# What constraints.txt does not pin has the version of .venv, as the tests ran with it. pysdf has no wheel: it has a file of its own, and what
+# its build needs is with the others.
 LOCKED_EXTRAS := $(filter-out pysdf,$(subst $(COMMA), ,$(EXTRAS))) cluster docs
+UV_COMPILE = $(BIN)/uv pip compile --python-version 3.11 --generate-hashes --no-annotate -c constraints.txt --custom-compile-command 'make lock' --quiet
 lock: $(READY) ## Write requirements.lock from constraints.txt: the version and the hashes of every package of make env
 	mkdir -p build
+	printf 'cmeel-eigen\npybind11\nsetuptools\n' > build/of_source.in
+	echo pysdf > build/source.in
 	$(BIN)/python -m pip freeze --exclude-editable | sed 's/+cpu$$//' > build/installed.txt
-	$(BIN)/uv pip compile pyproject.toml $(addprefix --extra ,$(LOCKED_EXTRAS)) --universal --python-version 3.11 --generate-hashes \
-	  --no-annotate -c constraints.txt -c build/installed.txt --custom-compile-command 'make lock' --quiet -o requirements.lock
+	$(UV_COMPILE) pyproject.toml build/of_source.in $(addprefix --extra ,$(LOCKED_EXTRAS)) --universal -c build/installed.txt -o requirements.lock
+	$(UV_COMPILE) build/source.in --no-deps -o requirements-source.lock
 
-sbom: $(READY) $(TOOLS)/.ready ## Write the software bill of materials of .venv to build/sbom.cdx.json (CycloneDX)
+sbom: $(READY) $(TOOLS)/.ready ## LOCKED=1 for a release: write the software bill of materials of .venv to build/sbom.cdx.json (CycloneDX)
 	$(TOOLS)/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible --validate \
 	  --output-file build/sbom.cdx.json $(BIN)/python
 

@@ -83,9 +83,20 @@ def test_what_a_locked_package_asks_for_is_locked_too() -> None:
     assert not missing
 
 
+def test_what_is_built_from_source_has_a_hash_and_what_its_build_needs_is_locked() -> None:
+    text = (ROOT / "requirements-source.lock").read_text("utf-8")
+    assert [(name, version) for name, version, _ in ENTRY.findall(text)] == [("pysdf", pinned()["pysdf"])]
+    assert {"cmeel-eigen", "pybind11", "setuptools"} <= LOCKED.keys()
+
+
 def test_make_env_can_take_the_lock() -> None:
     extras = extras_of(planned("lock"))
-    assert "--require-hashes -r requirements.lock" in planned("env", "LOCKED=1", "VENV=elsewhere")
+    fixed = planned("env", "LOCKED=1", "VENV=elsewhere").replace("\\\n", " ").splitlines()
+    installed = [line for line in fixed if "pip install" in line]
+    assert len(installed) == 3
+    for line in installed:  # nothing without a hash, but for the checkout itself; and nothing for a build is fetched
+        assert "--require-hashes" in line or line.endswith("--no-deps --no-build-isolation -e .")
+        assert "--only-binary :all:" in line or "--no-build-isolation" in line
     plain = planned("env", "VENV=elsewhere")
     assert "--require-hashes" not in plain
     (installed,) = re.findall(r"-e '\.\[([a-z,]+)\]'", plain)

@@ -108,6 +108,18 @@ SERVED = {
 }
 """Extras of the library -> a program that needs them, and the last lines that it prints."""
 
+IMPORTED = {
+    "bench": "coacd, embreex",
+    "cluster": "boto3, ray.dashboard.modules.job.sdk",
+    "dev": "boto3, build, datasets, gymnasium, hypothesis, moto.server, mypy, pandas, sentence_transformers, uv, xdist",
+    "docs": "furo, myst_parser, sphinx",
+    "geometry,sim,drake": "pydrake.multibody.plant",
+    "geometry,sim,sapien": "sapien",
+    "models": "llguidance, openai, peft, pydantic, rapidfuzz, safetensors, tensorboard, torch, transformers",
+    "pipelines": "jsonschema, pydantic, ray",
+}
+"""Extras that serve the jobs and their developers -> modules of their packages."""
+
 pytestmark = pytest.mark.slow  # they install packages
 
 
@@ -235,6 +247,19 @@ def test_an_extra_works_without_a_compiler(extras: str, wheel: Path, run: Path, 
     env = EmptyEnvironment.create(tmp_path / "env")
     env.install(wheel, extras)
     assert env.run("-c", program, run, ROOT / "tests" / "data").splitlines()[-len(expected) :] == expected
+
+
+@pytest.mark.parametrize("extras", IMPORTED)
+def test_the_packages_of_an_extra_fit_together(extras: str, wheel: Path, tmp_path: Path) -> None:
+    env = EmptyEnvironment.create(tmp_path / "env")
+    env.install(wheel, extras)
+    env.run("-c", f"import {IMPORTED[extras]}")
+    assert env.run("-m", "pip", "check").startswith("No broken requirements")
+
+
+def test_every_extra_is_installed_by_a_test() -> None:
+    tried = {extra for extras in (*SERVED, *IMPORTED) for extra in extras.split(",")}
+    assert tried | FROM_SOURCE | OWN_PINS == set(PROJECT["project"]["optional-dependencies"])
 
 
 @pytest.mark.parametrize("extra", PROJECT["project"]["optional-dependencies"])

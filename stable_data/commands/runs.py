@@ -58,7 +58,7 @@ def query(
     only is None: "aws is None or aws >= 1".
     """
     from stable_data.storage.run_folder import RunFolder
-    from stable_data.storage.subset import count_selected, select
+    from stable_data.storage.subset import count_selected, refuse_within, select
     from stable_data.storage.table_scan import TableScan
 
     folder = RunFolder(run)
@@ -85,6 +85,7 @@ def query(
         return
     target = RunFolder(to)
     TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
+    refuse_within(target, [folder])
     with target.locked():
         counts = select(folder, where, target)
     echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
@@ -100,12 +101,11 @@ def join(
     """Join runs to one run: each scene, asset and texture once. A scene that is in several runs is that of the first one."""
     from stable_data.storage.manifest import read_manifest
     from stable_data.storage.run_folder import RunFolder
-    from stable_data.storage.subset import select
+    from stable_data.storage.subset import refuse_within, select
 
     first, *others = map(RunFolder, runs)
     target = RunFolder(to)
-    if any(f"{target.root}/".startswith(f"{run.root}/") for run in (first, *others)):
-        raise ConfigError(f"--to is {to}, which is one of the runs or within one; name a new folder", "usage")
+    refuse_within(target, [first, *others])
     with target.locked():
         counts = select(first, where, target, others)
     doubles = (read_manifest(target) or {}).get("doubles", {"scenes": 0, "different": 0})

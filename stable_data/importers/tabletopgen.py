@@ -25,7 +25,7 @@ from stable_data.geometry.reduction import join_triangles
 from stable_data.importers.boundary import Boundary, asset_id_of
 from stable_data.importers.mesh_files import read_mesh_file, transformed
 from stable_data.json_text import ReadLog, are_finite, number, numbers, parse_object, quote_value
-from stable_data.limits import LIMITS
+from stable_data.limits import LIMITS, at_most
 from stable_data.mesatask.writing import write_asset, write_scene
 from stable_data.rotations import rotation_matrix, yaw_quat
 from stable_data.scene import Scene, SceneObject, Tabletop, Vec3
@@ -142,6 +142,11 @@ class _Layout:
         main = document.get("main_object")
         if not isinstance(entries, dict) or not isinstance(main, str) or main not in entries:
             raise log.error("layout_invalid", "layout_pose.json lacks objects or the main_object among them, expected both")
+        if len(entries) > LIMITS.layout.max_objects:
+            expected = at_most(LIMITS.layout, "max_objects")
+            raise log.error(
+                "too_many_objects", f"{len(entries)} objects, expected {expected}; raise it if the scene is correct"
+            )
         self._main, self._entries = main, dict[str, Any](entries)
         center, size = self._vector(self._main, "pose"), self._vector(self._main, "size")
         turn = self._turn(self._main)

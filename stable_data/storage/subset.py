@@ -55,10 +55,11 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
         Number of rows by table.
 
     Raises:
-        ConfigError: The condition is not valid for ``scenes``, a run has no such table, or the target has other content; or an asset has
-            different meshes in two runs (``asset_differs``).
+        ConfigError: The condition is not valid for ``scenes``, a run has no such table, or the target has other content; an asset has
+            different meshes in two runs (``asset_differs``); or the target is one of the runs or within one (``usage``).
     """
     runs = [run, *joined]
+    refuse_within(target, runs)
     scans = [TableScan(one, "scenes", where) for one in runs]
     read = [
         {table: sorted(one.shard_ids(table)) for table in SCHEMAS if one.files(table) and table != "failures"} for one in runs
@@ -76,6 +77,7 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
     if previous and previous["code_version"] != manifest["code_version"]:
         return dict(previous["counts"])
     if not previous:
+        _refuse_different_meshes(runs, where)
         write_manifest(target, manifest | {"status": "running"})
     chosen, doubles = [_Chosen() for _ in runs], _Doubles(runs)
     found = zip(chosen, scans, strict=True)
@@ -90,6 +92,16 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
     left_out = {"doubles": {"scenes": doubles.count, "different": doubles.num_different}} if joined else {}
     write_manifest(target, manifest | {"status": COMPLETE, "counts": counts} | left_out)
     return counts
+
+
+def refuse_within(target: RunFolder, runs: Sequence[RunFolder]) -> None:
+    """Refuses a target that is one of some runs, or within one.
+
+    Raises:
+        ConfigError: It is (``usage``).
+    """
+    if any(f"{target.root}/".startswith(f"{run.root}/") for run in runs):
+        raise ConfigError(f"--to is {target.uri}, which is one of the runs or within one; name a new folder", "usage")
 
 
 def _rows_of_chosen(run: RunFolder, table: str, chosen: "_Chosen") -> Iterator[pa.Table]:
@@ -115,24 +127,30 @@ def _without_doubles(parts: Iterable[pa.Table], column: str) -> Iterator[pa.Tabl
         yield part.take(pa.array(sorted(first.values()), pa.int64()))
 
 
-def _share_assets(runs: Sequence[RunFolder], chosen: Sequence["_Chosen"]) -> None:
-    """Makes the scenes known, and lets the rows of each asset in each table be given by one run: the first one that has some.
+def _refuse_different_meshes(runs: Sequence[RunFolder], where: str) -> None:
+    """Compares the meshes of the assets that scenes of several runs use, before anything is written.
 
     Raises:
         ConfigError: An asset has different meshes in two runs (``asset_differs``).
     """
     meshes: dict[str, tuple[str | None, str]] = {}
-    for run, one in zip(runs, chosen, strict=True) if len(runs) > 1 else ():
+    doubles = _Doubles(runs)
+    for run in runs if len(runs) > 1 else ():
+        used = set[str]().union(*(used_assets(doubles.without(part)) for part in TableScan(run, "scenes", where).tables()))
         for batch in run.batches("meshes", ["asset_id", "sha256"]) if run.files("meshes") else ():
             for name, sha256 in zip(batch["asset_id"].to_pylist(), batch["sha256"].to_pylist(), strict=True):
-                if name in one.asset_ids:
-                    there, where = meshes.setdefault(name, (sha256, run.uri))
+                if name in used:
+                    there, place = meshes.setdefault(name, (sha256, run.uri))
                     if there != sha256:
                         raise ConfigError(
-                            f"asset {name}: its mesh in {run.uri} is not that in {where}, expected one mesh of an asset; make the scenes "
+                            f"asset {name}: its mesh in {run.uri} is not that in {place}, expected one mesh of an asset; make the scenes "
                             "of one run again with the library of the other",
                             "asset_differs",
                         )
+
+
+def _share_assets(runs: Sequence[RunFolder], chosen: Sequence["_Chosen"]) -> None:
+    """Makes the scenes known, and lets the rows of each asset in each table be given by one run: the first one that has some."""
     for table in ASSET_TABLES:
         given = set[str]()
         for run, one in zip(runs, chosen, strict=True):

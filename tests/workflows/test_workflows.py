@@ -120,7 +120,12 @@ def test_the_image_is_built_of_what_is_there() -> None:
     assert all((ROOT / name).exists() for name in copied)
     assert any("make env LOCKED=1" in line for line in lines)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    needed = {project["readme"], *(name for name in project["license-files"] if "/" not in name), "requirements.lock"}
+    needed = {
+        project["readme"],
+        *(name for name in project["license-files"] if "/" not in name),
+        "requirements.lock",
+        "requirements-source.lock",
+    }
     assert needed <= set(copied)  # else the environment cannot be made
     left_out = (WORKFLOWS / "Dockerfile.dockerignore").read_text("utf-8").split()
     generated = {
@@ -128,6 +133,7 @@ def test_the_image_is_built_of_what_is_there() -> None:
     }
     assert {name for name in generated if name not in left_out and f"**/{name}" not in left_out} == set()
     assert ".git" in left_out
+    assert lines.index("USER stable-data") > max(k for k, line in enumerate(lines) if line.startswith(("RUN ", "COPY ")))
 
 
 def test_every_core_that_does_shards_has_the_memory_that_the_page_names() -> None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from stable_data.errors import MeshError, SceneError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes.formats import is_gltf, is_usd
 from stable_data.importers.scenes.scene_file import BodyPose, SceneFile
@@ -106,8 +107,17 @@ def read_scene_file(boundary: Boundary, path: str, key: str = "", *, is_everywhe
         is_everywhere: Whether new poses of a MuJoCo file go to all places that state the same pose; else to the place that is read.
 
     Raises:
-        StableDataError: It cannot be read.
+        StableDataError: It cannot be read; the message names it.
     """
+    try:
+        return _read(boundary, path, key, is_everywhere)
+    except (SceneError, MeshError) as error:
+        if path in str(error):
+            raise
+        raise type(error)(f"{path}: {error}", error.code) from error
+
+
+def _read(boundary: Boundary, path: str, key: str, is_everywhere: bool) -> OpenedScene:
     if is_usd(path):
         from stable_data.importers.scenes.usd_scenes import read_usd_scene
 

@@ -26,7 +26,7 @@ from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes import convex_solids
 from stable_data.importers.scenes.formats import repaired_name
 from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
-from stable_data.importers.usd.layers import check_prims, reason_of
+from stable_data.importers.usd.layers import check_prims, quiet_usd, reason_of
 from stable_data.importers.usd.physics import Collider, StageFrame, inertial_of
 from stable_data.importers.usd.text_layers import check_brackets
 from stable_data.limits import LIMITS, at_most
@@ -84,21 +84,24 @@ def read_usd_scene(boundary: Boundary, path: str) -> UsdScene:
             (``path_outside``) or is too large (``file_too_large``).
         SceneError: No rigid body is free (``no_free_body``), or gravity does not point down (``gravity_odd``).
     """
-    contents = _collect_layers(boundary, path)
-    with TemporaryDirectory(prefix="stable-data-stage-") as folder:
-        stage = _placed_stage(Path(folder), contents, path)
-        notices: list[Notice] = []
-        try:
-            unit, is_y_up = float(UsdGeom.GetStageMetersPerUnit(stage)), UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
-            if not (math.isfinite(unit) and 0 < unit <= 1000):
-                raise SceneError(f"{path}: metersPerUnit is {unit}, expected a positive number; correct it", "unit_implausible")
-            _check_gravity(stage, path, is_y_up)
-            bodies, grounds = _StageReader(stage, path, unit, is_y_up, notices).read()
-        except (StableDataError, MemoryError):
-            raise
-        except Exception as error:
-            found = " ".join(str(error).split())[:300]
-            raise MeshError(f"{path}: has values that USD cannot use ({found}); repair it", "model_unreadable") from error
+    with quiet_usd(path):
+        contents = _collect_layers(boundary, path)
+        with TemporaryDirectory(prefix="stable-data-stage-") as folder:
+            stage = _placed_stage(Path(folder), contents, path)
+            notices: list[Notice] = []
+            try:
+                unit, is_y_up = float(UsdGeom.GetStageMetersPerUnit(stage)), UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
+                if not (math.isfinite(unit) and 0 < unit <= 1000):
+                    raise SceneError(
+                        f"{path}: metersPerUnit is {unit}, expected a positive number; correct it", "unit_implausible"
+                    )
+                _check_gravity(stage, path, is_y_up)
+                bodies, grounds = _StageReader(stage, path, unit, is_y_up, notices).read()
+            except (StableDataError, MemoryError):
+                raise
+            except Exception as error:
+                found = " ".join(str(error).split())[:300]
+                raise MeshError(f"{path}: has values that USD cannot use ({found}); repair it", "model_unreadable") from error
     if not any(body.is_free for body in bodies):
         found = "has no free rigid body with a shape, expected prims with UsdPhysics.RigidBodyAPI"
         raise SceneError(f"{path}: {found}; is it part of another scene?", "no_free_body")

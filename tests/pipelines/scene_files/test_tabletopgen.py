@@ -149,6 +149,7 @@ BROKEN: tuple[tuple[str, str | dict[str, Any] | None, str], ...] = (
     ("layout_pose.json", {"book_3": {"size": [1, 2, 3], "pose": [0, 0, 1e999]}}, "pose of 'book_3' is not known"),
     ("layout_pose.json", {"book_3": {"size": [1, 2, 1e308], "pose": [0, 0, 80]}}, "above 0, at most 100,000"),
     ("layout_pose.json", {"book_3": {"size": [1, 2, 3], "pose": [-1e308, 0, 80]}}, "in centimetres, at most 100,000"),
+    ("layout_pose.json", {f"book_{k}": TABLE for k in range(600)}, "objects, expected at most 500"),
     ("../centered_mesh/book_3.glb", "no mesh", "book_3.glb"),
 )
 

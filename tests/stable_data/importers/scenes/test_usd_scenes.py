@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from stable_data.errors import MeshError, SceneError
 from stable_data.importers.boundary import Boundary
+from stable_data.importers.scenes.opening import read_scene_file
 from stable_data.importers.scenes.scene_file import BodyPose, SceneBody
 from stable_data.importers.scenes.supports import find_supports
 from stable_data.importers.scenes.usd_scenes import read_usd_scene, write_overrides
@@ -201,3 +202,19 @@ def test_an_inertia_that_no_body_can_have_is_replaced(tmp_path: Path) -> None:
     whole.CreateDiagonalInertiaAttr((1, 1, 5))
     body, is_at_rest, codes = bar_of(stage, tmp_path)
     assert (body.inertia, is_at_rest, codes) == (None, True, ["inertia_replaced"])
+
+
+def test_the_file_is_named_and_usd_itself_says_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    layer = """#usda 1.0
+def Xform "W" {{
+    def Cube "b" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]{more}) {{
+        double size = {size}
+    }}
+}}
+"""
+    (tmp_path / "nan.usda").write_text(layer.format(size="nan", more=""))
+    (tmp_path / "own.usda").write_text(layer.format(size="0.1", more="\n payload = @own.usda@"))
+    with pytest.raises(SceneError, match=r"^nan\.usda: /W/b\.size: is nan"):
+        read_scene_file(Boundary(tmp_path), "nan.usda")
+    read_scene_file(Boundary(tmp_path), "own.usda")
+    assert capfd.readouterr() == ("", "")
