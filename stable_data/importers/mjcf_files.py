@@ -231,6 +231,8 @@ def _refusals(path: str) -> Iterator[None]:
 def refused_model(path: str, error: Exception) -> MeshError:
     """The error that MuJoCo refuses a model."""
     found = " ".join(str(error).split())[:300]
+    if "unknown exception" in found:  # its own words ask to report it to its authors, whatever the file states
+        found = "it does not say why; sizes in it may be too large"
     return MeshError(
         f"{path}: MuJoCo refuses the model ({found}), expected one that it compiles; repair it", "model_unreadable"
     )

@@ -236,13 +236,13 @@ def _inertial(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[fl
     masses = model.body_mass[members]
     total = float(masses.sum())
     centre = data.subtree_com[root]
-    inertia = np.zeros((3, 3))
-    for m, mass in zip(members, masses, strict=True):
-        axes, apart = data.ximat[m].reshape(3, 3), data.xipos[m] - centre
-        inertia += axes @ np.diag(model.body_inertia[m]) @ axes.T
-        inertia += mass * (apart @ apart * np.eye(3) - np.outer(apart, apart))
-    turn = data.xmat[root].reshape(3, 3)
-    return total, _vec3((centre - data.xpos[root]) @ turn), turn.T @ inertia @ turn
+    inertia, turn = np.zeros((3, 3)), data.xmat[root].reshape(3, 3)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite then is refused with the pose of the body
+        for m, mass in zip(members, masses, strict=True):
+            axes, apart = data.ximat[m].reshape(3, 3), data.xipos[m] - centre
+            inertia += axes @ np.diag(model.body_inertia[m]) @ axes.T
+            inertia += mass * (apart @ apart * np.eye(3) - np.outer(apart, apart))
+        return total, _vec3((centre - data.xpos[root]) @ turn), turn.T @ inertia @ turn
 
 
 def _known_quats(model: mujoco.MjModel, body: int, present: QuatXyzw) -> tuple[QuatXyzw, ...]:
