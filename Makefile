@@ -4,7 +4,7 @@ SHELL := /bin/bash
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
-READY := $(VENV)/.ready
+READY := $(VENV)/.ready$(if $(LOCKED),-locked)
 DATA ?= data/embedded
 OUT ?= runs/preprocess
 COUNT ?= 100
@@ -28,7 +28,8 @@ env: $(READY) ## Make the environment in .venv with the pinned versions; LOCKED=
 # folder and would else download others, so that a locked build gets a home folder with a link to them.
 PIP := $(BIN)/python -m pip install -q --disable-pip-version-check
 FROM_LOCK := --no-deps --no-build-isolation
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml constraints.txt $(if $(LOCKED),requirements.lock requirements-source.lock)
+	rm -f $(VENV)/.ready*
 	$(PYTHON) -m venv $(VENV)
 ifeq ($(LOCKED),)
 	$(PIP) -c constraints.txt torch cmeel-eigen

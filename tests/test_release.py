@@ -125,7 +125,7 @@ def test_the_public_ci_does_what_ci_does_and_the_wheel_with_each_python() -> Non
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     pythons = JOBS["ci.yml", "wheel"]["strategy"]["matrix"]["python"]
     assert {f"Programming Language :: Python :: {python}" for python in pythons} <= set(project["classifiers"])
-    assert {"make wheel", "make sbom"} <= set(runs["build"])
+    assert {"make wheel", "make sbom LOCKED=1"} <= set(runs["build"])
     assert JOBS["release.yml", "build"]["needs"] == "ci"
     assert JOBS["release.yml", "publish"]["needs"] == "build"
     assert JOBS["release.yml", "announce"]["needs"] == "publish"
@@ -150,6 +150,7 @@ def release(tmp_path: Path) -> Path:
     older = "## [1.2.2] - 2026-01-02\n\n### Fixed\n\n- Another.\n"
     text = f"# Changelog\n\n## [Unreleased]\n\n## [1.2.3] - 2026-02-03\n\n### Fixed\n\n- One.\n\n{older}"
     (tmp_path / "CHANGELOG.md").write_text(text)
+    (tmp_path / "CITATION.cff").write_text("version: 1.2.3\ndate-released: 2026-02-03\n")
     return tmp_path
 
 
@@ -169,6 +170,12 @@ def test_a_version_without_a_section_is_refused(release: Path) -> None:
     done = run_step("The tag is", release, TAG="v1.2.3")
     assert done.returncode == 1
     assert done.stdout == "CHANGELOG.md has no section for 1.2.3\n"
+
+
+def test_a_version_without_a_day_to_cite_is_refused(release: Path) -> None:
+    (release / "CITATION.cff").write_text("version: 1.2.3\n")
+    done = run_step("The tag is", release, TAG="v1.2.3")
+    assert (done.returncode, done.stdout) == (1, "CITATION.cff has no date-released\n")
 
 
 def test_links_of_the_readme_lead_to_the_repository_on_the_package_index(tmp_path: Path) -> None:

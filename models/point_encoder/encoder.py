@@ -13,12 +13,12 @@ from torch import Tensor, nn
 
 from models.point_encoder.cloud import PointCloud, Preprocessing, voxelise
 from models.point_encoder.transformer import PointTransformer, TransformerConfig
+from stable_data.assets.point_features import SMALLEST_EXTENT
 from stable_data.errors import ConfigError, MeshError
 
 FEATURE_CHANNELS = 64
 
 _DEVICE_BATCH = 64  # clouds in a batch on a GPU
-_SMALLEST_EXTENT = 1e-4  # metres: lower bound, so that the logarithm of a flat object's extent is finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +91,7 @@ class PointEncoder(nn.Module):
     def encode(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> PointCodes:
         """Computes features with log extents and fingerprint; see :meth:`codes`."""
         extents = np.array([cloud.size for cloud in clouds], np.float32).reshape(-1, 3)
-        return PointCodes(self.codes(clouds, batch_size), np.log(np.maximum(extents, _SMALLEST_EXTENT)), self.fingerprint())
+        return PointCodes(self.codes(clouds, batch_size), np.log(np.maximum(extents, SMALLEST_EXTENT)), self.fingerprint())
 
     def codes(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> npt.NDArray[np.float32]:
         """Computes features, (B, 64) float32, each independent of the other clouds and of the order of points.

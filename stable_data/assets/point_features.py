@@ -18,6 +18,9 @@ from stable_data.storage.run_folder import RunFolder
 FeatureKey: TypeAlias = tuple[str, tuple[int, int, int], QuatXyzw]
 """Asset id, aspect in steps, and rounded tilt."""
 
+SMALLEST_EXTENT = 1e-4
+"""Extents of point clouds count as at least this, metres, so that the logarithm of that of a flat object is finite."""
+
 FAR_TILT = math.radians(5)
 """Difference of tilts above which a feature describes another point cloud, radians."""
 

@@ -1,13 +1,17 @@
 """Commands on the content of runs."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from stable_data.commands.command_line import echo, with_clear_errors
 from stable_data.commands.exports import export_lance, export_scenes
 from stable_data.errors import ConfigError
+
+if TYPE_CHECKING:
+    from stable_data.storage.run_folder import RunFolder
 
 app = typer.Typer()
 _PANEL = "Look at runs, select and change them"
@@ -58,7 +62,7 @@ def query(
     only is None: "aws is None or aws >= 1".
     """
     from stable_data.storage.run_folder import RunFolder
-    from stable_data.storage.subset import count_selected, refuse_within, select
+    from stable_data.storage.subset import count_selected, select
     from stable_data.storage.table_scan import TableScan
 
     folder = RunFolder(run)
@@ -85,7 +89,7 @@ def query(
         return
     target = RunFolder(to)
     TableScan(folder, "scenes", where)  # refuses an invalid condition before anything is written
-    refuse_within(target, [folder])
+    _refuse_within(target, [folder])
     with target.locked():
         counts = select(folder, where, target)
     echo(f"{to}: {counts['scenes']} of {folder.num_rows('scenes')} scenes, {counts.get('assets', 0)} assets")
@@ -101,11 +105,11 @@ def join(
     """Join runs to one run: each scene, asset and texture once. A scene that is in several runs is that of the first one."""
     from stable_data.storage.manifest import read_manifest
     from stable_data.storage.run_folder import RunFolder
-    from stable_data.storage.subset import refuse_within, select
+    from stable_data.storage.subset import select
 
     first, *others = map(RunFolder, runs)
     target = RunFolder(to)
-    refuse_within(target, [first, *others])
+    _refuse_within(target, [first, *others])
     with target.locked():
         counts = select(first, where, target, others)
     doubles = (read_manifest(target) or {}).get("doubles", {"scenes": 0, "different": 0})
@@ -133,3 +137,13 @@ def upgrade(run: Annotated[str, typer.Argument(metavar="RUN", help="A run of an 
     from stable_data.storage.run_folder import RunFolder
 
     echo(f"{run}: {run_changes.upgrade(RunFolder(run))}")
+
+
+def _refuse_within(target: "RunFolder", runs: Sequence["RunFolder"]) -> None:
+    """Refuses a target that is one of some runs, or within one.
+
+    Raises:
+        ConfigError: It is (``usage``).
+    """
+    if any(f"{target.root}/".startswith(f"{run.root}/") for run in runs):
+        raise ConfigError(f"--to is {target.uri}, which is one of the runs or within one; name a new folder", "usage")

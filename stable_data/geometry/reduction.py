@@ -18,7 +18,7 @@ _CLUSTERS = (1024, 768, 512, 384, 256, 192, 128, 64)  # cells along the largest 
 _SMALLEST = 1e-30  # squares and cubes of smaller extents, or of extents above its inverse, leave the range of a double
 _FLAT = 1e-12  # a face of a smaller area, share of the squared extent, does not count
 _NUM_PROBES = 8192
-_LEAST_PROBES = 64
+_LEAST_PROBES = 256
 _MOST_COMPARED = 3_000_000  # triangles that are compared with points, about a second
 
 
@@ -146,7 +146,10 @@ def _clustered_mesh(mesh: Mesh, low: FloatArray, step: float) -> Mesh:
 
 
 def _reach(one: Mesh, other: Mesh) -> float:
-    """Largest distance of points on one surface from another; of fewer points where very many triangles lie in each other."""
+    """Largest distance of points on one surface from another.
+
+    Where hundreds of layers of triangles lie in each other, it is that of fewer points, and may be found too small.
+    """
     most = int(_MOST_COMPARED / (1 + _num_layers(other)))
     points = sample_surface(one, min(_NUM_PROBES, max(_LEAST_PROBES, most)))
     squared = igl.point_mesh_squared_distance(points, other.vertices, other.faces)[0]

@@ -35,12 +35,12 @@ class AssetUseCount:
     """Counts how scenes use an asset.
 
     Attributes:
-        scales: The first scales, at most :data:`MOST_SCALES`, metres per mesh unit.
+        scales: The first scales, at most :data:`MOST_SCALES`, three numbers each, metres per mesh unit.
         tilts: Rounded tilt -> the first tilt that is rounded to it, and how many objects have it.
         shapes: Aspect in steps and rounded tilt -> the largest component of each scale, metres per mesh unit.
     """
 
-    scales: list[Vec3] = field(default_factory=list)
+    scales: "array[float]" = field(default_factory=lambda: array("d"))
     tilts: dict[QuatXyzw, tuple[QuatXyzw, int]] = field(default_factory=dict)
     shapes: dict[tuple[tuple[int, int, int], QuatXyzw], "array[float]"] = field(default_factory=dict)
 
@@ -51,14 +51,19 @@ class AssetUseCount:
         self.tilts[key] = (first, count + 1)
         if scale is not None:
             self.shapes.setdefault((aspect_steps(scale), key), array("d")).append(max(scale))
-            if len(self.scales) < MOST_SCALES:
-                self.scales.append(scale)
+            if len(self.scales) < 3 * MOST_SCALES:
+                self.scales.extend(scale)
+
+    @property
+    def has_more_scales(self) -> bool:
+        """Whether there are scales that were not looked at for the typical one."""
+        return 3 * sum(map(len, self.shapes.values())) > len(self.scales)
 
     def typical_scale(self) -> Vec3 | None:
         """The median scale, metres per mesh unit, or None if no scale is known."""
         if not self.scales:
             return None
-        x, y, z = np.median(np.array(self.scales), axis=0).tolist()
+        x, y, z = np.median(np.reshape(self.scales, (-1, 3)), axis=0).tolist()
         return x, y, z
 
     def aspects(self) -> set[tuple[int, int, int]]:

@@ -55,11 +55,10 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
         Number of rows by table.
 
     Raises:
-        ConfigError: The condition is not valid for ``scenes``, a run has no such table, or the target has other content; an asset has
-            different meshes in two runs (``asset_differs``); or the target is one of the runs or within one (``usage``).
+        ConfigError: The condition is not valid for ``scenes``, a run has no such table, or the target has other content; or an asset has
+            different meshes in two runs (``asset_differs``).
     """
     runs = [run, *joined]
-    refuse_within(target, runs)
     scans = [TableScan(one, "scenes", where) for one in runs]
     read = [
         {table: sorted(one.shard_ids(table)) for table in SCHEMAS if one.files(table) and table != "failures"} for one in runs
@@ -94,16 +93,6 @@ def select(run: RunFolder, where: str, target: RunFolder, joined: Sequence[RunFo
     return counts
 
 
-def refuse_within(target: RunFolder, runs: Sequence[RunFolder]) -> None:
-    """Refuses a target that is one of some runs, or within one.
-
-    Raises:
-        ConfigError: It is (``usage``).
-    """
-    if any(f"{target.root}/".startswith(f"{run.root}/") for run in runs):
-        raise ConfigError(f"--to is {target.uri}, which is one of the runs or within one; name a new folder", "usage")
-
-
 def _rows_of_chosen(run: RunFolder, table: str, chosen: "_Chosen") -> Iterator[pa.Table]:
     """The rows of a table that belong to the chosen scenes of a run, or to the assets that it gives."""
     if not run.files(table):
@@ -134,9 +123,12 @@ def _refuse_different_meshes(runs: Sequence[RunFolder], where: str) -> None:
         ConfigError: An asset has different meshes in two runs (``asset_differs``).
     """
     meshes: dict[str, tuple[str | None, str]] = {}
-    doubles = _Doubles(runs)
+    seen = IdSet()
     for run in runs if len(runs) > 1 else ():
-        used = set[str]().union(*(used_assets(doubles.without(part)) for part in TableScan(run, "scenes", where).tables()))
+        used = set[str]()
+        for part in TableScan(run, "scenes", where).tables(["scene_id", "objects", "surface"]):
+            used |= used_assets(part.filter(pa.array(~seen.has(part["scene_id"]))))
+            seen.add(part["scene_id"])
         for batch in run.batches("meshes", ["asset_id", "sha256"]) if run.files("meshes") else ():
             for name, sha256 in zip(batch["asset_id"].to_pylist(), batch["sha256"].to_pylist(), strict=True):
                 if name in used:

@@ -1,9 +1,10 @@
 """The rows of a table that pass a condition, file by file: counted, or read in bounded memory."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -55,13 +56,17 @@ class TableScan:
         counts = list(self._each(self._count))
         return sum(found for found, _ in counts), sum(total for _, total in counts)
 
-    def tables(self) -> Iterator[pa.Table]:
-        """Yields the rows that pass, those of a file at a time, with all columns.
+    def tables(self, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """Yields the rows that pass, those of a file at a time.
+
+        Args:
+            columns: Their columns, or None for all.
 
         Raises:
             ConfigError: As :meth:`count`.
         """
-        yield from self._each(self._rows)
+        schema = self._schema if columns is None else pa.schema([self._schema.field(name) for name in columns])
+        yield from self._each(partial(self._rows, schema))
 
     def _each(self, read: Callable[[pq.ParquetFile, str, list[int]], T]) -> Iterator[T]:
         """Applies a function to each file, in order; the next few files are read meanwhile."""
@@ -96,12 +101,13 @@ class TableScan:
     def _count(self, file: pq.ParquetFile, path: str, groups: list[int]) -> tuple[int, int]:
         return len(chosen_rows(file, path, groups, self._query, self._schema)), file.metadata.num_rows
 
-    def _rows(self, file: pq.ParquetFile, path: str, groups: list[int]) -> pa.Table:
+    def _rows(self, schema: pa.Schema, file: pq.ParquetFile, path: str, groups: list[int]) -> pa.Table:
         chosen = chosen_rows(file, path, groups, self._query, self._schema)
         starts = np.cumsum([0, *(file.metadata.row_group(group).num_rows for group in groups)])
-        parts = [self._schema.empty_table()]
+        parts = [schema.empty_table()]
         for group, own, start in zip(groups, np.split(chosen, np.searchsorted(chosen, starts[1:-1])), starts, strict=False):
             if len(own):
-                rows = read_row_groups(file, path, [group], use_threads=False)
-                parts.append(conform_to_schema(rows if len(own) == rows.num_rows else rows.take(own - start), self._schema))
+                there = [name for name in schema.names if name in file.schema_arrow.names]
+                rows = read_row_groups(file, path, [group], there, use_threads=False)
+                parts.append(conform_to_schema(rows if len(own) == rows.num_rows else rows.take(own - start), schema))
         return pa.concat_tables(parts)

@@ -168,6 +168,11 @@ def split_rule(manifest: Mapping[str, Any]) -> SplitRule | None:
     return SplitRule(SplitShares(), "generated") if job == "generate" else None
 
 
+def important_threshold(manifest: Mapping[str, Any]) -> float | None:
+    """Returns the setting with which a run of preprocess set the stages of its scenes; None for other runs, or without a number."""
+    return number(settings_of(manifest).get("important_threshold")) if manifest.get("job") == "preprocess" else None
+
+
 def unasked_columns(manifest: Mapping[str, Any]) -> dict[str, str]:
     """Returns the columns of ``scenes`` that a run leaves null: verdicts of judges and robots that its settings do not name.
 

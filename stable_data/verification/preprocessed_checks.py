@@ -1,10 +1,10 @@
-"""Checks that a run of preprocess has all that its job leaves of each scene and asset: samples, grids and features, and their uses.
+"""Checks that a run of preprocess has the samples, grids and features of all its scenes and assets, and that these fit its scenes.
 
-The job plans the grids and features of an asset by the objects of all scenes. The scenes of the run say the same again, since each object
-keeps the entry of the file that it was read from.
+The job plans the grids and features of an asset by the objects of all scenes that it can read. The scenes of the run say the same again,
+since each object keeps the entry of the file that it was read from.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from stable_data.assets.point_features import SMALLEST_EXTENT, FeatureKey, feature_key
 from stable_data.geometry.sdf.aspects import aspect_of, aspect_steps
 from stable_data.json_text import ReadLog, json_value
-from stable_data.mesatask.asset_uses import MOST_SCALES, AssetUseCount, ShapeUse
+from stable_data.mesatask.asset_uses import AssetUseCount
 from stable_data.mesatask.entry import read_scale
 from stable_data.rotations import rotated_extents, tilt_key
-from stable_data.scene import UPRIGHT, QuatXyzw
+from stable_data.scene import UPRIGHT, QuatXyzw, Vec3
 from stable_data.storage.id_hashes import IdSet
 from stable_data.storage.schemas import Row
 from stable_data.verification.asset_checks import AssetFacts
@@ -26,9 +27,10 @@ from stable_data.verification.known_ids import KnownIds
 from stable_data.verification.scene_checks import is_close
 from stable_data.verification.shard_files import ShardFile
 
-_ROUNDING = 1e-4  # logarithms of extents are float32, and are of single vertices
-
-_ShapeKey = tuple[tuple[int, int, int], QuatXyzw]
+_ROUNDING = 1e-4  # share of an extent: its logarithm is float32
+_EVEN = (0, 0, 0)  # the aspect of even scales, in steps
+_OF_PROCESS = frozenset({"crashed", "timed_out", "out_of_memory", "unexpected"})
+"""Codes of failures that say nothing of the scene: the job may have counted its objects all the same."""
 
 
 @dataclass(slots=True)
@@ -36,28 +38,28 @@ class _Asset:
     """What the rows of an asset say.
 
     Attributes:
-        file: The file of its row in ``assets``; None if it has none.
+        file: The file of its row in ``assets``.
         number: The number of that row.
         typical_scale: As in that row.
         tilts: Rounded tilt -> count, as in that row.
         grids: Aspects of its grids, in steps.
-        features: Aspect in steps and rounded tilt of each of its features -> its tilt and ``log_extents``.
+        features: Its features: aspect in steps and rounded tilt -> its tilt and ``log_extents``.
         use: How the scenes use it.
         is_use_known: Whether every object of it says how it was read.
     """
 
-    file: ShardFile | None = None
-    number: int = 0
-    typical_scale: Sequence[float] | None = None
-    tilts: Counter[QuatXyzw] = field(default_factory=Counter)
+    file: ShardFile
+    number: int
+    typical_scale: Sequence[float] | None
+    tilts: Counter[QuatXyzw]
     grids: set[tuple[int, int, int]] = field(default_factory=set)
-    features: dict[_ShapeKey, tuple[QuatXyzw, tuple[float, ...]]] = field(default_factory=dict)
+    features: dict[FeatureKey, tuple[QuatXyzw, tuple[float, ...]]] = field(default_factory=dict)
     use: AssetUseCount = field(default_factory=AssetUseCount)
     is_use_known: bool = True
 
 
 class PreprocessedCheck:
-    """Checks rows of ``assets``, ``sdf``, ``features`` and ``scenes`` of a run of preprocess with each other.
+    """Checks rows of ``assets``, ``sdf``, ``features``, ``failures`` and ``scenes`` of a run of preprocess with each other.
 
     Args:
         manifest: The manifest of the run, or of the one that a published run was made of.
@@ -68,32 +70,43 @@ class PreprocessedCheck:
     """
 
     TABLE = "assets"
-    TABLES = frozenset({"assets", "sdf", "features", "scenes"})
+    TABLES = frozenset({"assets", "sdf", "features", "failures", "scenes"})
 
     def __init__(
         self, manifest: Mapping[str, Any], tables: frozenset[str], known: KnownIds, facts: AssetFacts, findings: Findings
     ) -> None:
         self._manifest, self._tables = manifest, tables
         self._known, self._facts, self._findings = known, facts, findings
-        self._assets = defaultdict[str, _Asset](_Asset)
-        self._num_scenes = 0
+        self._assets = dict[str, _Asset]()  # those with a row in assets, which is read before the other tables
+        self._num_scenes = self._num_unread = 0
 
     def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
         """Checks and notes rows of a file, of which the first has a number."""
         for number, row in enumerate(rows, start):
-            if file.table == "scenes":
-                self._note_scene(row, number, file)
-                continue
-            asset = self._assets[row["asset_id"]]
-            if file.table == "assets":
-                asset.file, asset.number, asset.typical_scale = file, number, row["typical_scale"]
-                for tilt in row["resting_tilts"]:
-                    asset.tilts[tilt_key(tuple(tilt["tilt_quat_xyzw"]))] += tilt["count"]
-            elif file.table == "sdf":
-                asset.grids.add(aspect_steps(tuple(row["aspect"])))
-            else:
-                key = aspect_steps(tuple(row["aspect"])), tilt_key(tuple(row["tilt_quat_xyzw"]))
-                asset.features[key] = tuple(row["tilt_quat_xyzw"]), tuple(row["log_extents"])
+            try:
+                if file.table == "scenes":
+                    self._note_scene(row, number, file)
+                elif file.table == "failures":
+                    self._num_unread += row["step"] == "read" and row["code"] not in _OF_PROCESS
+                else:
+                    self._note_asset(row, number, file)
+            except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+                self._findings.damage(file.name, f"cannot be compared: {type(error).__name__}: {error}", number)
+
+    def _note_asset(self, row: Row, number: int, file: ShardFile) -> None:
+        name = row["asset_id"]
+        if file.table == "assets":
+            tilts = Counter[QuatXyzw]()
+            for tilt in row["resting_tilts"]:
+                tilts[tilt_key(tuple(tilt["tilt_quat_xyzw"]))] += tilt["count"]
+            self._assets[name] = _Asset(file, number, row["typical_scale"], tilts)
+        elif name not in self._assets:
+            pass  # it refers to no asset, which is told elsewhere
+        elif file.table == "sdf":
+            self._assets[name].grids.add(aspect_steps(tuple(row["aspect"])))
+        else:
+            aspect, tilt = tuple(row["aspect"]), tuple(row["tilt_quat_xyzw"])
+            self._assets[name].features[feature_key(name, aspect, tilt)] = tilt, tuple(row["log_extents"])
 
     def _note_scene(self, row: Row, number: int, file: ShardFile) -> None:
         self._num_scenes += 1
@@ -103,9 +116,9 @@ class PreprocessedCheck:
             self._findings.damage(file.name, what, number)
         log = ReadLog(row["scene_id"])
         for o in row["objects"]:
-            if o["asset_id"] is None:
-                continue
-            asset, text = self._assets[o["asset_id"]], o.get("source_json")
+            asset, text = self._assets.get(o["asset_id"]), o.get("source_json")
+            if asset is None:
+                continue  # no mesh of it could be used
             entry = None if text is None else json_value(text)
             if isinstance(entry, dict):  # the scale of the file: that of the object may be fitted to its size
                 asset.use.add(read_scale(entry, o["instance"], log), tuple(o["tilt_quat_xyzw"]))
@@ -119,69 +132,92 @@ class PreprocessedCheck:
             lost = int((~known.get("samples", IdSet()).has_hashes(known.get("scenes", IdSet()).hashes)).sum())
             if lost:
                 self._findings.damage("samples", f"{lost} scenes have no sample, expected one for each stage")
-        for asset_id, asset in self._assets.items():
-            if asset.file is None:
-                continue  # its grids and features refer to no asset, or no mesh of it could be used
-            for table, what in self._faults(asset_id, asset):
-                if table == "assets":
-                    self._findings.damage(asset.file.name, f"asset {asset_id}: {what}", asset.number)
-                else:
-                    self._findings.damage(table, f"asset {asset_id}: {what}")
+        # An asset may also be used by scenes that failed after they were read.
+        is_whole = self._num_scenes + self._num_unread == self._manifest.get("num_scenes")
+        for name, asset in self._assets.items():
+            try:
+                for table, what in self._faults(name, asset, is_whole and asset.is_use_known):
+                    where, number = (asset.file.name, asset.number) if table == "assets" else (table, None)
+                    self._findings.damage(where, f"asset {name}: {what}", number)
+            except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+                what = f"asset {name}: cannot be compared: {type(error).__name__}: {error}"
+                self._findings.damage(asset.file.name, what, asset.number)
 
-    def _faults(self, asset_id: str, asset: _Asset) -> Iterator[tuple[str, str]]:
+    def _faults(self, name: str, asset: _Asset, is_whole: bool) -> Iterator[tuple[str, str]]:
         """Yields what contradicts between the rows of an asset and the scenes, each with its table."""
-        # An asset may also be used by scenes that failed.
-        is_whole = asset.is_use_known and self._num_scenes == self._manifest.get("num_scenes")
-        use = asset.use
         if "sdf" in self._tables:
-            yield from _compared("sdf", "grid", "aspect in steps", use.aspects(), asset.grids, is_whole)
-        shapes = {(shape.steps, tilt_key(shape.tilt_quat_xyzw)): shape for shape in use.shape_uses()}
+            yield from (("sdf", what) for what in _compared("grid", asset.use.aspects(), asset.grids, is_whole))
+        expected = _features(name, asset)
         is_encoded = self._manifest.get("encoder") is not None and "features" in self._tables
-        if is_encoded and self._known.missing(pa.array([asset_id]), ["failures"])[0]:
-            yield from _compared("features", "feature", "aspect and tilt", shapes.keys(), asset.features.keys(), is_whole)
+        if is_encoded and self._known.missing(pa.array([name]), ["failures"])[0]:
+            yield from (("features", what) for what in _compared("feature", expected.keys(), asset.features.keys(), is_whole))
         if not is_whole:
             return
-        expected = Counter({key: count for key, (_, count) in use.tilts.items()})
-        if any(expected[key] != count for key, count in asset.tilts.items()) or sorted(asset.tilts.values()) != sorted(
-            count for _, count in use.most_tilts()
-        ):
-            yield (
-                "assets",
-                f"resting_tilts counts {sorted(asset.tilts.values())}, expected those of its most frequent tilts in the scenes",
-            )
-        if sum(map(len, use.shapes.values())) > MOST_SCALES:
-            return  # of more, the job looks at the first ones in its own order
-        stated, typical = asset.typical_scale, use.typical_scale()
-        is_same = stated == typical if stated is None or typical is None else all(map(is_close, stated, typical))
-        if not is_same:
-            yield "assets", f"typical_scale is {stated}, expected {typical}: the median of its scales in the scenes"
-        for key, shape in shapes.items():
-            if key in asset.features and (what := self._extents_fault(asset_id, shape, *asset.features[key])):
+        yield from (("assets", what) for what in _use_faults(asset))
+        for key, scale in expected.items():
+            if key in asset.features and scale is not None and (what := self._extents_fault(key, scale, *asset.features[key])):
                 yield "features", what
 
-    def _extents_fault(self, asset_id: str, shape: ShapeUse, tilt: QuatXyzw, log_extents: Sequence[float]) -> str:
-        """What is wrong with the extents of a feature at a tilt, given the mesh; empty if nothing is."""
-        extents = self._facts.extents(asset_id)
+    def _extents_fault(self, key: FeatureKey, scale: float, tilt: QuatXyzw, log_extents: Sequence[float]) -> str:
+        """What is wrong with the extents of a feature, given the mesh; empty if nothing is."""
+        name, steps, _ = key
+        extents = self._facts.extents(name)
         if extents is None:
             return ""
-        box = extents * shape.scale * aspect_of(shape.steps)
-        x, y, z = box.tolist()
-        most, found = np.array(rotated_extents((x, y, z), tilt)), np.exp(np.array(log_extents))
+        x, y, z = (float(one) for one in extents * scale * aspect_of(steps))
+        most = np.maximum(rotated_extents((x, y, z), tilt), SMALLEST_EXTENT)
+        found = np.exp(np.array(log_extents))
         # Of a tilted mesh, bounds alone follow from its box.
         least = most if tilt == UPRIGHT else np.zeros(3)
         is_within = (found <= most * (1 + _ROUNDING)).all() and (found >= least * (1 - _ROUNDING)).all()
-        if is_within and np.linalg.norm(found) >= box.max() * (1 - _ROUNDING):
+        if is_within and np.linalg.norm(found) >= max(x, y, z) * (1 - _ROUNDING):
             return ""
-        return (
-            f"log_extents at the aspect {shape.steps} are of {found.round(5).tolist()} m, expected {most.round(5).tolist()} m"
-        )
+        at_most = "" if tilt == UPRIGHT else "at most "
+        what = f"log_extents at the aspect {_told(aspect_of(steps))} are those of {_told(found)} m"
+        return f"{what}, expected {at_most}{_told(most)} m by its mesh"
 
 
-def _compared(
-    table: str, what: str, of: str, expected: Collection[Any], found: Collection[Any], is_whole: bool
-) -> Iterator[tuple[str, str]]:
-    """Yields which rows of an asset are missing or, if all uses are known, of no use."""
+def _features(name: str, asset: _Asset) -> dict[FeatureKey, float | None]:
+    """The features that the job makes of an asset, each with its scale, metres per mesh unit; None where it does not follow.
+
+    Beside the shapes that scenes use, these are its usual scale, even along all axes, at its frequent tilts.
+    """
+    use, typical = asset.use, asset.use.typical_scale()
+    found: dict[FeatureKey, float | None] = {(name, *key): float(np.median(scales)) for key, scales in use.shapes.items()}
+    if typical is not None:
+        for tilt in asset.tilts:
+            found.setdefault((name, _EVEN, tilt), None if use.has_more_scales else max(typical))
+    return found
+
+
+def _use_faults(asset: _Asset) -> Iterator[str]:
+    """Yields what the row of an asset says of its use that is not so in the scenes."""
+    expected = {key: count for key, (_, count) in asset.use.tilts.items()}
+    most = sorted(count for _, count in asset.use.most_tilts())  # which one of several equal counts is left out, is not known
+    if sorted(asset.tilts.values()) != most or any(expected.get(key) != count for key, count in asset.tilts.items()):
+        yield f"resting_tilts counts {sorted(asset.tilts.values())} objects, expected {most} of its frequent tilts in the scenes"
+    if asset.use.has_more_scales:
+        return  # the job looks at the first ones, in its own order
+    stated, typical = asset.typical_scale, asset.use.typical_scale()
+    is_same = stated == typical if stated is None or typical is None else all(map(is_close, stated, typical))
+    if not is_same:
+        yield f"typical_scale is {stated}, expected {typical}: the median of its scales in the scenes"
+
+
+def _compared(what: str, expected: Collection[Any], found: Collection[Any], is_whole: bool) -> Iterator[str]:
+    """Yields rows of an asset that are missing or, if all its uses are known, that the job does not make."""
     if lost := set(expected) - set(found):
-        yield table, f"no {what} of the {of} {min(lost)}, in which scenes use it"
+        yield f"has no {what} at {_place(min(lost))}, expected one by how scenes use it"
     if is_whole and (more := set(found) - set(expected)):
-        yield table, f"a {what} of the {of} {min(more)}, in which no scene uses it"
+        yield f"has a {what} at {_place(min(more))}, expected none: no scene uses it so"
+
+
+def _place(key: Any) -> str:
+    """A grid's aspect in steps, or the key of a feature, in words."""
+    if isinstance(key[0], str):
+        return f"the aspect {_told(aspect_of(key[1]))} and the tilt {_told(key[2])}"
+    return f"the aspect {_told(aspect_of(key))}"
+
+
+def _told(values: Vec3 | Sequence[float] | np.ndarray[Any, Any]) -> str:
+    return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"

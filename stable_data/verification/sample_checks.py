@@ -40,6 +40,7 @@ class SampleCheck:
         self._here: Mapping[str, tuple[Row, Scene | None]] = {}  # the scenes of its shard
         self._of_task: list[tuple[int, Row]] = []  # the last rows, of one task of one scene, with their numbers
         self._told = set[str]()  # the scenes with rows of their own task
+        self._objects: tuple[str, dict[str, SceneObject]] = ("", {})  # of the last scene, without stages
 
     def check(self, rows: Sequence[Row], start: int, file: ShardFile) -> None:
         """Checks rows of a file, of which the first has a number; the rows of a scene are in one shard."""
@@ -50,7 +51,9 @@ class SampleCheck:
             scene_row, scene = self._here.get(row["scene_id"], (None, None))
             if scene_row is None or scene is None:
                 continue
-            for what in _row_faults(row, scene_row, scene):
+            if self._objects[0] != row["scene_id"]:
+                self._objects = row["scene_id"], {o.instance: replace(o, stage=None) for o in scene.objects}
+            for what in _row_faults(row, scene_row, scene, self._objects[1]):
                 self._damage(row, what, number)
             if self._of_task and (len(self._of_task) == len(_STAGES) or _task_of(self._of_task[0][1]) != _task_of(row)):
                 self._close_task()
@@ -66,7 +69,7 @@ class SampleCheck:
                 if scene is not None and name not in self._told:
                     self._damage(row, "has no samples of its own task, expected one for each stage", None)
         self._told.clear()
-        self._file = None
+        self._file, self._objects = None, ("", {})
 
     def _close_task(self) -> None:
         """Compares the rows of a task with their scene."""
@@ -94,9 +97,8 @@ def _task_of(row: Row) -> tuple[str, str]:
     return row["scene_id"], row["task"]["task"]
 
 
-def _row_faults(row: Row, scene_row: Row, scene: Scene) -> Iterator[str]:
-    """Yields what contradicts between a row and its scene, whichever other rows there are."""
-    there = {o.instance: replace(o, stage=None) for o in scene.objects}
+def _row_faults(row: Row, scene_row: Row, scene: Scene, there: Mapping[str, SceneObject]) -> Iterator[str]:
+    """Yields what contradicts between a row and its scene, whose objects are given without stages, whichever other rows there are."""
     for column in ("objects_in", "objects_out"):
         for each in row[column]:
             o = object_from_row(each)

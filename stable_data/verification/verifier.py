@@ -33,6 +33,7 @@ from stable_data.verification.manifest_checks import (
     SETTLING,
     CountCheck,
     check_manifest,
+    important_threshold,
     older_version,
     origin_of,
     read_raw_manifest,
@@ -408,13 +409,15 @@ class _Verifier:
             findings.cannot_know(f"whether scenes are stable: MuJoCo {hint}; or leave it out with --verdicts audit")
             simulates = False
         try:
-            threshold = settings_of(origin).get("important_threshold") if origin.get("job") == "preprocess" else None
+            threshold = important_threshold(origin)
+            if threshold is None and origin.get("job") == "preprocess":
+                findings.cannot_know("the stages of scenes: the setting important_threshold is missing, or is no number")
             check: VerdictCheck = checks.VerdictCheck(
                 self._folder,
                 findings,
                 simulates=simulates,
                 is_settled=is_settled,
-                important_threshold=threshold if isinstance(threshold, float) else None,
+                important_threshold=threshold,
             )
         except ConfigError as error:
             findings.cannot_know(f"verdicts: {error}")

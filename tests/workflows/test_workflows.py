@@ -133,6 +133,10 @@ def test_the_image_is_built_of_what_is_there() -> None:
     }
     assert {name for name in generated if name not in left_out and f"**/{name}" not in left_out} == set()
     assert ".git" in left_out
+    launcher_lines = (WORKFLOWS / "ray" / "cluster.yaml").read_text("utf-8")
+    assert "/root" not in launcher_lines  # Ray writes files as the user of the image
+    assert any("HOME=/home/stable-data" in line for line in lines)
+    assert "/home/stable-data/.ray/auth_token" in launcher_lines
     assert lines.index("USER stable-data") > max(k for k, line in enumerate(lines) if line.startswith(("RUN ", "COPY ")))
 
 

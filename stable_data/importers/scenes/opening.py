@@ -112,7 +112,7 @@ def read_scene_file(boundary: Boundary, path: str, key: str = "", *, is_everywhe
     try:
         return _read(boundary, path, key, is_everywhere)
     except (SceneError, MeshError) as error:
-        if path in str(error):
+        if str(error).startswith((f"{path}:", f"{path!r}:")):
             raise
         raise type(error)(f"{path}: {error}", error.code) from error
 

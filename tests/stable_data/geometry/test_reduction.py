@@ -97,5 +97,5 @@ def test_triangles_that_lie_in_each_other_are_compared_at_few_points(monkeypatch
     for triangles in (torus(100), layers):
         reduce_mesh(join_triangles([triangles], "a")[0], 2000)
     assert points[:2] == [8192, 8192]
-    assert 64 <= points[2] < 4096
+    assert 256 <= points[2] < 4096
     assert points[3] < 8192

@@ -89,7 +89,7 @@ def test_what_was_broken_off_by_other_code_is_not_gone_on_with(
 def test_nothing_is_mixed(clean_run: Path, selected: Path) -> None:
     run = RunFolder(str(clean_run))
     for target in (selected, clean_run):
-        with pytest.raises(ConfigError, match=r"choose a new folder|name a new folder"):
+        with pytest.raises(ConfigError, match="choose a new folder"):
             select(run, "num_objects > 0", RunFolder(str(target)))
 
 
@@ -205,8 +205,6 @@ def test_a_selection_within_its_own_run_is_refused(clean_run: Path, tmp_path: Pa
     run = Path(shutil.copytree(clean_run, tmp_path / "run"))
     before = sorted(run.rglob("*"))
     for place in (run, run / "selected"):
-        with pytest.raises(ConfigError, match="is one of the runs or within one"):
-            select(RunFolder(str(run)), "clean", RunFolder(str(place)))
         done = CliRunner().invoke(app, ["query", str(run), "clean", "--to", str(place)])
         assert (done.exit_code, "name a new folder" in done.output) == (2, True), done.output
     assert sorted(run.rglob("*")) == before

@@ -637,7 +637,7 @@ OF_TEXTURES: Damages = {
 RELATION_OF_NOTHING = {"subject": "ghost_9", "kind": "on", "target": "table"}
 
 OF_FEATURES: Damages = {
-    "a feature gone": (rows("features", without_first, recounts=True), "features", "no feature of the aspect"),
+    "a feature gone": (rows("features", without_first, recounts=True), "features", "has no feature at the aspect"),
     "a feature of another aspect": (
         rows("features", lambda found: found[0].update(aspect=[1.0, 1.0, 0.2])),
         "features",
@@ -673,7 +673,7 @@ OF_STAGES: Damages = {
     ),
     "a report of an open mesh": (
         rows("assets", each(lambda row: row["report"].update(num_boundary_edges=7))),
-        "scenes/",
+        "assets",
         "says num_boundary_edges 7",
     ),
 }
@@ -757,8 +757,8 @@ OF_SAMPLES: Damages = {
         "samples/",
         "task names ghost_9",
     ),
-    "no grids": (everywhere("sdf", lambda _: []), "sdf", "no grid of the aspect"),
-    "a grid gone": (rows("sdf", without_first, recounts=True), "sdf", "no grid of the aspect"),
+    "no grids": (everywhere("sdf", lambda _: []), "sdf", "has no grid at the aspect"),
+    "a grid gone": (rows("sdf", without_first, recounts=True), "sdf", "has no grid at the aspect"),
     "a grid beside its mesh": (
         rows("sdf", lambda found: found[0].update(origin=[0.0, 0.0, 0.0])),
         "sdf/",

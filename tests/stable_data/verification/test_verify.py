@@ -199,7 +199,7 @@ def test_an_upgraded_run_is_whole(version: str, tmp_path: Path) -> None:
     manifest["counts"]["sdf"] = 0
     write_manifest(RunFolder(str(copy)), manifest)
     result, found = verified(copy, verdicts="audit")
-    assert all("no grid of the aspect" in each.what for each in found)  # the stored runs lack their grids
+    assert all("has no grid at the aspect" in each.what for each in found)  # the stored runs lack their grids
     assert (list(result.num_damaged), result.unknown, result.num_audited) == (["sdf"], (), 2), str(result)
 
 
