@@ -679,17 +679,6 @@ OF_STAGES: Damages = {
 }
 
 OF_SAMPLES: Damages = {
-    "a sample edited": (
-        rows("samples", lambda found: next(r for r in found if r["objects_out"])["objects_out"][0].update(yaw=0.123)),
-        "samples/",
-        "is not as in its scene",
-    ),
-    "a sample of another split": (
-        rows("samples", lambda found: found[0].update(split="unseen")),
-        "samples/",
-        "split is unseen, expected",
-    ),
-    "a grid cut off": (rows("sdf", lambda found: shorter("values")(found[0])), "sdf/", "its grid has"),
     "a grid of no asset": (rows("sdf", lambda found: found[0].update(asset_id="0" * 32)), "sdf/", "in no row of assets"),
     "shares of splits edited": (
         manifest(lambda m: m["settings"].update(train_share=0.0, validation_share=0.0)),
@@ -701,13 +690,6 @@ OF_SAMPLES: Damages = {
         "manifest.json",
         "no numbers",
     ),
-    "a restricted zone edited": (setting(restricted_zone=[0.0, 0.02, 0.0, 0.02]), "scenes/", "restricted_zone is"),
-    "a table made longer": (
-        scene(lambda row: row.update(table_size=[2 * row["table_size"][0], row["table_size"][1]])),
-        "scenes/",
-        "table_size is",
-    ),
-    "a verdict although nobody simulates": (setting(stable=True, settle_move_max_mm=0.0), "scenes/", "mujoco was not asked"),
     "groups of near-duplicates edited": (rows("scenes", regrouped), "scenes/", "duplicate_group is"),
     "no samples": (everywhere("samples", lambda _: []), "samples", "scenes have no sample"),
     "the samples of a shard gone": (rows("samples", lambda _: [], recounts=True), "samples", "scenes have no sample"),
@@ -732,15 +714,38 @@ OF_SAMPLES: Damages = {
         "samples/",
         "in this order",
     ),
-    "a sample on another table": (
-        rows("samples", lambda found: found[0].update(table_size=[9.0, 9.0])),
-        "samples/",
-        "table_size is [9.0, 9.0], expected",
-    ),
     "another instruction": (
         rows("samples", each(lambda row: row["task"].update(task="Juggle."))),
         "samples/",
         "no samples of its own task",
+    ),
+    "no grids": (everywhere("sdf", lambda _: []), "sdf", "has no grid at the aspect"),
+    "a grid gone": (rows("sdf", without_first, recounts=True), "sdf", "has no grid at the aspect"),
+}
+
+TOGETHER: Damages = {
+    "a sample edited": (
+        rows("samples", lambda found: next(r for r in found if r["objects_out"])["objects_out"][0].update(yaw=0.123)),
+        "samples/",
+        "is not as in its scene",
+    ),
+    "a sample of another split": (
+        rows("samples", lambda found: found[0].update(split="unseen")),
+        "samples/",
+        "split is unseen, expected",
+    ),
+    "a grid cut off": (rows("sdf", lambda found: shorter("values")(found[0])), "sdf/", "its grid has"),
+    "a restricted zone edited": (setting(restricted_zone=[0.0, 0.02, 0.0, 0.02]), "scenes/", "restricted_zone is"),
+    "a table made longer": (
+        scene(lambda row: row.update(table_size=[2 * row["table_size"][0], row["table_size"][1]])),
+        "scenes/",
+        "table_size is",
+    ),
+    "a verdict although nobody simulates": (setting(stable=True, settle_move_max_mm=0.0), "scenes/", "mujoco was not asked"),
+    "a sample on another table": (
+        rows("samples", lambda found: found[0].update(table_size=[9.0, 9.0])),
+        "samples/",
+        "table_size is [9.0, 9.0], expected",
     ),
     "another goal of the same instruction": (
         rows("samples", lambda found: found[0]["task"].update(goal=["nothing"])),
@@ -757,19 +762,17 @@ OF_SAMPLES: Damages = {
         "samples/",
         "task names ghost_9",
     ),
-    "no grids": (everywhere("sdf", lambda _: []), "sdf", "has no grid at the aspect"),
-    "a grid gone": (rows("sdf", without_first, recounts=True), "sdf", "has no grid at the aspect"),
     "a grid beside its mesh": (
-        rows("sdf", lambda found: found[0].update(origin=[0.0, 0.0, 0.0])),
+        rows("sdf", lambda found: found[1].update(origin=[0.0, 0.0, 0.0])),
         "sdf/",
         "its mesh is in the middle",
     ),
     "a grid with other spacings": (
-        rows("sdf", lambda found: found[0].update(spacing=2 * found[0]["spacing"])),
+        rows("sdf", lambda found: found[2].update(spacing=2 * found[2]["spacing"])),
         "sdf/",
         "spacing is",
     ),
-    "a grid of another unit": (rows("sdf", lambda found: found[0].update(extent=7.0)), "sdf/", "extent is 7.0"),
+    "a grid of another unit": (rows("sdf", lambda found: found[3].update(extent=7.0)), "sdf/", "extent is 7.0"),
     **{
         f"a report of another {name}": (
             rows("assets", larger_report(name)),
@@ -795,6 +798,7 @@ OF_SAMPLES: Damages = {
     ),
     "scenes of another dataset": (setting(source="elsewhere"), "scenes/", "source is 'elsewhere'"),
 }
+"""Damage of a run of preprocess in different places, which is done and found together."""
 
 OF_CORRECTIONS: Damages = {
     "fewer relations kept": (

@@ -42,6 +42,7 @@ from tests.stable_data.verification.damages import (
     OF_STAGES,
     OF_TEXTURES,
     OLDER_RUNS,
+    TOGETHER,
 )
 from tests.stable_data.verification.editing import Damage, files_of, hide, manifest, rows, small_run, write_equal_rows
 
@@ -88,6 +89,15 @@ def test_damaged_assets_are_found(name: str, imported: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize("name", OF_SAMPLES)
 def test_damaged_samples_and_grids_are_found(name: str, clean_run: Path, tmp_path: Path) -> None:
     check(clean_run, tmp_path, *OF_SAMPLES[name])
+
+
+def test_damage_in_many_places_is_found_everywhere(clean_run: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(clean_run, tmp_path / "run"))
+    for damage, _, _ in TOGETHER.values():
+        damage(copy)
+    _, found = verified(copy)
+    for name, (_, where, what) in TOGETHER.items():
+        assert any(f.where.startswith(where) and what in f.what for f in found), name
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +178,8 @@ def test_very_many_rows_of_a_small_file_take_little_memory(tmp_path: Path) -> No
 
 
 def test_there_are_many_ways_to_damage_a_run() -> None:
-    assert sum(map(len, (BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_TEXTURES, OF_SAMPLES, OF_STAGES, OF_CORRECTIONS))) >= 125
+    of_preprocess = (OF_SAMPLES, TOGETHER, OF_FEATURES, OF_STAGES)
+    assert sum(map(len, (BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_TEXTURES, OF_CORRECTIONS, *of_preprocess))) >= 180
 
 
 # --- what is unknown ----------------------------------------------------------------------------------------------------------
