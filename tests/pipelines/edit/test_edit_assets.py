@@ -175,6 +175,7 @@ def test_a_run_that_is_edited_keeps_its_tables_and_gets_the_new_meshes(
     assert content(out) == before
 
 
+@pytest.mark.slow
 def test_edits_of_edits_of_a_run_are_complete_runs(clean_run: Path, tmp_path: Path) -> None:
     source = clean_run
     for k in range(3):  # all outputs have the same name and the same assets

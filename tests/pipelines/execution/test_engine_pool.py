@@ -77,6 +77,7 @@ def test_engines_and_correctors_must_have_room_together(local_ray: None) -> None
         module.check_gpus({"engines": (1, 1.0), "correctors": (1, 0.25)})
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_a_cluster_is_waited_for_and_a_line_says_so(
     settings: EngineSettings, local_ray: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -158,6 +158,7 @@ def test_workers_tell_a_tally_on_ray_which_is_there_again_when_it_is_lost(local_
     assert tally.total() == {}
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_the_reports_of_a_long_run_leave_nothing_in_rays_head(local_ray: None) -> None:
     tally = SharedTally.started()

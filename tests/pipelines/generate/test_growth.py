@@ -91,6 +91,7 @@ def test_finished_scenes_are_not_made_again(dataset: Path, settings: GenerateSet
     assert set(before) <= set(run.file_stamps("scenes"))
 
 
+@pytest.mark.slow
 def test_a_growth_that_was_stopped_goes_on(
     dataset: Path, settings: GenerateSettings, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -217,7 +217,7 @@ def mesatask_answer(objects: list[dict[str, Any]]) -> str:
     )
 
 
-@pytest.mark.parametrize("name", ["mesatask", "mesatask_refined"])
+@pytest.mark.parametrize("name", ["mesatask", pytest.param("mesatask_refined", marks=pytest.mark.slow)])
 def test_the_dialect_of_mesatask_lays_out_whole_scenes(
     dataset: Path, shelf: AssetLibraries, tasks: TaskSource, tmp_path: Path, name: str
 ) -> None:

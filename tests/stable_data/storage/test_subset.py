@@ -147,7 +147,7 @@ def test_runs_that_overlap_are_joined_without_doubles(clean_run: Path, tmp_path:
     assert content(tmp_path / "joined") == before
 
 
-@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize("is_first", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_grids_and_features_of_shared_assets_are_those_of_the_run_that_has_them(
     is_first: bool, clean_run: Path, tmp_path: Path
 ) -> None:

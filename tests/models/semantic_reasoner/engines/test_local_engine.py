@@ -77,6 +77,7 @@ def test_slots_give_the_logits_of_whole_sequences(network: Qwen3ForCausalLM) -> 
         decoder.step(tokens)
 
 
+@pytest.mark.slow
 def test_prompts_of_many_lengths_leave_no_kernels() -> None:
     code = """if True:
         import os, torch
