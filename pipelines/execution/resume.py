@@ -114,10 +114,10 @@ def count_items(folder: RunFolder, table: str, column: str, planned: Iterable[st
     Raises:
         ConfigError: An item is not exactly one row of its table or one failure.
     """
-    usable = folder.count_values(table, column)
+    usable = folder.count_values(table, [column])[column]
     # Only failures of the same shards: items of other tables may fail under the same ids.
     shard_ids = folder.shard_ids(table) | ({OF_DATASET} if with_lost else set())
-    failed = folder.count_values("failures", "id", shard_ids)
+    failed = folder.count_values("failures", ["id"], shard_ids)["id"]
     wanted = set(planned)
     odd = sorted({i for i in wanted if usable[i] + failed[i] != 1} | (usable.keys() - wanted))
     if odd:
@@ -131,13 +131,14 @@ def count_items(folder: RunFolder, table: str, column: str, planned: Iterable[st
 
 def count_rows(folder: RunFolder, names: Iterable[str]) -> dict[str, Any]:
     """The number of rows by table, of warnings by code, and of failures by code and step."""
+    warnings, failures = folder.count_values("warnings", ["code"]), folder.count_values("failures", ["code", "step"])
     return {
         **{table: folder.num_rows(table) for table in names},
-        "warnings_by_code": _counted(folder, "warnings", "code"),
-        "failures_by_code": _counted(folder, "failures", "code"),
-        "failures_by_step": _counted(folder, "failures", "step"),
+        "warnings_by_code": _sorted(warnings["code"]),
+        "failures_by_code": _sorted(failures["code"]),
+        "failures_by_step": _sorted(failures["step"]),
     }
 
 
-def _counted(folder: RunFolder, table: str, column: str) -> dict[str, int]:
-    return dict(sorted(folder.count_values(table, column).items()))
+def _sorted(counts: Mapping[str, int]) -> dict[str, int]:
+    return dict(sorted(counts.items()))

@@ -485,12 +485,13 @@ class RunFolder:
         with open_parquet(path, filesystem=self.filesystem, metadata=fragment.metadata, pre_buffer=True) as file:
             yield file, [group.id for group in fragment.row_groups]
 
-    def count_values(self, table: str, column: str, shard_ids: Set[str] | None = None) -> Counter[Any]:
-        """Counts the values of a column of a table of the run, or of some of its shards; see :meth:`batches`."""
-        found = Counter[Any]()
-        for batch in self.batches(table, [column], shard_ids=shard_ids):
-            for entry in pc.value_counts(batch[column]).to_pylist():
-                found[entry["values"]] += entry["counts"]
+    def count_values(self, table: str, columns: Sequence[str], shard_ids: Set[str] | None = None) -> dict[str, Counter[Any]]:
+        """Counts the values of columns of a table of the run, or of some of its shards, which is read once; see :meth:`batches`."""
+        found = {name: Counter[Any]() for name in columns}
+        for batch in self.batches(table, columns, shard_ids=shard_ids):
+            for name, counts in found.items():
+                for entry in pc.value_counts(batch[name]).to_pylist():
+                    counts[entry["values"]] += entry["counts"]
         return found
 
     def _files_of(self, table: str, shard_ids: Set[str] | None) -> list[str]:

@@ -168,6 +168,14 @@ def split_rule(manifest: Mapping[str, Any]) -> SplitRule | None:
     return SplitRule(SplitShares(), "generated") if job == "generate" else None
 
 
+def num_planned(manifest: Mapping[str, Any], table: str) -> int | None:
+    """Returns how many items of a table a run had planned; None if its manifest does not say it."""
+    listed = manifest.get(PLANNED)
+    entries = [entry for entry in listed if isinstance(entry, dict)] if isinstance(listed, list) else []
+    found = [entry.get("count") for entry in entries if entry.get("table") == table]
+    return found[0] if len(found) == 1 and isinstance(found[0], int) else None
+
+
 def important_threshold(manifest: Mapping[str, Any]) -> float | None:
     """Returns the setting with which a run of preprocess set the stages of its scenes; None for other runs, or without a number."""
     return number(settings_of(manifest).get("important_threshold")) if manifest.get("job") == "preprocess" else None

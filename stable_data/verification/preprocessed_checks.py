@@ -24,11 +24,11 @@ from stable_data.storage.schemas import Row
 from stable_data.verification.asset_checks import AssetFacts
 from stable_data.verification.findings import Findings
 from stable_data.verification.known_ids import KnownIds
+from stable_data.verification.manifest_checks import num_planned
 from stable_data.verification.scene_checks import is_close
 from stable_data.verification.shard_files import ShardFile
 
 _ROUNDING = 1e-4  # share of an extent: its logarithm is float32
-_EVEN = (0, 0, 0)  # the aspect of even scales, in steps
 _OF_PROCESS = frozenset({"crashed", "timed_out", "out_of_memory", "unexpected"})
 """Codes of failures that say nothing of the scene: the job may have counted its objects all the same."""
 
@@ -63,7 +63,6 @@ class PreprocessedCheck:
 
     Args:
         manifest: The manifest of the run, or of the one that a published run was made of.
-        tables: The tables that the run must have.
         known: Ids of all scenes, samples and failures.
         facts: What the meshes are.
         findings: Where damage is noted.
@@ -72,10 +71,8 @@ class PreprocessedCheck:
     TABLE = "assets"
     TABLES = frozenset({"assets", "sdf", "features", "failures", "scenes"})
 
-    def __init__(
-        self, manifest: Mapping[str, Any], tables: frozenset[str], known: KnownIds, facts: AssetFacts, findings: Findings
-    ) -> None:
-        self._manifest, self._tables = manifest, tables
+    def __init__(self, manifest: Mapping[str, Any], known: KnownIds, facts: AssetFacts, findings: Findings) -> None:
+        self._manifest = manifest
         self._known, self._facts, self._findings = known, facts, findings
         self._assets = dict[str, _Asset]()  # those with a row in assets, which is read before the other tables
         self._num_scenes = self._num_unread = 0
@@ -85,7 +82,8 @@ class PreprocessedCheck:
         for number, row in enumerate(rows, start):
             try:
                 if file.table == "scenes":
-                    self._note_scene(row, number, file)
+                    self._check_source(row, number, file)
+                    self._note_objects(row, number, file)
                 elif file.table == "failures":
                     self._num_unread += row["step"] == "read" and row["code"] not in _OF_PROCESS
                 else:
@@ -108,32 +106,38 @@ class PreprocessedCheck:
             aspect, tilt = tuple(row["aspect"]), tuple(row["tilt_quat_xyzw"])
             self._assets[name].features[feature_key(name, aspect, tilt)] = tilt, tuple(row["log_extents"])
 
-    def _note_scene(self, row: Row, number: int, file: ShardFile) -> None:
-        self._num_scenes += 1
+    def _check_source(self, row: Row, number: int, file: ShardFile) -> None:
         dataset = self._manifest.get("dataset")
         if isinstance(dataset, str) and row["source"] != dataset:
             what = f"{row['scene_id']}: source is {row['source']!r:.60}, expected {dataset!r:.60} as of the run"
             self._findings.damage(file.name, what, number)
+
+    def _note_objects(self, row: Row, number: int, file: ShardFile) -> None:
+        self._num_scenes += 1
         log = ReadLog(row["scene_id"])
         for o in row["objects"]:
-            asset, text = self._assets.get(o["asset_id"]), o.get("source_json")
+            asset = self._assets.get(o["asset_id"])
             if asset is None:
                 continue  # no mesh of it could be used
-            entry = None if text is None else json_value(text)
+            entry = json_value(o["source_json"] or "null")
             if isinstance(entry, dict):  # the scale of the file: that of the object may be fitted to its size
                 asset.use.add(read_scale(entry, o["instance"], log), tuple(o["tilt_quat_xyzw"]))
             else:
                 asset.is_use_known = False
+                what = f"{row['scene_id']}: source_json of {o['instance']} is no object of JSON, expected its entry in the layout file"
+                self._findings.damage(file.name, what, number)
 
     def close(self) -> None:
         """Compares what was noted, after all rows were."""
-        if "samples" in self._tables:
-            known = self._known.of
-            lost = int((~known.get("samples", IdSet()).has_hashes(known.get("scenes", IdSet()).hashes)).sum())
-            if lost:
-                self._findings.damage("samples", f"{lost} scenes have no sample, expected one for each stage")
+        known = self._known.of
+        lost = int((~known.get("samples", IdSet()).has_hashes(known.get("scenes", IdSet()).hashes)).sum())
+        if lost:
+            self._findings.damage("samples", f"{lost} scenes have no sample, expected one for each stage")
         # An asset may also be used by scenes that failed after they were read.
-        is_whole = self._num_scenes + self._num_unread == self._manifest.get("num_scenes")
+        planned = num_planned(self._manifest, "scenes")
+        if planned is None:  # what a published run says of its origin does not list them
+            planned = self._manifest.get("num_scenes")
+        is_whole = self._num_scenes + self._num_unread == planned
         for name, asset in self._assets.items():
             try:
                 for table, what in self._faults(name, asset, is_whole and asset.is_use_known):
@@ -145,11 +149,9 @@ class PreprocessedCheck:
 
     def _faults(self, name: str, asset: _Asset, is_whole: bool) -> Iterator[tuple[str, str]]:
         """Yields what contradicts between the rows of an asset and the scenes, each with its table."""
-        if "sdf" in self._tables:
-            yield from (("sdf", what) for what in _compared("grid", asset.use.aspects(), asset.grids, is_whole))
+        yield from (("sdf", what) for what in _compared("grid", asset.use.aspects(), asset.grids, is_whole))
         expected = _features(name, asset)
-        is_encoded = self._manifest.get("encoder") is not None and "features" in self._tables
-        if is_encoded and self._known.missing(pa.array([name]), ["failures"])[0]:
+        if self._manifest.get("encoder") is not None and self._known.missing(pa.array([name]), ["failures"])[0]:
             yield from (("features", what) for what in _compared("feature", expected.keys(), asset.features.keys(), is_whole))
         if not is_whole:
             return
@@ -178,16 +180,10 @@ class PreprocessedCheck:
 
 
 def _features(name: str, asset: _Asset) -> dict[FeatureKey, float | None]:
-    """The features that the job makes of an asset, each with its scale, metres per mesh unit; None where it does not follow.
-
-    Beside the shapes that scenes use, these are its usual scale, even along all axes, at its frequent tilts.
-    """
-    use, typical = asset.use, asset.use.typical_scale()
-    found: dict[FeatureKey, float | None] = {(name, *key): float(np.median(scales)) for key, scales in use.shapes.items()}
-    if typical is not None:
-        for tilt in asset.tilts:
-            found.setdefault((name, _EVEN, tilt), None if use.has_more_scales else max(typical))
-    return found
+    """The features that the job makes of an asset, each with its scale, metres per mesh unit; None where it does not follow."""
+    use = asset.use
+    scales = use.shape_scales(asset.tilts)  # its own tilts: which of several equally frequent ones are there, is not known
+    return {(name, *key): scale if key in use.shapes or not use.has_more_scales else None for key, scale in scales.items()}
 
 
 def _use_faults(asset: _Asset) -> Iterator[str]:

@@ -55,11 +55,16 @@ class SampleCheck:
                 self._objects = row["scene_id"], {o.instance: replace(o, stage=None) for o in scene.objects}
             for what in _row_faults(row, scene_row, scene, self._objects[1]):
                 self._damage(row, what, number)
-            if self._of_task and (len(self._of_task) == len(_STAGES) or _task_of(self._of_task[0][1]) != _task_of(row)):
-                self._close_task()
-            self._of_task.append((number, row))
+            if self._mates is not None:
+                self._note_row(row, number)
         if self._mates is not None:
             self._mates.check([row["scene_id"] for row in rows], start, file)
+
+    def _note_row(self, row: Row, number: int) -> None:
+        """Keeps a row until those of its task are there."""
+        if self._of_task and (len(self._of_task) == len(_STAGES) or _task_of(self._of_task[0][1]) != _task_of(row)):
+            self._close_task()
+        self._of_task.append((number, row))
 
     def close(self) -> None:
         """Looks for scenes of a shard that have no samples of their own task."""
@@ -74,7 +79,7 @@ class SampleCheck:
     def _close_task(self) -> None:
         """Compares the rows of a task with their scene."""
         rows, self._of_task = self._of_task, []
-        if not rows or self._mates is None:
+        if not rows:
             return
         (number, first), (scene_row, scene) = rows[0], self._here[rows[0][1]["scene_id"]]
         assert scene is not None

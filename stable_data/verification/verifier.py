@@ -87,9 +87,6 @@ _IN_ONE_SHARD: Mapping[str, frozenset[str]] = {
 }
 """Job -> tables whose rows it writes to the shards of their scenes."""
 
-_OF_PREPROCESS = ("samples", "sdf", "features")
-"""Tables of what preprocess computes of each scene and each asset."""
-
 _CARRIED = frozenset({"assets", "meshes", "textures", "sdf", "features", "settled"})
 """Tables that correct, edit and reach copy from the run that they read."""
 
@@ -225,9 +222,7 @@ class _Verifier:
         facts = AssetFacts()
         self._preprocessed: PreprocessedCheck | None = None
         if self._is_finished and origin.get("job") == "preprocess":
-            # A published run has the tables that its publisher chose.
-            tables = self._known.there if origin is not self._manifest else frozenset(_OF_PREPROCESS)
-            self._preprocessed = PreprocessedCheck(origin, tables, self._known, facts, findings)
+            self._preprocessed = PreprocessedCheck(origin, self._known, facts, findings)
         self._checks = self._row_checks(facts)
         self._generated = GeneratedCheck(origin, self._known, findings) if origin.get("job") == "generate" else None
         self._chosen = _ChosenScenes(options.sample, options.seed)
@@ -335,10 +330,10 @@ class _Verifier:
             self._note_rows(rows, start, file)
         except Exception as error:  # noqa: BLE001 - a value that no check expects is damage, and ends no verification
             self._findings.damage(file.name, _unchecked(error), start)
-        if file.table in self._checks:
-            checks = [self._checks[file.table]]
-            if self._preprocessed is not None and file.table in PreprocessedCheck.TABLES:
-                checks.append(self._preprocessed)
+        checks = [self._checks[file.table]] if file.table in self._checks else []
+        if self._preprocessed is not None and file.table in PreprocessedCheck.TABLES:
+            checks.append(self._preprocessed)
+        if checks:
             self._check_slices(checks, rows, start, file)
 
     def _note_rows(self, rows: pa.Table, start: int, file: ShardFile) -> None:
@@ -360,9 +355,10 @@ class _Verifier:
 
     def _check_slices(self, checks: Sequence[RowCheck], rows: pa.Table, start: int, file: ShardFile) -> None:
         for part in row_slices(rows):
-            found = rows_from_table(part)
+            found: list[Row] | None = None
             for check in checks:
                 try:
+                    found = rows_from_table(part) if found is None else found
                     check.check(found, start, file)
                 except Exception as error:  # noqa: BLE001 - as above
                     self._findings.damage(file.name, _unchecked(error), start)

@@ -796,6 +796,11 @@ TOGETHER: Damages = {
         "assets/",
         "the median of its scales",
     ),
+    "an object without its entry": (
+        scene(lambda row: row["objects"][0].update(source_json=None)),
+        "scenes/",
+        "is no object of JSON",
+    ),
     "scenes of another dataset": (setting(source="elsewhere"), "scenes/", "source is 'elsewhere'"),
 }
 """Damage of a run of preprocess in different places, which is done and found together."""

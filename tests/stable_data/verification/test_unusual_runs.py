@@ -21,6 +21,8 @@ from stable_data.verification.findings import Finding
 from stable_data.verification.verifier import VerifyOptions, verify_run
 from tests.pipelines.runs import SMALL
 from tests.scenes import box, sheet
+from tests.stable_data.verification.damages import rescaled
+from tests.stable_data.verification.editing import rows
 
 SCALE = (1.0, 0.8, 0.6)
 NUM_TILTS = 10  # more than the job keeps
@@ -74,3 +76,7 @@ def test_a_sound_run_of_unusual_scenes_is_whole(writer: str, unusual: Path, tmp_
     assert min(row["log_extents"][2] for row in run.table("features").to_pylist()) == pytest.approx(math.log(1e-4))
     result = verify_run(run, found.append, VerifyOptions(sample=3, verdicts="audit"))
     assert (result.is_whole, found) == (True, []), list(map(str, found))
+    rows("assets", rescaled)(tmp_path / "run")
+    verify_run(run, found.append, VerifyOptions(verdicts="none"))
+    # How a scene used an asset is known if it was read, and if it cannot be read by the job either.
+    assert any("the median of its scales" in each.what for each in found) is (not writer)
