@@ -8,6 +8,7 @@ import pytest
 
 from stable_data.embedded_world.families import FAMILIES
 from stable_data.embedded_world.families.catalogue import BY_CATEGORY, KEYS, NUM_VARIANTS, asset, unit_cube
+from stable_data.embedded_world.handles import is_of_handle
 from stable_data.embedded_world.modelling.family import COLORS, DENSITY, LAID, STANDING
 from stable_data.embedded_world.modelling.solids import volume
 from stable_data.embedded_world.placing import yaw_frame_parts
@@ -15,6 +16,7 @@ from stable_data.errors import ConfigError
 from stable_data.geometry.convex_decomposition import convex_parts
 from stable_data.geometry.gltf_reader import load_colliders, load_glb
 from stable_data.geometry.gltf_writer import write_glb
+from stable_data.geometry.mesh import area_vectors
 from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.scene import Tabletop
 from stable_data.simulation.settling import PhysicsOptions, RigidBody, settle
@@ -51,6 +53,9 @@ def test_assets_of_a_family_are_sound(category: str) -> None:
             if space is not None:
                 assert -made.mesh.extents[2] / 2 < space.z <= made.mesh.extents[2] / 2 + 1e-9
                 assert (np.array([space.width, space.depth]) <= made.mesh.extents[:2] + 1e-9).all()
+        if made.handle:  # a part of the surface, and not all of it
+            areas = np.linalg.norm(area_vectors(made.mesh.triangles), axis=1)
+            assert 0.02 < areas[is_of_handle(made.mesh, made.handle)].sum() / areas.sum() < 0.9
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
