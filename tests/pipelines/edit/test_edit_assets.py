@@ -204,6 +204,7 @@ def test_a_run_does_not_go_on_with_other_libraries(
     assert content(added) == before
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_meshes_without_parts_are_decomposed_by_who_needs_them(real_data: Path, tmp_path: Path) -> None:
     told = [

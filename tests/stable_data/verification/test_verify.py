@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from stable_data.cli import app
 from stable_data.commands.command_line import DONE, NOT_STARTED, SOME_FAILED
+from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.errors import ConfigError
 from stable_data.extras import EXTRA_OF_MODULE
 from stable_data.storage.checksums import CHECKSUMS, read_checksums
@@ -101,14 +102,16 @@ def test_damage_in_many_places_is_found_everywhere(clean_run: Path, tmp_path: Pa
 
 
 @pytest.fixture(scope="module")
-def encoded(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of preprocess with features, and with two tasks of each scene."""
+def encoded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of preprocess with features, and with two tasks of each of two scenes."""
     from pipelines.execution.ray_executor import WorkerPool
     from pipelines.preprocess.job import preprocess
     from tests.pipelines.runs import SMALL
 
-    out = tmp_path_factory.mktemp("encoded") / "run"
-    preprocess(str(dataset), str(out), replace(SMALL, features="auto", tasks_per_scene=2), WorkerPool())
+    root = tmp_path_factory.mktemp("encoded")
+    write_world(root / "data", 2, EmbeddedWorld(seed=3, pictures=False))
+    out = root / "run"
+    preprocess(str(root / "data"), str(out), replace(SMALL, features="auto", tasks_per_scene=2), WorkerPool())
     return out
 
 
