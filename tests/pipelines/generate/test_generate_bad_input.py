@@ -105,7 +105,7 @@ def test_an_asset_that_ends_whoever_reads_it_is_passed_over_where_workers_died(
     "death",
     [
         Act(drops=True),
-        Act(503, {"error": {"message": "no healthy upstream"}}),
+        pytest.param(Act(503, {"error": {"message": "no healthy upstream"}}), marks=pytest.mark.slow),
         Act(429, {"error": {"code": "insufficient_quota", "message": "You exceeded your current quota"}}),
         pytest.param(Act(after_s=2.0), marks=pytest.mark.slow),
     ],

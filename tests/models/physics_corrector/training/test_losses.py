@@ -148,7 +148,7 @@ def test_beyond_the_edge_and_in_the_zone_costs_only_where_it_is_asked_for() -> N
     assert gradient[0, 0, 0] > 0 > gradient[1, 0, 0]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_gradients_are_those_of_finite_differences(seed: int) -> None:
     batch, geometry = shaken(seed, num_scenes=4)
     poses = batch.poses.double().requires_grad_()
