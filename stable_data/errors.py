@@ -116,8 +116,11 @@ def cannot_read(where: str, path: str, error: Exception) -> ConfigError:
     if isinstance(error, MemoryError):
         raise error
     reason = str(error).strip().partition("\n")[0]
+    remedy = "delete it and run the job that wrote it again"
+    if "://" in where and isinstance(error, OSError):  # the store has failed; the file may be as it was written
+        remedy = f"check the network and the store, then run again; only if the file itself is damaged, {remedy}"
+    else:
+        remedy = f"if it exists, {remedy}"
     return ConfigError(
-        f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; "
-        "if it exists, delete it and run the job that wrote it again",
-        "shard_unreadable",
+        f"{where}: {path} cannot be read ({reason}), expected a Parquet file of this run; {remedy}", "shard_unreadable"
     )

@@ -135,7 +135,7 @@ def export_lance(
     run: "RunFolder", out: Path, where: str | None, scene_ids: Sequence[str] = (), limit: int | None = None
 ) -> None:
     """Writes scenes as a Lance dataset, and prints their number."""
-    from stable_data.storage.lance_table import LANCE_FOLDER, write_lance
+    from stable_data.export.lance_table import LANCE_FOLDER, write_lance
 
     count = write_lance(run, out, where, scene_ids, limit)
     echo(f"{out}: {count} scenes in {LANCE_FOLDER}")

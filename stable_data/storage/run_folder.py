@@ -33,6 +33,7 @@ from stable_data.errors import ConfigError, cannot_read, cannot_write
 from stable_data.json_text import document_of
 from stable_data.limits import LIMITS
 from stable_data.storage.parquet_files import bounded_batches, checked, is_small, open_parquet, read_row_groups
+from stable_data.storage.repeated_reads import with_repeated_reads
 from stable_data.storage.schema_checks import check_schema, conform_to_schema, missing_columns, warn_of_missing_columns
 from stable_data.storage.schemas import SCHEMAS
 from stable_data.storage.table_rows import arrow_table
@@ -88,6 +89,8 @@ class RunFolder:
         try:
             if "://" in uri:
                 self.filesystem, self.root = pafs.FileSystem.from_uri(uri)
+                if not self.is_local:
+                    self.filesystem = with_repeated_reads(self.filesystem)
             else:
                 self.filesystem, self.root = pafs.LocalFileSystem(), str(Path(uri).expanduser().absolute())
         except (pa.ArrowInvalid, ValueError, OSError) as error:

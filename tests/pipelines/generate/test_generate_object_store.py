@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pytest
 
 from benchmarks.faults.s3_server import Application
@@ -108,15 +109,15 @@ def test_a_store_that_is_gone_ends_the_run_with_one_line_and_what_is_there_stays
     dataset: Path, settings: GenerateSettings, local: RunFolder, store: tuple[Refusing, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     refusing, uri = store
-    write, calls = RunFolder.write_shard, 0
+    write, calls = RunFolder.write_table, 0
 
-    def goes_away(self: RunFolder, table: str, shard_id: str, rows: Any) -> None:
+    def goes_away(self: RunFolder, table: str, shard_id: str, rows: pa.Table) -> None:
         nonlocal calls
         calls += 1
         refusing.share = float(calls > len(GenerateWork.TABLES) + 4)  # in the middle of the second shard's tables
         write(self, table, shard_id, rows)
 
-    monkeypatch.setattr(RunFolder, "write_shard", goes_away)
+    monkeypatch.setattr(RunFolder, "write_table", goes_away)
     with pytest.raises(ConfigError, match=r"cannot be written .*then run again") as caught:
         generate(TaskSource("tasks", TASKS), uri, settings, WorkerPool(), [str(dataset)])
     assert caught.value.code == "output_unwritable"

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from stable_data.cli import app
-from stable_data.storage.lance_table import write_lance
+from stable_data.export.lance_table import write_lance
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import SCHEMAS
 from tests.stable_data.storage.small_run import IDS, write_run
