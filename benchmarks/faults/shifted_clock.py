@@ -1,7 +1,8 @@
 """A clock that jumps, for processes that are started with its environment.
 
 libfaketime (https://github.com/wolfcw/libfaketime) shifts it for all of a process, C++ too. Clocks that cannot be set, such as
-``time.monotonic``, stay as they are, as on a machine.
+``time.monotonic``, stay as they are, as on a machine. With such clocks, libfaketime lets ``time.sleep`` of Python fail (``[Errno 22]
+Invalid argument``), so the processes sleep in another way.
 """
 
 import os
@@ -18,6 +19,11 @@ from stable_data.errors import ConfigError
 
 _FARTHEST_HOURS = 12.0
 _SURE_SECONDS = 1000.0  # a shift that no delay of a process explains
+_SLEEP = """import threading, time
+
+_never = threading.Event()
+time.sleep = lambda seconds: None if _never.wait(seconds) else None
+"""
 _LIBRARY_VARIABLE = "FAKETIME_LIBRARY"
 _LIBRARIES = ("usr/lib/*/faketime/libfaketimeMT.so.1", "usr/lib*/faketime/libfaketimeMT.so.1")
 
@@ -26,14 +32,17 @@ class ShiftedClock:
     """The clock.
 
     Args:
-        path: File with the shift, which the processes read.
+        path: File with the shift, which the processes read. Beside it lies the folder with what Python does first in them.
 
     Raises:
         ConfigError: libfaketime is not there, or does not shift the clock of a process (``clock_not_shifted``).
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self._path, startup = path, path.with_name(f"{path.name}-startup")
+        startup.mkdir(parents=True, exist_ok=True)
+        write_file_atomically(startup / "sitecustomize.py", _SLEEP.encode())
+        self._modules = os.pathsep.join(filter(None, (str(startup), os.environ.get("PYTHONPATH"))))
         found = (str(library) for pattern in _LIBRARIES for library in sorted(Path("/").glob(pattern)))
         self._library = os.environ.get(_LIBRARY_VARIABLE) or next(found, "")
         self.set(_SURE_SECONDS)
@@ -54,6 +63,7 @@ class ShiftedClock:
             "FAKETIME_CACHE_DURATION": "1",
             "FAKETIME_DONT_FAKE_MONOTONIC": "1",
             "NO_FAKE_STAT": "1",
+            "PYTHONPATH": self._modules,
         }
 
     def set(self, seconds: float) -> None:
@@ -72,6 +82,6 @@ class ShiftedClock:
             return False
 
     def _is_shifted(self) -> bool:
-        command = [sys.executable, "-S", "-c", "import time; print(time.time())"]
+        command = [sys.executable, "-c", "import time; time.sleep(0.01); print(time.time())"]
         done = subprocess.run(command, capture_output=True, text=True, env=os.environ | dict(self.environment))
         return done.returncode == 0 and abs(float(done.stdout) - time.time() - _SURE_SECONDS) < _SURE_SECONDS / 2
