@@ -1,7 +1,7 @@
 """A shard of a job over scenes with one batched computation: the flow in correct, the reasoner in edit.
 
-Each item is checked alone, then the batch is computed for all valid items, then each item is finished alone. A bad item
-therefore costs no other item.
+Each item is checked alone, then the batch is computed for all valid items, then each item is finished alone. A batch that fails, or needs
+too much time or memory, is computed again item by item, in separate processes. A bad item therefore costs no other item.
 """
 
 from abc import abstractmethod
@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Generic, Literal, Self, TypeAlias, TypeVar
 
+import ray
+
 from models.physics_corrector.certify import CertifyOptions, CorrectionStatus, DroppedObject
 from models.physics_corrector.certify.correction import Correction
 from models.physics_corrector.corrector import PhysicsCorrector
@@ -19,12 +21,22 @@ from pipelines.correct.settings import CorrectSettings
 from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressTally
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, connection, item_limited, run_isolated
-from pipelines.execution.shard_step import Rows, Shard, ShardResult, ShardStep, rows_isolated, rows_or_failure
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, connection, item_limited
+from pipelines.execution.shard_step import (
+    NOT_OF_AN_ITEM,
+    Rows,
+    Shard,
+    ShardResult,
+    ShardStep,
+    failed_process,
+    rows_isolated,
+    rows_or_failure,
+)
 from pipelines.sources.scenes import SceneSource, SourceScene, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, Notice
+from stable_data.limits import is_out_of_memory
 
 S = TypeVar("S", bound=CorrectSettings)
 I = TypeVar("I")  # noqa: E741 - an item
@@ -32,6 +44,8 @@ A = TypeVar("A")  # an answer
 X = TypeVar("X")
 
 WhenFull: TypeAlias = Literal["drop", "infeasible"]
+
+_OF_THE_RUN = (*NOT_OF_AN_ITEM, ray.exceptions.RayError)  # the flow may run on another node
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,18 +95,32 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
 
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
         """Computes the rows of a shard."""
-        if isolated and self.correctors is not None:
-            return replace(self, correctors=None, settings=self.settings.alone()).shard(shard, isolated=True)
+        if not isolated:
+            return self._shard(shard, None)
+        alone = replace(self, correctors=None, settings=self.settings.alone()) if self.correctors is not None else self
+        with IsolatedProcess(alone.prepare_to_ask) as process:
+            return alone._shard(shard, process)
+
+    def _shard(self, shard: Shard[I], process: IsolatedProcess | None) -> ShardResult:
+        """Computes the rows of a shard in this process, or in a separate one."""
         rows: Rows = defaultdict(list)
         usable = []
         for item in shard.items:
-            failed = self._limited(self._look, item, self.item_id(item), isolated)
+            failed = self._limited(self._look, item, self.item_id(item), process)
             _add(rows, failed)
             if not failed:
                 usable.append(item)
-        for pair in zip(usable, self._answers(usable, isolated), strict=True):
-            _add(rows, self._limited(self._finish, pair, self.item_id(pair[0]), isolated))
-        if not isolated:  # otherwise nothing was opened in this process
+        try:
+            answered = self._limited_answers(usable) if process is None else self._isolated_answers(usable, rows, process)
+        except _OF_THE_RUN:
+            raise
+        except Exception:  # the item is identified in separate processes
+            if process is not None:
+                raise
+            return self.shard(shard, isolated=True)
+        for pair in answered:
+            _add(rows, self._limited(self._finish, pair, self.item_id(pair[0]), process))
+        if process is None:  # otherwise nothing was opened in this process
             self.opened().taken.clear()
         return ShardResult(rows)
 
@@ -114,7 +142,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
 
     @abstractmethod
     def unanswered(self, loss: ProcessFailure, items: Sequence[I]) -> ConfigError:
-        """The error if the process of the batched computation was lost."""
+        """The error if the process of the batched computation was lost for all items, and for each alone."""
 
     @abstractmethod
     def finished(self, item: I, answer: A) -> Rows:
@@ -122,7 +150,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
 
     def prepare_to_ask(self) -> None:
         """Opens what the batched computation needs; this time does not count against its limit."""
-        self._prepare()
+        self.opened()
 
     def take(self, scene_id: str, progress: ItemProgress) -> SourceScene:
         """A scene of the source, read once for this shard."""
@@ -143,26 +171,63 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
     def _finish(self, pair: tuple[I, A]) -> Rows:
         return self.finished(*pair)
 
-    def _answers(self, items: Sequence[I], isolated: bool) -> list[A]:
-        if not isolated:
-            return self.answers(items)
-        num, seconds = max(1, len(items)), self.settings.seconds_per_item
-        found = run_isolated(self.answers, items, seconds=num * seconds, num_items=num, prepare=self.prepare_to_ask)
-        if isinstance(found, ProcessFailure):
-            raise self.unanswered(found, items)
-        return found
+    def _limited_answers(self, items: Sequence[I]) -> list[tuple[I, A]]:
+        """The items with their answers, in this process."""
+        if not items:
+            return []
+        self.prepare_to_ask()
+        with item_limited(self.settings.seconds_per_item, len(items)):
+            return list(zip(items, self.answers(items), strict=True))
 
-    def _limited(self, make: Callable[[X], Rows], item: X, item_id: str, isolated: bool) -> Rows:
+    def _isolated_answers(self, items: Sequence[I], rows: Rows, process: IsolatedProcess) -> list[tuple[I, A]]:
+        """The items with their answers, from a separate process; if that fails, each is asked for alone, and fails alone.
+
+        Raises:
+            ConfigError: The process was lost for each of several items: that is no fault of one of them.
+        """
+        num, seconds = len(items), self.settings.seconds_per_item
+        answered: list[tuple[I, A]] = []
+        failed: list[Rows] = []
+        together = process.call(self._answered, items, seconds=num * seconds, num_items=num) if num > 1 else None
+        if isinstance(together, list):
+            return list(zip(items, together, strict=True))
+        for item in items:
+            found = process.call(self._answered, [item], seconds=seconds)
+            if isinstance(found, list):
+                answered.append((item, found[0]))
+            elif isinstance(found, ProcessFailure):
+                failed.append(failed_process(found, self.item_id(item), seconds))
+            else:
+                failed.append(found)
+        if isinstance(together, ProcessFailure) and not answered:
+            raise self.unanswered(together, items)
+        for failure in failed:
+            _add(rows, failure)
+        return answered
+
+    def _answered(self, items: Sequence[I]) -> list[A] | Rows:
+        """The answers, or the row of ``failures`` of the first item if there are none."""
+        answers: list[A] = []
+
+        def answer() -> Rows:
+            try:
+                answers.extend(self.answers(items))
+            except Exception as error:
+                if is_out_of_memory(error):
+                    raise MemoryError from error
+                raise
+            return {}
+
+        of_the_run = (*NOT_OF_AN_ITEM, MemoryError)
+        return rows_or_failure(self.item_id(items[0]), ItemProgress("answer"), answer, of_the_run=of_the_run) or answers
+
+    def _limited(self, make: Callable[[X], Rows], item: X, item_id: str, process: IsolatedProcess | None) -> Rows:
         seconds = self.settings.seconds_per_item
-        if isolated:
-            return rows_isolated(make, item, item_id, seconds=seconds, prepare=self._prepare)
-        self._prepare()
+        if process is not None:
+            return rows_isolated(process, make, item, item_id, seconds=seconds)
+        self.opened()  # this time does not count against the limit
         with item_limited(seconds):
             return make(item)
-
-    def _prepare(self) -> None:
-        """Opens what items need; this time does not count against their limit."""
-        self.opened()
 
 
 def _opened_corrector(work: SceneWork[Any, Any, Any]) -> tuple[PhysicsCorrector, AssetStore]:

@@ -352,14 +352,15 @@ def _first_line(error: BaseException) -> str:
 
 
 @contextmanager
-def item_limited(seconds: float) -> Iterator[None]:
-    """Gives the body the time and the memory of an item if this process is a worker of Ray; in any other process there is no limit.
+def item_limited(seconds: float, num_items: int = 1) -> Iterator[None]:
+    """Gives the body the time and the memory of its items if this process is a worker of Ray; in any other process there is no limit.
 
-    The process ends if the body takes longer, because nothing else stops a parser that hangs in C code. Its shard is then run item by
-    item, in separate processes.
+    The process ends if the body takes longer, because nothing else stops a parser that hangs in C code. Its shard is then run again,
+    and from the second time on item by item, in separate processes. One body must not be within another.
 
     Args:
-        seconds: The time limit. That on memory is one of :class:`stable_data.limits.ItemLimits`.
+        seconds: The time limit of an item. That on memory is one of :class:`stable_data.limits.ItemLimits`.
+        num_items: The number of items of a body that works on several at once.
 
     Raises:
         MemoryError: The body needs more memory; code in C may end the process instead.
@@ -367,9 +368,9 @@ def item_limited(seconds: float) -> Iterator[None]:
     if not (ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE):
         yield
         return
-    faulthandler.dump_traceback_later(seconds, exit=True)
+    faulthandler.dump_traceback_later(num_items * seconds, exit=True)
     try:
-        with memory_limited(LIMITS.item.max_memory_bytes):
+        with memory_limited(num_items * LIMITS.item.max_memory_bytes):
             yield
     finally:
         faulthandler.cancel_dump_traceback_later()

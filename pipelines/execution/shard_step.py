@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressTally
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool, item_limited, run_isolated
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, item_limited
 from stable_data.errors import ConfigError, Notice, StableDataError
 from stable_data.limits import LIMITS, at_most, is_out_of_memory
 from stable_data.storage import schemas
@@ -157,8 +157,8 @@ class ItemStep(ShardStep[I]):
             return self.item(item)
 
     def _isolated_rows(self, item: I) -> Rows:
-        seconds = self.seconds_per_item
-        return rows_isolated(self.item, item, self.item_id(item), seconds=seconds, prepare=partial(self.prepare, item))
+        with IsolatedProcess(partial(self.prepare, item)) as process:
+            return rows_isolated(process, self.item, item, self.item_id(item), seconds=self.seconds_per_item)
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,8 +280,13 @@ def rows_or_failure(
     except StableDataError as error:
         return {"failures": [notice_row(Notice(item_id, progress.step, error.code, str(error)))]}
     except Exception as error:  # noqa: BLE001 - the one place where an unexpected error becomes a row
-        code = str(ProcessFailure.OUT_OF_MEMORY) if is_out_of_memory(error) else "unexpected"
-        return {"failures": [notice_row(Notice(item_id, progress.step, code, f"{item_id}: {unexpected_failure(error)}"))]}
+        return {"failures": [notice_row(unexpected_notice(item_id, progress.step, error))]}
+
+
+def unexpected_notice(item_id: str, step: str, error: Exception) -> Notice:
+    """The notice of an item that failed with an error that is none of this project."""
+    code = str(ProcessFailure.OUT_OF_MEMORY) if is_out_of_memory(error) else "unexpected"
+    return Notice(item_id, step, code, f"{item_id}: {unexpected_failure(error)}")
 
 
 def unexpected_failure(error: Exception) -> str:
@@ -291,11 +296,9 @@ def unexpected_failure(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}; please report this with the file"
 
 
-def rows_isolated(
-    make: Callable[[I], Rows], item: I, item_id: str, *, seconds: float, prepare: Callable[[], object] | None = None
-) -> Rows:
+def rows_isolated(process: IsolatedProcess, make: Callable[[I], Rows], item: I, item_id: str, *, seconds: float) -> Rows:
     """The rows of one item from a separate process; a failure if that process dies or takes too long, or if they cannot be written."""
-    found = run_isolated(make, item, seconds=seconds, prepare=prepare)
+    found = process.call(make, item, seconds=seconds)
     if isinstance(found, ProcessFailure):
         return failed_process(found, item_id, seconds)
     try:

@@ -1,6 +1,7 @@
 """Answers the requests of Algorithm 1 in one process, with its own reasoner, libraries and corrector."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from itertools import islice
 from time import perf_counter
@@ -28,6 +29,14 @@ from stable_data.scene import Scene
 
 Certify: TypeAlias = Callable[[CertificationRequest], Correction]
 """Certifies one scene, in a separate process if a mesh may crash this one."""
+
+
+Move: TypeAlias = Callable[[Sequence[Scene], Sequence[CorrectionOptions]], Sequence[CertificationRequest | Correction]]
+"""Moves the objects of scenes as one batch; a scene that cannot be moved has a failed correction."""
+
+
+Limited: TypeAlias = Callable[[int], AbstractContextManager[None]]
+"""Gives a body the time and the memory of a number of scenes."""
 
 
 Place: TypeAlias = Callable[[Search, PlacementProblem], Placement]
@@ -94,6 +103,8 @@ class LocalRequestHandler:
         seed: Decides among assets that match equally well.
         settles: Whether the last correction of a scene simulates it in MuJoCo.
         certify: Certifies one scene; None uses ``certifier``.
+        move: Moves scenes before they are certified; None uses the corrector.
+        limited: Limits what is done for several scenes at once.
         fault_of: Returns why an asset cannot be used; None uses the certifier's store.
         prepares: Whether scenes are refined as a batch; otherwise each where it is certified.
         search: Finds places by a search.
@@ -106,6 +117,8 @@ class LocalRequestHandler:
     seed: int = 0
     settles: bool = True
     certify: Certify | None = None
+    move: Move | None = None
+    limited: Limited = lambda _: nullcontext()
     fault_of: Callable[[str], str | None] | None = None
     prepares: bool = True
     search: Place = lambda search, problem: search(problem)
@@ -155,24 +168,31 @@ class LocalRequestHandler:
     def correct(self, questions: Sequence[CorrectionRequest], /) -> Iterator[Correction]:
         """Corrects scenes: the flow moves and the refinement refines all of them as one batch, then each is certified alone."""
         began = perf_counter()
-        corrector, certify = self.certifier.corrector, self.certify or self.certifier
+        certify = self.certify or self.certifier
         options = [CorrectionOptions(q.fixed, q.new, q.may_tilt, asks_engine=q.is_last and self.settles) for q in questions]
-        requests = corrector.move([q.scene for q in questions], self.certifier.store, options)
+        moved = (self.move or self.moved)([q.scene for q in questions], options)
         self.seconds["flow"] += perf_counter() - began
         began = perf_counter()
         if self.prepares:
-            requests = self._prepared(requests)
+            requests = iter(self._prepared([one for one in moved if isinstance(one, CertificationRequest)]))
+            moved = [one if isinstance(one, Correction) else next(requests) for one in moved]
         self.seconds["refine"] += perf_counter() - began
-        for request in requests:
+        for one in moved:
             began = perf_counter()
-            found = certify(request)
+            found = one if isinstance(one, Correction) else certify(one)
             self.seconds["certify"] += perf_counter() - began
             yield found
+
+    def moved(self, scenes: Sequence[Scene], options: Sequence[CorrectionOptions]) -> list[CertificationRequest]:
+        """The scenes after the flow, in this process."""
+        with self.limited(len(scenes)):
+            return self.certifier.corrector.move(scenes, self.certifier.store, options)
 
     def _prepared(self, requests: list[CertificationRequest]) -> list[CertificationRequest]:
         """The requests with refined layouts; after an unexpected error each is prepared alone, when it is certified."""
         try:
-            return self.certifier.corrector.prepare(requests, self.certifier.store)
+            with self.limited(len(requests)):
+                return self.certifier.corrector.prepare(requests, self.certifier.store)
         except NOT_OF_AN_ITEM:
             raise
         except Exception:  # noqa: BLE001 - the scene is identified when it is certified

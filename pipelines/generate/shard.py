@@ -9,9 +9,9 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 from time import perf_counter, process_time
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import ray
 
@@ -27,7 +27,7 @@ from models.dual_system.variant_comparison import Comparison, compare_variant
 from models.dual_system.variant_task import VariantTask
 from models.dual_system.variants import NO_VARIANT, VariantWorld, vary
 from models.physics_corrector.certify import CertifyOptions
-from models.physics_corrector.certify.correction import CertificationRequest, Correction
+from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions
 from models.physics_corrector.corrector import PhysicsCorrector
 from models.physics_corrector.flow.expected_error import PROPOSAL_ERROR
 from models.physics_corrector.learned_flow import load_flow
@@ -54,11 +54,13 @@ from pipelines.execution.shard_step import (
     engine_stopped,
     rows_or_failure,
     unexpected_failure,
+    unexpected_notice,
 )
 from pipelines.generate.answers import LocalCertifier, LocalRequestHandler, failed_correction
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import Task
+from pipelines.sources.layout_files import STEP as LAYOUT_STEP
 from pipelines.sources.layout_files import LayoutFiles
 from pipelines.sources.scene_variants import SceneVariant
 from pipelines.sources.scenes import TableSource, contact_grid_cache
@@ -83,6 +85,9 @@ from stable_data.storage import schemas
 from stable_data.storage.table_rows import card_row, notice_row, scene_row
 from stable_data.tasks.compiling import holds_at_start
 from stable_data.tasks.geometry import TaskGeometry
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 SOURCE = "generated"
 """The ``source`` of rows of ``scenes``."""
@@ -115,8 +120,6 @@ class GenerateWorkerState:
         interpret: Interprets instructions, or None if the engine has no statistics of categories.
         serves: Whether the libraries have a wanted thing, by its category.
         world: What variants are made with.
-        supports: As in :class:`GenerateWork`.
-        layout_files: Where the layouts of another system are; empty without them.
     """
 
     answers: LocalRequestHandler
@@ -124,8 +127,6 @@ class GenerateWorkerState:
     interpret: InstructionInterpreter | None
     serves: Callable[[str], bool]
     world: VariantWorld
-    supports: str | None
-    layout_files: str = ""
 
     def holds(self, category: str) -> bool | None:
         """Whether assets of a category can contain others; None if it is not known."""
@@ -136,17 +137,6 @@ class GenerateWorkerState:
         """Whether the goal of a scene's task holds; False if it cannot be checked."""
         scene, shapes, _ = self.answers.certifier.store.resolved(scene)
         return holds_at_start(TaskGeometry(scene, shapes, self.shelf.containers(scene)))
-
-    @cached_property
-    def layouts(self) -> LayoutFiles:
-        """The layouts of another system."""
-        return LayoutFiles(self.layout_files, self.shelf)
-
-    @cached_property
-    def varied(self) -> TableSource:
-        """The run of the scenes that are varied."""
-        assert self.supports is not None
-        return TableSource(self.supports, self.shelf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,12 +208,14 @@ class GenerateWork(ShardStep[Task]):
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, process=process)
+        opened.answers.move = None if process is None else partial(self._moved, process)
+        opened.answers.limited = partial(item_limited, self.settings.seconds_per_item)
         opened.answers.prepares = process is None
         opened.answers.search = partial(self._searched, process=process)
         opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, process=process))
         rows: Rows = defaultdict(list)
-        tasks = list(self._tasks(shard, rows, opened))
-        for made in self._generated(tasks, opened, tell):
+        tasks = list(self._tasks(shard, rows, opened, process))
+        for made in self._generated(tasks, opened, process, tell):
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
                 raise engine_stopped(f"{made.task.scene_id}: {off.failure}")
             for table, found in self._rows(made).items():
@@ -232,24 +224,33 @@ class GenerateWork(ShardStep[Task]):
         spent = {**seconds, "judge": judge, "processor": process_time() - processor, "scenes": len(shard)}
         return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
 
-    def _tasks(self, shard: Shard[Task], rows: Rows, opened: GenerateWorkerState) -> Iterator[LayoutTask]:
+    def _tasks(
+        self, shard: Shard[Task], rows: Rows, opened: GenerateWorkerState, process: IsolatedProcess | None
+    ) -> Iterator[LayoutTask]:
         """The tasks of a shard; a task that cannot be sampled or read is a failure."""
         for task in shard.items:
             try:
                 if isinstance(task, SceneVariant):
-                    yield task.read(opened.varied)
+                    found = self._limited(_read_variant, task, process)
+                    if isinstance(found, ProcessFailure):
+                        raise SceneError(f"{task.scene_id}: its scene {self._told(found)}", str(found))
+                    yield found
                 else:
                     yield task if isinstance(task, LayoutTask) else task.sample(opened.serves)
             except SceneError as error:
                 rows["failures"].append(notice_row(Notice(task.scene_id, "tasks", error.code, str(error))))
 
     def _generated(
-        self, tasks: Sequence[LayoutTask], opened: GenerateWorkerState, tell: ProgressReporter
+        self,
+        tasks: Sequence[LayoutTask],
+        opened: GenerateWorkerState,
+        process: IsolatedProcess | None,
+        tell: ProgressReporter,
     ) -> Iterator[GenerationResult]:
         """Generates scenes concurrently; after an unexpected error one by one, so that it costs one scene only."""
 
         def made(some: Sequence[LayoutTask], watch: Callable[[QueueCounts], None] | None = None) -> list[GenerationResult]:
-            return run_batched([self._loop(task, opened) for task in some], opened.answers, watch)
+            return run_batched([self._loop(task, opened, process) for task in some], opened.answers, watch)
 
         def watch(queues: QueueCounts) -> None:
             tell(propose=queues.reasoner, correct=queues.corrector, judge=queues.made)
@@ -268,14 +269,11 @@ class GenerateWork(ShardStep[Task]):
                 except _NOT_OF_AN_ITEM:
                     raise
                 except Exception as error:  # noqa: BLE001 - an unexpected error becomes a row
-                    message = f"{task.scene_id}: {unexpected_failure(error)}"
-                    blank = task.empty_scene
-                    found = GenerationResult(
-                        task, None, blank, (), failure=Notice(task.scene_id, "generate", "unexpected", message)
-                    )
+                    notice = unexpected_notice(task.scene_id, "generate", error)
+                    found = GenerationResult(task, None, task.empty_scene, (), failure=notice)
                 yield found
 
-    def _loop(self, task: LayoutTask, opened: GenerateWorkerState) -> Loop:
+    def _loop(self, task: LayoutTask, opened: GenerateWorkerState, process: IsolatedProcess | None) -> Loop:
         """The coroutine that makes the scene of a task."""
         settings, interpret = self.settings.loop, opened.interpret
         if isinstance(task, VariantTask):
@@ -288,11 +286,38 @@ class GenerateWork(ShardStep[Task]):
             return idesign(task, seed, settings, interpret, drafting)
         if self.settings.layout == "files":
             began = perf_counter()
-            found, remarks = opened.layouts.of_task(task.scene_id)
+            found, remarks = self._layout_of(task.scene_id, process)
             seconds = opened.answers.seconds
             seconds["read"] = seconds.get("read", 0.0) + perf_counter() - began
             return imported_layout(task, found, settings, interpret, remarks)
-        return dual_system(task, seed, settings, interpret, is_done=opened.is_done)
+        return dual_system(task, seed, settings, interpret, is_done=self._is_done)
+
+    def _limited(
+        self, function: Callable[["GenerateWork", T], R], item: T, process: IsolatedProcess | None
+    ) -> R | ProcessFailure:
+        """Calls a function within the limits of an item; in a separate process if workers died while they processed its shard."""
+        seconds = self.settings.seconds_per_item
+        if process is not None:
+            return process.call(function, self._physics(), item, seconds=seconds)
+        try:
+            with item_limited(seconds):
+                return function(self, item)
+        except MemoryError:
+            return ProcessFailure.OUT_OF_MEMORY
+
+    def _told(self, found: ProcessFailure) -> str:
+        return f"{found.told(self.settings.seconds_per_item)}; is it hostile?"
+
+    def _layout_of(self, scene_id: str, process: IsolatedProcess | None) -> tuple[Scene | Notice, tuple[Notice, ...]]:
+        """The layout of another system for a task, and what its reader remarked."""
+        found = self._limited(_read_layout, scene_id, process)
+        if isinstance(found, ProcessFailure):
+            return Notice(scene_id, LAYOUT_STEP, str(found), f"{scene_id}: its layout {self._told(found)}"), ()
+        return found
+
+    def _is_done(self, scene: Scene) -> bool:
+        with item_limited(self.settings.seconds_per_item):
+            return _opened(self).is_done(scene)
 
     def _searched(self, search: Search, problem: PlacementProblem, *, process: IsolatedProcess | None) -> Placement:
         """Finds places, in a separate process if workers died while they processed its shard."""
@@ -312,29 +337,31 @@ class GenerateWork(ShardStep[Task]):
         reason = f"the search for places {found.told(seconds)}"
         return Placement((), dict.fromkeys((o.instance for o in problem.objects), reason))
 
+    def _moved(
+        self, process: IsolatedProcess, scenes: Sequence[Scene], options: Sequence[CorrectionOptions]
+    ) -> list[CertificationRequest | Correction]:
+        """Moves scenes one by one, in a separate process."""
+        found: list[CertificationRequest | Correction] = []
+        for scene, option in zip(scenes, options, strict=True):
+            one = self._limited(_move, (scene, option), process)
+            found.append(
+                failed_correction(CertificationRequest(scene, None), f"the flow {self._told(one)}")
+                if isinstance(one, ProcessFailure)
+                else one
+            )
+        return found
+
     def _certified(self, asked: CertificationRequest, *, process: IsolatedProcess | None) -> Correction:
         """Certifies one scene, in a separate process if workers died while they processed its shard."""
-        seconds = self.settings.seconds_per_item
-        if process is None:
-            with item_limited(seconds):
-                return _opened(self).answers.certifier(asked)
-        found = process.call(partial(_certify, self._physics()), asked, seconds=seconds)
-        if isinstance(found, ProcessFailure):
-            return failed_correction(asked, f"the correction {found.told(seconds)}")
-        return found
+        found = self._limited(_certify, asked, process)
+        return failed_correction(asked, f"the correction {self._told(found)}") if isinstance(found, ProcessFailure) else found
 
     def _fault_of(self, asset_id: str, *, process: IsolatedProcess | None) -> str | None:
         """Why an asset cannot be used; if workers died over the shard, a separate process reads it first."""
-        seconds, store = self.settings.seconds_per_item, _opened(self).answers.certifier.store
-        if process is not None:
-            found = process.call(partial(_read_asset, self._physics()), asset_id, seconds=seconds)
-            if isinstance(found, ProcessFailure):
-                return f"asset {asset_id}: reading it {found.told(seconds)}"
-        try:
-            with item_limited(seconds):
-                return store.fault_of(asset_id)
-        except MemoryError as error:
-            return f"asset {asset_id}: {unexpected_failure(error)}"
+        found = None if process is None else self._limited(_fault_of, asset_id, process)
+        if not isinstance(found, ProcessFailure):
+            found = self._limited(_fault_of, asset_id, None)
+        return f"asset {asset_id}: reading it {self._told(found)}" if isinstance(found, ProcessFailure) else found
 
     def _physics(self) -> "GenerateWork":
         """The work for a separate process, which is no worker of Ray and cannot reach shared engines or the tally."""
@@ -425,17 +452,48 @@ def _prepare(work: GenerateWork) -> None:
     _open_certifier(work)
 
 
+def _read_variant(work: GenerateWork, variant: SceneVariant) -> VariantTask:
+    return variant.read(_open_varied(work))
+
+
+def _read_layout(work: GenerateWork, scene_id: str) -> tuple[Scene | Notice, tuple[Notice, ...]]:
+    return _open_layouts(work).of_task(scene_id)
+
+
+def _move(work: GenerateWork, asked: tuple[Scene, CorrectionOptions]) -> CertificationRequest:
+    certifier, (scene, options) = _open_certifier(work), asked
+    return certifier.corrector.move([scene], certifier.store, [options])[0]
+
+
 def _certify(work: GenerateWork, asked: CertificationRequest) -> Correction:
     return _open_certifier(work)(asked)
 
 
-def _read_asset(work: GenerateWork, asset_id: str) -> None:
-    _open_certifier(work).store.fault_of(asset_id)
+def _fault_of(work: GenerateWork, asset_id: str) -> str | None:
+    return _open_certifier(work).store.fault_of(asset_id)
+
+
+@lru_cache(maxsize=1)
+def _open_shelf(work: GenerateWork) -> AssetLibraries:
+    return AssetLibraries(work.assets, scenes=work.supports, offers_scenes=False)
+
+
+@lru_cache(maxsize=1)
+def _open_layouts(work: GenerateWork) -> LayoutFiles:
+    """The layouts of another system."""
+    return LayoutFiles(work.settings.layout_files, _open_shelf(work))
+
+
+@lru_cache(maxsize=1)
+def _open_varied(work: GenerateWork) -> TableSource:
+    """The run of the scenes that are varied."""
+    assert work.supports is not None
+    return TableSource(work.supports, _open_shelf(work))
 
 
 @lru_cache(maxsize=1)
 def _open_certifier(work: GenerateWork) -> LocalCertifier:
-    return _certifier(work.settings, AssetLibraries(work.assets, scenes=work.supports, offers_scenes=False))
+    return _certifier(work.settings, _open_shelf(work), work.correctors)
 
 
 def _opened_corrector(work: GenerateWork) -> tuple[PhysicsCorrector, AssetStore]:
@@ -462,16 +520,14 @@ def _certifier(settings: GenerateSettings, shelf: AssetLibraries, shared: Pooled
 
 @lru_cache(maxsize=1)
 def _opened(work: GenerateWork) -> GenerateWorkerState:
-    settings = work.settings
-    shelf = AssetLibraries(work.assets, scenes=work.supports, offers_scenes=False)
+    settings, shelf = work.settings, _open_shelf(work)
     reasoner, interpret = load_reasoner(settings.engine, settings.reasoner, work.pool)
     interpret = interpret or embedded_interpreter()  # all systems are judged by a reading of their instruction
-    retriever, certifier = shelf.retriever(settings.retrieval), _certifier(settings, shelf, work.correctors)
+    retriever, certifier = shelf.retriever(settings.retrieval), _open_certifier(work)
     answers = LocalRequestHandler(reasoner, retriever, certifier, settings.seed, settings.settle)
     known = shelf.by_category(settings.retrieval)
     world = VariantWorld(interpret, lambda category: known.get(category, ()), shelf.containers)
-    serves, layouts = shelf.serves(settings.retrieval), settings.layout_files
-    return GenerateWorkerState(answers, shelf, interpret, serves, world, work.supports, layouts)
+    return GenerateWorkerState(answers, shelf, interpret, shelf.serves(settings.retrieval), world)
 
 
 # --- the card -----------------------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from collections import defaultdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from models.dual_system.variant_task import Axis
+from models.physics_corrector.certify.correction import Correction, CorrectionOptions
 from pipelines.correct.settings import CorrectSettings
 from pipelines.correct.shard import CorrectWork
 from pipelines.edit.settings import EditSettings
@@ -24,10 +27,12 @@ from pipelines.preprocess.asset import AssetUse
 from pipelines.preprocess.settings import PreprocessSettings
 from pipelines.preprocess.shard import AssetStep
 from pipelines.sources.edits import EditRequest
-from stable_data.errors import ConfigError
+from pipelines.sources.scene_variants import SceneVariant
+from stable_data.errors import ConfigError, Notice
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
 from stable_data.limits import SETTING
+from stable_data.scene import Scene, Tabletop
 from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
 from tests.bounds import limit
@@ -91,13 +96,43 @@ def test_a_reader_that_needs_more_memory_is_not_said_to_find_a_broken_file(
 def test_a_batch_has_the_memory_of_its_items(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
     work = Batch("", CorrectSettings())
-    assert len(work._answers(["a"] * 8, isolated=True)) == 8
+    with IsolatedProcess() as apart:
+        assert len(work._isolated_answers(["a"] * 2, {}, apart)) == 2
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={8 * MIB}")
-    with pytest.raises(
-        ConfigError, match=r"for scenes such as a, needed more memory, expected at most .* for each of 8 items"
-    ) as caught:
-        work._answers(["a"] * 8, isolated=True)
+    told = r"for scenes such as a, needed more memory, expected at most .* for each of 2 items"
+    with IsolatedProcess() as apart, pytest.raises(ConfigError, match=told) as caught:
+        work._isolated_answers(["a"] * 2, {}, apart)
     assert "item.max_memory_bytes" in str(caught.value)
+
+
+def test_an_item_that_a_batch_is_lost_for_fails_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
+    rows: dict[str, list[Any]] = defaultdict(list)
+    items = ["a", "big", "b", "odd"]
+    with IsolatedProcess() as apart:
+        assert [item for item, _ in Batch("", CorrectSettings())._isolated_answers(items, rows, apart)] == ["a", "b"]
+    assert [(row["id"], row["step"], row["code"]) for row in rows["failures"]] == [
+        ("big", "isolate", "out_of_memory"),
+        ("odd", "answer", "unexpected"),
+    ]
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize(
+    ("items", "code"),
+    [
+        (("a", "big", "b"), "out_of_memory"),
+        pytest.param(("a", "odd"), "unexpected", marks=pytest.mark.slow),
+        pytest.param(("a", "slow"), "timed_out", marks=pytest.mark.slow),
+    ],
+)
+def test_a_batch_in_a_worker_is_limited(items: tuple[str, ...], code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is too much for the batch is found alone, in workers that were given no other reason to run items alone."""
+    monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
+    work = Batch("", CorrectSettings(seconds_per_item=3.0))
+    (made,) = WorkerPool(1).run(work.shard, [Shard("0" * 16, items)])
+    assert [(row["id"], row["code"]) for row in made.rows["failures"]] == [(items[1], code)]
+    assert [row["id"] for row in made.rows["warnings"]] == [item for item in items if item != items[1]]
 
 
 @pytest.mark.parametrize("work", [CorrectWork("", CorrectSettings()), EditWork("", EditSettings())])
@@ -115,8 +150,7 @@ def test_what_is_not_read_or_placed_for_want_of_memory_costs_no_shard_of_scenes(
         raise MemoryError
 
     store, work = SimpleNamespace(fault_of=need_more), GenerateWork((), GenerateSettings())
-    opened = SimpleNamespace(answers=SimpleNamespace(certifier=SimpleNamespace(store=store)))
-    monkeypatch.setattr(generation, "_opened", lambda _: opened)
+    monkeypatch.setattr(generation, "_open_certifier", lambda _: SimpleNamespace(store=store))
     assert "item.max_memory_bytes" in (work._fault_of("mug", process=None) or "")
     placed = work._searched(need_more, SimpleNamespace(objects=[SimpleNamespace(instance="mug")]), process=None)  # type: ignore[arg-type]
     assert "item.max_memory_bytes" in placed.dropped["mug"]
@@ -151,3 +185,31 @@ def test_a_run_is_resumed_with_its_limits_only(tmp_path: Path, monkeypatch: pyte
     assert caught.value.code == "config_changed"
     write_manifest(folder, manifest())
     check_resume(folder, manifest(), {})
+
+
+class Lost:
+    """A separate process that is lost in each call."""
+
+    def call(self, *_: object, seconds: float) -> ProcessFailure:
+        return ProcessFailure.TIMED_OUT
+
+
+def test_what_a_task_is_read_from_is_read_within_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def need_more(*_: object) -> Any:
+        raise MemoryError
+
+    work, lost = GenerateWork((), GenerateSettings(seconds_per_item=7.0)), Lost()
+    monkeypatch.setattr(generation, "_open_layouts", lambda _: SimpleNamespace(of_task=need_more))
+    variant = SceneVariant("mug", Axis.LAYOUT)
+    monkeypatch.setattr(generation, "_open_varied", need_more)
+    for process, code, told in ((None, "out_of_memory", "item.max_memory_bytes"), (lost, "timed_out", "took over 7 s")):
+        notice, remarks = work._layout_of("mug", process)  # type: ignore[arg-type]
+        assert isinstance(notice, Notice)
+        assert (notice.code, remarks) == (code, ())
+        rows: dict[str, list[Any]] = defaultdict(list)
+        assert not list(work._tasks(Shard("0" * 16, (variant,)), rows, None, process))  # type: ignore[arg-type]
+        assert [(row["id"], row["code"]) for row in rows["failures"]] == [(variant.scene_id, code)]
+        assert all(told in message for message in (notice.message, rows["failures"][0]["message"]))
+    (moved,) = work._moved(lost, [Scene("mug", Tabletop("office_table", (1.2, 0.6)), ())], [CorrectionOptions()])  # type: ignore[arg-type]
+    assert isinstance(moved, Correction)
+    assert "the flow took over 7 s" in moved.reason

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pipelines.execution.ray_executor import ProcessFailure, WorkerPool
+from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool
 from pipelines.execution.shard_step import Shard
 from pipelines.preprocess import convention
 from pipelines.preprocess.job import preprocess
@@ -115,7 +115,7 @@ def test_a_check_of_positions_that_dies_stops_with_what_to_set(
     ("loss", "message"), [(ProcessFailure.CRASHED, "is it hostile"), (ProcessFailure.TIMED_OUT, "took over 600 s")]
 )
 def test_how_a_process_ended_is_the_reason(monkeypatch: pytest.MonkeyPatch, loss: ProcessFailure, message: str) -> None:
-    monkeypatch.setattr("pipelines.execution.shard_step.run_isolated", lambda *_, seconds, prepare: loss)
+    monkeypatch.setattr(IsolatedProcess, "call", lambda *_, seconds: loss)
     step = SceneStep("nowhere", PreprocessSettings())
     [row] = step.shard(Shard("0" * 16, ("office_table_0001",)), isolated=True).rows["failures"]
     assert (row["id"], row["code"]) == ("office_table_0001", str(loss))
