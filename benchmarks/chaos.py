@@ -349,7 +349,7 @@ def _try_store(folder: Path) -> None:
     except (ImportError, OSError, EOFError, ConfigError) as error:
         raise ConfigError(
             f"no object store can be served on this machine ({error or type(error).__name__}); install the development extra "
-            "(pip install 'stable-data[dev]'), or leave --faulty-store out",
+            "(make env), or leave --faulty-store out",
             "store_not_served",
         ) from error
 

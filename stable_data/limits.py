@@ -94,7 +94,7 @@ class GltfLimits:
 
 @dataclass(frozen=True, slots=True)
 class MeshLimits(GltfLimits):
-    """A mesh of a library, a GLB. Of a glTF that is imported, its size and its triangles are those of the groups file and model.
+    """A mesh of a library, a GLB. The size and the triangles of a glTF that is imported are limited by the groups file and model.
 
     Attributes:
         max_bytes: Size of the file.
@@ -272,9 +272,15 @@ class TableLimits:
 
     Attributes:
         max_decoded_bytes: Memory for its decoded content: ten times the content of a file that a job writes.
+        max_pages: Pages of all columns, which may name the same ones again and again.
+        max_footer_values: Values of its footer; each takes up to 100 bytes in memory.
+        max_picture_side: Pixels of a side of a picture of an episode.
     """
 
     max_decoded_bytes: int = 1 * GIB
+    max_pages: int = 300_000
+    max_footer_values: int = 5_000_000
+    max_picture_side: int = 4_096
 
 
 @dataclass(frozen=True, slots=True)

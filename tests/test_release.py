@@ -1,5 +1,6 @@
 """What belongs to a release: the changelog, the citation, the threat model, and the workflows of the public CI."""
 
+import json
 import os
 import re
 import shutil
@@ -129,6 +130,18 @@ def test_the_public_ci_does_what_ci_does_and_the_wheel_with_each_python() -> Non
     assert JOBS["release.yml", "build"]["needs"] == "ci"
     assert JOBS["release.yml", "publish"]["needs"] == "build"
     assert JOBS["release.yml", "announce"]["needs"] == "publish"
+
+
+@pytest.mark.slow  # installs packages
+def test_the_bill_of_materials_names_packages_and_licences() -> None:
+    subprocess.run(["make", "sbom"], check=True, cwd=ROOT, capture_output=True)
+    found = json.loads((ROOT / "build" / "sbom.cdx.json").read_text("utf-8"))
+    assert found["bomFormat"] == "CycloneDX"
+    assert found["metadata"]["component"]["name"] == "stable-data"
+    packages = {part["name"].lower(): part for part in found["components"]}
+    assert {"numpy", "pyarrow", "ray", "torch", "mujoco"} <= packages.keys()
+    assert all(packages[name].get("version") for name in packages)
+    assert "Apache" in json.dumps(packages["pyarrow"]["licenses"])
 
 
 def script_of(begin: str) -> str:

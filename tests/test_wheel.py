@@ -220,8 +220,13 @@ def test_the_sdist_gives_the_same_wheel_as_the_checkout(dist: Path, wheel: Path,
 
 
 def test_the_library_alone_reads_a_run_and_with_geometry_and_simulation_lints_and_exports(
-    wheel: Path, run: Path, tmp_path: Path
+    dist: Path, wheel: Path, run: Path, tmp_path: Path
 ) -> None:
+    [sdist] = dist.glob("*.tar.gz")
+    of_source = EmptyEnvironment.create(tmp_path / "of_source")
+    of_source.install(sdist)
+    assert of_source.run("-c", READS_A_RUN, run).startswith("2 23\n")
+
     env = EmptyEnvironment.create(tmp_path / "env")
     env.install(wheel)
     counts, hint = env.run("-c", READS_A_RUN, run).splitlines()

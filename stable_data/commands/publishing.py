@@ -70,6 +70,10 @@ def publish(
         list[str] | None, typer.Option(metavar="NAME", help="An organization that made the dataset; may be repeated.")
     ] = None,
     citation: Annotated[str, typer.Option(help="How to cite the dataset, for its card and its metadata.")] = "",
+    dataset_version: Annotated[
+        str,
+        typer.Option(metavar="X.Y.Z", help="Version of the dataset, for its metadata: raise it where you publish a run again."),
+    ] = "1.0.0",
     allow_unknown_licences: Annotated[
         bool, typer.Option("--allow-unknown-licences", help="Publish assets without a known licence too.")
     ] = False,
@@ -102,6 +106,7 @@ def publish(
         tuple(creator or ()),
         tuple(organization or ()),
         citation,
+        dataset_version,
         allow_unknown_licences,
         allow_no_derivatives,
         unverified,

@@ -15,6 +15,9 @@ from stable_data.verification.known_ids import KEYS
 _PARQUET = "application/x-parquet"
 _VERSION = "http://mlcommons.org/croissant/1.0"
 
+FIRST_VERSION = "1.0.0"
+"""Version of a dataset that is published for the first time."""
+
 _CONTEXT: dict[str, Any] = {
     "@language": "en",
     "@vocab": "https://schema.org/",
@@ -68,6 +71,7 @@ def croissant_document(
     url: str = "",
     citation: str = "",
     published: str = "",
+    version: str = FIRST_VERSION,
 ) -> dict[str, Any]:
     """Returns the content of ``croissant.json``.
 
@@ -85,6 +89,7 @@ def croissant_document(
         url: Where it is; empty if it is not known.
         citation: How to cite it; empty if nobody says.
         published: The day, ``2026-11-27``; empty if it is not known.
+        version: Version of the dataset, of three numbers.
     """
     optional = {
         "creator": [
@@ -104,7 +109,7 @@ def croissant_document(
         "license": [_licence_entry(licence) for licence in licences],
         **{key: value for key, value in optional.items() if value},
         "keywords": list(KEYWORDS),
-        "version": "1.0.0",
+        "version": version,
         "distribution": [*map(_file_object, files), *map(_file_set, tables)],
         "recordSet": [_record_set(table) for table in tables],
     }

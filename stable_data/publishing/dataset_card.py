@@ -41,6 +41,10 @@ _SIZES = (
     (10**6, "100K<n<1M"),
     (10**7, "1M<n<10M"),
     (10**8, "10M<n<100M"),
+    (10**9, "100M<n<1B"),
+    (10**10, "1B<n<10B"),
+    (10**11, "10B<n<100B"),
+    (10**12, "100B<n<1T"),
 )
 
 ABOUT = {
@@ -180,7 +184,7 @@ def list_licences(content: CardContent) -> list[str]:
 
 def size_category(count: int) -> str:
     """Returns the size of a dataset in the words of Hugging Face."""
-    return next((name for limit, name in _SIZES if count < limit), "n>100M")
+    return next((name for limit, name in _SIZES if count < limit), "n>1T")
 
 
 def _head(content: CardContent) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
@@ -23,7 +24,7 @@ from stable_data.code_version import code_version
 from stable_data.content_id import content_id
 from stable_data.errors import ConfigError, cannot_write
 from stable_data.publishing.asset_licences import AssetLicence, asset_licences, licence_table, refuse_licences
-from stable_data.publishing.croissant import CroissantFile, croissant_document, missing_entries
+from stable_data.publishing.croissant import FIRST_VERSION, CroissantFile, croissant_document, missing_entries
 from stable_data.publishing.dataset_card import (
     ATTRIBUTION_FILE,
     CROISSANT_FILE,
@@ -48,6 +49,7 @@ from stable_data.verification.findings import Finding
 from stable_data.verification.verifier import Progress, Verification, VerifyOptions, verify_run
 
 _SHARD_BYTES, _SHARD_BYTES_OF = 64 * 10**6, {"scenes": 16 * 10**6}
+_DATASET_VERSION = re.compile(r"(0|[1-9]\d*)(\.(0|[1-9]\d*)){2}", re.ASCII)
 _VERDICTS = ("clean", "stable", "task_reachable", "task_graspable")
 
 
@@ -62,6 +64,7 @@ class PublishOptions:
         creators: Names of the people who made the dataset.
         organizations: Names of the organizations that made it.
         citation: How to cite it; empty if the publisher does not say.
+        version: Version of the dataset, of three numbers.
         allow_unknown_licences: Whether assets without a known licence are published.
         allow_no_derivatives: Whether assets are published that must not be passed on changed.
         unverified: Whether a run is published that is not known to be whole; the card says so.
@@ -74,6 +77,7 @@ class PublishOptions:
     creators: tuple[str, ...] = ()
     organizations: tuple[str, ...] = ()
     citation: str = ""
+    version: str = FIRST_VERSION
     allow_unknown_licences: bool = False
     allow_no_derivatives: bool = False
     unverified: bool = False
@@ -121,12 +125,16 @@ def publish(
     Raises:
         ConfigError: The run is not known to be whole (``not_whole``), a licence is unknown (``licence_unknown``) or forbids it
             (``licence_forbids``), the stated licence is none (``licence_invalid``), a file of the run is a link to a place outside of
-            it (``link_leaves``), or the folder is no local one
+            it (``link_leaves``), the version is none (``version_invalid``), or the folder is no local one
             (``output_invalid``), is written by another process (``locked``) or cannot be written.
     """
     if options.licence and normalise_licence(options.licence) is None:
         raise ConfigError(
             f"--licence {options.licence!r}: is no known licence, expected a name such as CC-BY-4.0", "licence_invalid"
+        )
+    if not _DATASET_VERSION.fullmatch(options.version):
+        raise ConfigError(
+            f"--dataset-version {options.version!r}: is no version, expected three numbers such as 1.1.0", "version_invalid"
         )
     if "://" in os.fspath(out):
         raise ConfigError(
@@ -244,6 +252,7 @@ def _write(
         options.url,
         options.citation,
         datetime.now(UTC).date().isoformat(),
+        options.version,
     )
     target.write_bytes(CROISSANT_FILE, (json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
     write_manifest(

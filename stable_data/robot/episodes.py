@@ -12,6 +12,7 @@ import numpy.typing as npt
 from stable_data.errors import StableDataError
 from stable_data.geometry.images import decode_png
 from stable_data.json_text import json_value, quote_value
+from stable_data.limits import LIMITS, at_most
 from stable_data.storage.row_groups import SPLITS, TableFiles, row_slices, rows_from_table
 from stable_data.storage.run_folder import Uri
 from stable_data.storage.schemas import SCHEMAS, Row
@@ -21,7 +22,6 @@ FloatArray32: TypeAlias = npt.NDArray[np.float32]
 _CAMERA = re.compile(r"[A-Za-z0-9_-]+")
 _PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 _RGB = b"\x08\x02"  # bit depth 8, colour type RGB
-_MAX_SIDE = 4096  # pixels
 _UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 
 
@@ -263,8 +263,10 @@ class Episode:
             return
         height, width = map(int, self.image_size)
         object.__setattr__(self, "image_size", (height, width))
-        if not (1 <= height <= _MAX_SIDE and 1 <= width <= _MAX_SIDE):
-            raise self._invalid(f"image_size is {(height, width)}", f"1 to {_MAX_SIDE} pixels a side")
+        most = LIMITS.table.max_picture_side
+        if not (1 <= height <= most and 1 <= width <= most):
+            side = at_most(LIMITS.table, "max_picture_side", "pixels")
+            raise self._invalid(f"image_size is {(height, width)}", f"sides of at least 1 and {side}")
         head = _PNG_START + width.to_bytes(4, "big") + height.to_bytes(4, "big") + _RGB
         for camera, files in self.pictures.items():
             if not _CAMERA.fullmatch(camera):

@@ -12,13 +12,13 @@ from typing import Any
 
 import pyarrow as pa
 
+from stable_data.limits import LIMITS, at_most
+
 _STOP, _TRUE, _FALSE, _BYTE, _DOUBLE, _BINARY, _LIST, _SET, _STRUCT = 0, 1, 2, 3, 7, 8, 9, 10, 12
 _INTEGERS = (4, 5, 6)
 _DEEPEST = 12  # values within each other; those of Parquet are eight deep
 _LONGEST = 10  # bytes of a number
-_MOST_VALUES = 5_000_000  # of a footer; each takes up to 100 bytes here
 _MOST_PAGE_VALUES = 100  # of the header of a page, which has about twenty
-_MOST_PAGES = 300_000  # of a file, whose columns may name the same pages again and again
 _TAIL = 8  # the length of the footer and a mark, after the footer
 
 # Numbers of the fields that are read.
@@ -44,13 +44,14 @@ def check_pages(path: Path) -> None:
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         end, num_pages = len(data) - _TAIL, 0
         try:
-            footer = _Reader(data, end - int.from_bytes(data[end : end + 4], "little"), _MOST_VALUES).struct()
+            start = end - int.from_bytes(data[end : end + 4], "little")
+            footer = _Reader(data, start, LIMITS.table.max_footer_values, at_most(LIMITS.table, "max_footer_values")).struct()
             for group in footer[_ROW_GROUPS]:
                 columns = [column[_METADATA] for column in group[_COLUMNS]]
                 if (of_columns := sum(column[_COLUMN_BYTES] for column in columns)) > group[_BYTES]:
                     raise pa.ArrowInvalid(f"a row group states {group[_BYTES]:,} bytes, but its columns state {of_columns:,}")
                 for column in columns:
-                    num_pages += _check_column(data, column, _MOST_PAGES - num_pages)
+                    num_pages += _check_column(data, column, LIMITS.table.max_pages - num_pages)
         except pa.ArrowInvalid:
             raise
         except (AttributeError, LookupError, TypeError, ValueError) as error:
@@ -64,8 +65,8 @@ def _check_column(data: mmap.mmap, column: _Struct, most_pages: int) -> int:
     while at < end:
         num_pages += 1
         if num_pages > most_pages:
-            raise pa.ArrowInvalid(f"it has over {_MOST_PAGES:,} pages, expected fewer")
-        reader = _Reader(data, at, _MOST_PAGE_VALUES)
+            raise pa.ArrowInvalid(f"it has more pages, expected {at_most(LIMITS.table, 'max_pages')}")
+        reader = _Reader(data, at, _MOST_PAGE_VALUES, f"at most {_MOST_PAGE_VALUES}")
         page = reader.struct()
         size, compressed = page[_PAGE_BYTES], page[_COMPRESSED_PAGE_BYTES]
         left -= size
@@ -89,13 +90,14 @@ class _Reader:
         data: The file.
         at: Where the structure begins.
         most_values: Values that it may have, with those within others.
+        told: The same in words.
 
     Attributes:
         at: Where what was read ends.
     """
 
-    def __init__(self, data: mmap.mmap, at: int, most_values: int) -> None:
-        self._data, self.at, self._left = data, at, most_values
+    def __init__(self, data: mmap.mmap, at: int, most_values: int, told: str) -> None:
+        self._data, self.at, self._left, self._told = data, at, most_values, told
 
     def struct(self, depth: int = 0) -> _Struct:
         """Reads the values of a structure by the numbers of their fields.
@@ -120,7 +122,7 @@ class _Reader:
     def _value(self, kind: int, depth: int) -> Any:
         self._left -= 1
         if depth > _DEEPEST or self._left < 0:
-            raise ValueError("too many values")
+            raise ValueError(f"more values, expected {self._told}, at most {_DEEPEST} within each other")
         if kind in _INTEGERS:
             return self._number()
         if kind == _BINARY:

@@ -152,7 +152,8 @@ class Verification:
             checked += (
                 f", verdicts of {self.num_audited} of {self.num_scenes} scenes by audit and of {self.num_simulated} in MuJoCo"
             )
-        states = [f"damaged: {sum(self.num_damaged.values())} findings in {', '.join(self.num_damaged)}"] * bool(
+        count = sum(self.num_damaged.values())
+        states = [f"damaged: {count} {'finding' if count == 1 else 'findings'} in {', '.join(self.num_damaged)}"] * bool(
             self.num_damaged
         )
         states += ["not finished"] * (not self.is_finished)

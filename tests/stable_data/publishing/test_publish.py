@@ -200,7 +200,7 @@ def test_a_run_that_is_not_whole_is_refused(generated: Path, tmp_path: Path) -> 
     done = published(run, tmp_path / "out", "--unverified")
     assert done.exit_code == DONE
     assert "the card says so" in done.stdout
-    assert "damaged: 1 findings in turns" in (tmp_path / "out" / "README.md").read_text("utf-8")
+    assert "damaged: 1 finding in turns" in (tmp_path / "out" / "README.md").read_text("utf-8")
 
 
 def test_an_unfinished_run_is_refused(generated: Path, tmp_path: Path) -> None:
@@ -222,10 +222,14 @@ def test_a_folder_with_files_is_refused(generated: Path, tmp_path: Path) -> None
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine.txt"]
 
 
-def test_an_odd_licence_is_refused(generated: Path, tmp_path: Path) -> None:
-    done = published(generated, tmp_path / "out", "--licence", "mine")
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [("--licence", "mine", "is no known licence"), ("--dataset-version", "1.0", "is no version, expected three numbers")],
+)
+def test_an_odd_licence_or_version_is_refused(option: str, value: str, says: str, generated: Path, tmp_path: Path) -> None:
+    done = published(generated, tmp_path / "out", option, value)
     assert (done.exit_code, (tmp_path / "out").exists()) == (NOT_STARTED, False)
-    assert "is no known licence" in done.stderr
+    assert says in done.stderr
 
 
 def test_an_error_while_writing_leaves_nothing(generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,7 +255,8 @@ def test_every_table_is_described() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "name"), [(0, "n<1K"), (999, "n<1K"), (1000, "1K<n<10K"), (5 * 10**6, "1M<n<10M"), (10**9, "n>100M")]
+    ("count", "name"),
+    [(0, "n<1K"), (999, "n<1K"), (1000, "1K<n<10K"), (5 * 10**6, "1M<n<10M"), (10**8, "100M<n<1B"), (10**12, "n>1T")],
 )
 def test_sizes_are_those_of_the_hub(count: int, name: str) -> None:
     assert size_category(count) == name

@@ -46,7 +46,17 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def folder(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("published") / "out"
-    done = published(run, out, "--creator", "A. Person", "--organization", "A Lab", "--url", "https://example.org/tables")
+    said = (
+        "--creator",
+        "A. Person",
+        "--organization",
+        "A Lab",
+        "--url",
+        "https://example.org/tables",
+        "--dataset-version",
+        "1.2.0",
+    )
+    done = published(run, out, *said)
     assert done.exit_code == DONE, done.output
     assert "croissant.json lacks" not in done.stderr
     return out
@@ -388,6 +398,7 @@ def test_croissant_has_what_its_specification_requires(folder: Path) -> None:
     document = json.loads((folder / "croissant.json").read_text("utf-8"))
     for name in ("@context", "@type", "conformsTo", "name", "description", "license", "url", "creator", "datePublished"):
         assert document[name], name
+    assert document["version"] == "1.2.0"
     assert document["creator"] == [
         {"@type": "sc:Person", "name": "A. Person"},
         {"@type": "sc:Organization", "name": "A Lab"},

@@ -115,7 +115,10 @@ def _not_finite() -> Any:
         ({"object_poses": np.ones((13, 2, 7))}, "quaternion of norm 2, expected norm 1"),
         ({"image_size": (4, 4)}, "image_size is (4, 4) with 0 cameras"),
         ({"pictures": {"front": (b"",) * 12}}, "image_size is None with 1 cameras"),
-        ({"pictures": {"front": (b"",) * 12}, "image_size": (4, 9999)}, "image_size is (4, 9999), expected 1 to 4096"),
+        (
+            {"pictures": {"front": (b"",) * 12}, "image_size": (4, 9999)},
+            "image_size is (4, 9999), expected sides of at least 1 and at most 4,096 pixels",
+        ),
         ({"pictures": {"a/b": (b"",) * 12}, "image_size": (4, 4)}, "a camera is 'a/b'"),
         ({"pictures": {"front": (b"",) * 3}, "image_size": (4, 4)}, "camera front has 3 pictures, expected 12"),
         (
