@@ -15,13 +15,14 @@ from stable_data.json_text import json_value, quote_value
 from stable_data.limits import LIMITS, at_most
 from stable_data.storage.row_groups import SPLITS, TableFiles, row_slices, rows_from_table
 from stable_data.storage.run_folder import Uri
-from stable_data.storage.schemas import SCHEMAS, Row
+from stable_data.storage.schemas import REQUIRED, SCHEMAS, Row
 
 FloatArray32: TypeAlias = npt.NDArray[np.float32]
 
 _CAMERA = re.compile(r"[A-Za-z0-9_-]+")
 _PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 _RGB = b"\x08\x02"  # bit depth 8, colour type RGB
+_NAMES = ("state_names", "environment_state_names", "action_names", "instances")
 _UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 
 
@@ -220,7 +221,7 @@ class Episode:
             )
         if not (math.isfinite(self.fps) and self.fps > 0):
             raise self._invalid(f"fps is {self.fps}", "a positive number of actions a second")
-        for name in ("state_names", "environment_state_names", "action_names", "instances"):
+        for name in _NAMES:
             names = tuple(getattr(self, name))
             object.__setattr__(self, name, names)
             if len(set(names)) < len(names) or "" in names:
@@ -307,7 +308,10 @@ def episode_from_row(row: Mapping[str, Any]) -> Episode:
     Raises:
         EpisodeError: The row is not of an episode (``episode_invalid``).
     """
+    _refuse_nulls(row)
     num_steps, values = row["num_steps"], dict[str, Any]()
+    if num_steps < 1:
+        raise EpisodeError(f"{row['episode_id']}: num_steps is {num_steps}, expected at least 1", "episode_invalid")
     shapes = {
         "states": (num_steps, len(row["state_names"])),
         "environment_states": (num_steps, len(row["environment_state_names"])),
@@ -321,7 +325,7 @@ def episode_from_row(row: Mapping[str, Any]) -> Episode:
                 f"{row['episode_id']}: {name} has {found.size} numbers, expected {math.prod(shape)}, {shape}", "episode_invalid"
             )
         values[name] = found.reshape(shape)
-    for name in ("state_names", "environment_state_names", "action_names", "instances"):
+    for name in _NAMES:
         values[name] = tuple(row[name])
     names = ("scene_id", "seed", "number", "robot", "task_kind", "instruction", "success", "fps", "control", "rewards")
     values |= {name: row[name] for name in names} | {
@@ -334,6 +338,23 @@ def episode_from_row(row: Mapping[str, Any]) -> Episode:
         pictures={camera["camera"]: tuple(camera["images"]) for camera in cameras},
         image_size=(size[0], size[1]) if size and cameras else None,
     )
+
+
+def _refuse_nulls(row: Mapping[str, Any]) -> None:
+    """Refuses a row with a null where an episode has a value."""
+    found = [name for name in REQUIRED["episodes"] if row[name] is None]
+    found += [name for name in (*_NAMES, "asset_ids", "subjects") if None in (row.get(name) or ())]
+    for camera in row.get("pictures") or ():
+        if camera is None or camera["camera"] is None or camera["images"] is None or None in camera["images"]:
+            found.append("pictures")
+    size = row.get("image_size")
+    if size is not None and (len(size) != 2 or None in size):
+        found.append("image_size")
+    if found:
+        raise EpisodeError(
+            f"{row['episode_id']}: {found[0]} is null, or a part of it is, expected all values; record the episode again",
+            "episode_invalid",
+        )
 
 
 def read_episodes(

@@ -485,7 +485,7 @@ def _read_stored(folder: Path, base: str) -> bool:
 
 
 TARGETS = (
-    Target("condition", 80, _conditions, _read_condition, _CONDITION_WORDS),
+    Target("condition", 75, _conditions, _read_condition, _CONDITION_WORDS),
     Target(
         "tasks",
         40,

@@ -142,6 +142,30 @@ def test_a_row_with_too_few_numbers_is_refused() -> None:
         episode_from_row(row | {"states": row["states"][:-1]})
 
 
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("robot", None),
+        ("fps", None),
+        ("num_steps", None),
+        ("action_names", None),
+        ("state_names", ["a", None]),
+        ("subjects", [None]),
+        ("image_size", [4]),
+        ("pictures", [{"camera": None, "images": []}]),
+        ("pictures", [None]),
+    ],
+)
+def test_a_row_with_a_null_for_a_value_is_refused(column: str, value: object) -> None:
+    with pytest.raises(EpisodeError, match=f"scene-000/0: {column} is null, or a part of it is"):
+        episode_from_row(episode_row(episode()) | {column: value})
+
+
+def test_a_row_without_steps_is_refused() -> None:
+    with pytest.raises(EpisodeError, match="num_steps is -1, expected at least 1"):
+        episode_from_row(episode_row(episode()) | {"num_steps": -1})
+
+
 def test_a_run_without_episodes_and_a_wrong_condition_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no table episodes"):
         list(read_episodes(tmp_path / "none"))
