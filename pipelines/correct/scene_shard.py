@@ -1,13 +1,13 @@
 """A shard of a job over scenes with one batched computation: the flow in correct, the reasoner in edit.
 
 Each item is checked alone, then the batch is computed for all valid items, then each item is finished alone. A batch that fails, or needs
-too much time or memory, is computed again item by item, in separate processes. A bad item therefore costs no other item.
+too much time or memory, is computed again item by item, in a separate process. A bad item therefore costs no other item.
 """
 
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Generic, Literal, Self, TypeAlias, TypeVar
@@ -44,6 +44,11 @@ A = TypeVar("A")  # an answer
 X = TypeVar("X")
 
 WhenFull: TypeAlias = Literal["drop", "infeasible"]
+
+
+class _BatchError(Exception):
+    """The batched computation failed in this process."""
+
 
 _OF_THE_RUN = (*NOT_OF_AN_ITEM, ray.exceptions.RayError)  # the flow may run on another node
 
@@ -96,13 +101,22 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
         """Computes the rows of a shard."""
         if not isolated:
-            return self._shard(shard, None)
+            try:
+                return self._shard(shard, None)
+            except _BatchError:  # the item is identified in a separate process
+                pass
+            finally:
+                self.opened().taken.clear()
         alone = replace(self, correctors=None, settings=self.settings.alone()) if self.correctors is not None else self
-        with IsolatedProcess(alone.prepare_to_ask) as process:
-            return alone._shard(shard, process)
+        with IsolatedProcess(partial(alone.prepare_to_ask, shard.items)) as process:
+            return alone._shard(shard, process, together=isolated)
 
-    def _shard(self, shard: Shard[I], process: IsolatedProcess | None) -> ShardResult:
-        """Computes the rows of a shard in this process, or in a separate one."""
+    def _shard(self, shard: Shard[I], process: IsolatedProcess | None, *, together: bool = True) -> ShardResult:
+        """Computes the rows of a shard in this process, or in a separate one: there the batch together at first, or item by item.
+
+        Raises:
+            _BatchError: In this process, the batch failed.
+        """
         rows: Rows = defaultdict(list)
         usable = []
         for item in shard.items:
@@ -110,18 +124,12 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
             _add(rows, failed)
             if not failed:
                 usable.append(item)
-        try:
-            answered = self._limited_answers(usable) if process is None else self._isolated_answers(usable, rows, process)
-        except _OF_THE_RUN:
-            raise
-        except Exception:  # the item is identified in separate processes
-            if process is not None:
-                raise
-            return self.shard(shard, isolated=True)
+        if process is not None:
+            answered = self._isolated_answers(usable, rows, process, together=together)
+        else:
+            answered = self._limited_answers(usable)
         for pair in answered:
             _add(rows, self._limited(self._finish, pair, self.item_id(pair[0]), process))
-        if process is None:  # otherwise nothing was opened in this process
-            self.opened().taken.clear()
         return ShardResult(rows)
 
     @abstractmethod
@@ -148,8 +156,13 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
     def finished(self, item: I, answer: A) -> Rows:
         """The rows of an item from its answer; a failed item is a row of ``failures``."""
 
-    def prepare_to_ask(self) -> None:
-        """Opens what the batched computation needs; this time does not count against its limit."""
+    @property
+    def seconds_to_answer(self) -> float | None:
+        """The time limit of the batched computation for each item, seconds; None if it has one of its own."""
+        return self.settings.seconds_per_item
+
+    def prepare_to_ask(self, items: Sequence[I]) -> None:
+        """Opens in a separate process what the batched computation needs; this time does not count against its limit."""
         self.opened()
 
     def take(self, scene_id: str, progress: ItemProgress) -> SourceScene:
@@ -172,37 +185,48 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         return self.finished(*pair)
 
     def _limited_answers(self, items: Sequence[I]) -> list[tuple[I, A]]:
-        """The items with their answers, in this process."""
-        if not items:
-            return []
-        self.prepare_to_ask()
-        with item_limited(self.settings.seconds_per_item, len(items)):
-            return list(zip(items, self.answers(items), strict=True))
+        """The items with their answers, in this process.
 
-    def _isolated_answers(self, items: Sequence[I], rows: Rows, process: IsolatedProcess) -> list[tuple[I, A]]:
+        Raises:
+            _BatchError: They need too much memory, or one of them is the cause of an unexpected error.
+        """
+        seconds = self.seconds_to_answer
+        waits = seconds is None or self.correctors is not None  # for an engine or for shared correctors, which others use too
+        try:
+            with nullcontext() if seconds is None or waits or not items else item_limited(seconds, len(items)):
+                return list(zip(items, self.answers(items) if items else (), strict=True))
+        except _OF_THE_RUN:
+            raise
+        except Exception as error:
+            raise _BatchError from error
+
+    def _isolated_answers(
+        self, items: Sequence[I], rows: Rows, process: IsolatedProcess, *, together: bool = True
+    ) -> list[tuple[I, A]]:
         """The items with their answers, from a separate process; if that fails, each is asked for alone, and fails alone.
 
         Raises:
             ConfigError: The process was lost for each of several items: that is no fault of one of them.
         """
-        num, seconds = len(items), self.settings.seconds_per_item
+        num, seconds = len(items), self.seconds_to_answer
+        if together and num > 1:
+            limit = None if seconds is None else num * seconds
+            found = process.call(self._answered, items, seconds=limit, num_items=num)
+            if isinstance(found, list):
+                return list(zip(items, found, strict=True))
         answered: list[tuple[I, A]] = []
-        failed: list[Rows] = []
-        together = process.call(self._answered, items, seconds=num * seconds, num_items=num) if num > 1 else None
-        if isinstance(together, list):
-            return list(zip(items, together, strict=True))
+        losses: list[ProcessFailure] = []
         for item in items:
             found = process.call(self._answered, [item], seconds=seconds)
             if isinstance(found, list):
                 answered.append((item, found[0]))
-            elif isinstance(found, ProcessFailure):
-                failed.append(failed_process(found, self.item_id(item), seconds))
-            else:
-                failed.append(found)
-        if isinstance(together, ProcessFailure) and not answered:
-            raise self.unanswered(together, items)
-        for failure in failed:
-            _add(rows, failure)
+                continue
+            if isinstance(found, ProcessFailure):
+                losses.append(found)
+                found = failed_process(found, self.item_id(item), self.settings.seconds_per_item)
+            _add(rows, found)
+        if len(losses) == num > 1:
+            raise self.unanswered(losses[0], items)
         return answered
 
     def _answered(self, items: Sequence[I]) -> list[A] | Rows:

@@ -77,9 +77,15 @@ class EditWork(SceneWork[EditSettings, EditRequest, EditReply]):
         """The source, the corrector and the asset finder, cached in this process."""
         return _opened(self)
 
-    def prepare_to_ask(self) -> None:
-        """Opens the reasoner."""
-        _ = self.opened().reasoner
+    @property
+    def seconds_to_answer(self) -> None:
+        """No time limit: the engine of the reasoner has its own."""
+
+    def prepare_to_ask(self, items: Sequence[EditRequest]) -> None:
+        """Opens the reasoner if an edit has no reply."""
+        opened = self.opened()
+        if any(edit.reply is None for edit in items):
+            _ = opened.reasoner
 
     def look(self, item: EditRequest, progress: ItemProgress) -> None:
         """Reads the scene of an edit."""

@@ -165,8 +165,8 @@ class _RayRun(Generic[T, R]):
                 disconnect()
         if lost:
             raise ConfigError(
-                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers (in the last tries every "
-                f"item had a separate process) or {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
+                f"{len(lost)} of {len(self._shards)} shards were lost, each with {_MAX_DEATHS} workers (in the last tries items "
+                f"ran in separate processes) or {_MAX_NODES} nodes: {', '.join(lost[:3])}{', …' if len(lost) > 3 else ''}; free "
                 "memory or use fewer workers and run again: finished shards are kept",
                 "worker_lost",
             )
@@ -416,13 +416,15 @@ class IsolatedProcess:
         """Ends the process."""
         self._end()
 
-    def call(self, function: Callable[..., R], *arguments: object, seconds: float, num_items: int = 1) -> R | ProcessFailure:
+    def call(
+        self, function: Callable[..., R], *arguments: object, seconds: float | None, num_items: int = 1
+    ) -> R | ProcessFailure:
         """Calls a function in the separate process.
 
         Args:
             function: A picklable function.
             arguments: Its arguments.
-            seconds: The time limit of the call, without the start of the process.
+            seconds: The time limit of the call, without the start of the process; None: there is none.
             num_items: The number of items whose memory it may use.
 
         Returns:

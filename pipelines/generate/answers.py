@@ -32,7 +32,7 @@ Certify: TypeAlias = Callable[[CertificationRequest], Correction]
 
 
 Move: TypeAlias = Callable[[Sequence[Scene], Sequence[CorrectionOptions]], Sequence[CertificationRequest | Correction]]
-"""Moves the objects of scenes as one batch; a scene that cannot be moved has a failed correction."""
+"""Moves and refines scenes as one batch; a scene for which that is not possible has a failed correction."""
 
 
 Limited: TypeAlias = Callable[[int], AbstractContextManager[None]]
@@ -91,6 +91,19 @@ class LocalCertifier:
         except Exception as error:  # noqa: BLE001 - a scene that breaks the geometry of one library is a row of failures
             return failed_correction(request, unexpected_failure(error))
 
+    def moved(self, scenes: Sequence[Scene], options: Sequence[CorrectionOptions]) -> list[CertificationRequest]:
+        """Moves the objects of scenes as one batch."""
+        return self.corrector.move(scenes, self.store, options)
+
+    def prepared(self, requests: Sequence[CertificationRequest]) -> list[CertificationRequest]:
+        """The requests with refined layouts; after an unexpected error each is prepared alone, when it is certified."""
+        try:
+            return self.corrector.prepare(requests, self.store)
+        except NOT_OF_AN_ITEM:
+            raise
+        except Exception:  # noqa: BLE001 - the scene is identified when it is certified
+            return list(requests)
+
 
 @dataclass(slots=True, eq=False)
 class LocalRequestHandler:
@@ -103,10 +116,9 @@ class LocalRequestHandler:
         seed: Decides among assets that match equally well.
         settles: Whether the last correction of a scene simulates it in MuJoCo.
         certify: Certifies one scene; None uses ``certifier``.
-        move: Moves scenes before they are certified; None uses the corrector.
+        move: Moves and refines scenes before they are certified; None uses the corrector.
         limited: Limits what is done for several scenes at once.
         fault_of: Returns why an asset cannot be used; None uses the certifier's store.
-        prepares: Whether scenes are refined as a batch; otherwise each where it is certified.
         search: Finds places by a search.
         seconds: Time spent so far, by step.
     """
@@ -120,7 +132,6 @@ class LocalRequestHandler:
     move: Move | None = None
     limited: Limited = lambda _: nullcontext()
     fault_of: Callable[[str], str | None] | None = None
-    prepares: bool = True
     search: Place = lambda search, problem: search(problem)
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STEPS, 0.0))
 
@@ -170,33 +181,23 @@ class LocalRequestHandler:
         began = perf_counter()
         certify = self.certify or self.certifier
         options = [CorrectionOptions(q.fixed, q.new, q.may_tilt, asks_engine=q.is_last and self.settles) for q in questions]
-        moved = (self.move or self.moved)([q.scene for q in questions], options)
-        self.seconds["flow"] += perf_counter() - began
-        began = perf_counter()
-        if self.prepares:
-            requests = iter(self._prepared([one for one in moved if isinstance(one, CertificationRequest)]))
-            moved = [one if isinstance(one, Correction) else next(requests) for one in moved]
-        self.seconds["refine"] += perf_counter() - began
+        moved: Sequence[CertificationRequest | Correction]
+        if self.move is not None:
+            moved = self.move([q.scene for q in questions], options)
+            self.seconds["flow"] += perf_counter() - began
+        else:
+            with self.limited(len(questions)):
+                moved = requests = self.certifier.moved([q.scene for q in questions], options)
+            self.seconds["flow"] += perf_counter() - began
+            began = perf_counter()
+            with self.limited(len(questions)):
+                moved = self.certifier.prepared(requests)
+            self.seconds["refine"] += perf_counter() - began
         for one in moved:
             began = perf_counter()
             found = one if isinstance(one, Correction) else certify(one)
             self.seconds["certify"] += perf_counter() - began
             yield found
-
-    def moved(self, scenes: Sequence[Scene], options: Sequence[CorrectionOptions]) -> list[CertificationRequest]:
-        """The scenes after the flow, in this process."""
-        with self.limited(len(scenes)):
-            return self.certifier.corrector.move(scenes, self.certifier.store, options)
-
-    def _prepared(self, requests: list[CertificationRequest]) -> list[CertificationRequest]:
-        """The requests with refined layouts; after an unexpected error each is prepared alone, when it is certified."""
-        try:
-            with self.limited(len(requests)):
-                return self.certifier.corrector.prepare(requests, self.certifier.store)
-        except NOT_OF_AN_ITEM:
-            raise
-        except Exception:  # noqa: BLE001 - the scene is identified when it is certified
-            return requests
 
 
 def failed_correction(request: CertificationRequest, reason: str) -> Correction:

@@ -113,7 +113,7 @@ class GenerateSettings(CorrectorJobSettings):
     """Price of an hour of one core, for the report's cost of a thousand scenes."""
 
     seconds_per_item: Positive = 600.0
-    """Seconds; a correction that takes longer is ended. Not enforced without worker processes."""
+    """Seconds; a correction that takes longer, or what is read for a scene, is ended. Not enforced without worker processes."""
 
     def check(self) -> None:
         """Refuses an impossible number of GPUs, and invalid schedules and conditions; see the base class."""

@@ -7,7 +7,7 @@ and the time limit of a correction is the same in every process.
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from time import perf_counter, process_time
@@ -133,11 +133,6 @@ class GenerateWorkerState:
         found = {asset.is_container for asset in self.world.alternatives(category)}
         return True if True in found else None if None in found or not found else False
 
-    def is_done(self, scene: Scene) -> bool:
-        """Whether the goal of a scene's task holds; False if it cannot be checked."""
-        scene, shapes, _ = self.answers.certifier.store.resolved(scene)
-        return holds_at_start(TaskGeometry(scene, shapes, self.shelf.containers(scene)))
-
 
 @dataclass(frozen=True, slots=True)
 class GenerateWork(ShardStep[Task]):
@@ -198,7 +193,7 @@ class GenerateWork(ShardStep[Task]):
             ConfigError: The engine no longer answers (``engine_off``).
         """
         with (
-            IsolatedProcess(partial(_prepare, self._physics())) as apart,
+            IsolatedProcess(partial(_prepare, self._physics(), _varies(shard))) as apart,
             ProgressReporter(self.tally, shard.shard_id, begin=len(shard)) as tell,
         ):
             return self._made(shard, apart if isolated else None, tell)
@@ -209,11 +204,14 @@ class GenerateWork(ShardStep[Task]):
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certify = partial(self._certified, process=process)
         opened.answers.move = None if process is None else partial(self._moved, process)
-        opened.answers.limited = partial(item_limited, self.settings.seconds_per_item)
-        opened.answers.prepares = process is None
+        opened.answers.limited = (
+            partial(item_limited, self.settings.seconds_per_item) if self.correctors is None else lambda _: nullcontext()
+        )
         opened.answers.search = partial(self._searched, process=process)
         opened.answers.fault_of = lru_cache(maxsize=None)(partial(self._fault_of, process=process))
         rows: Rows = defaultdict(list)
+        if process is None:
+            _prepare(self, _varies(shard))
         tasks = list(self._tasks(shard, rows, opened, process))
         for made in self._generated(tasks, opened, process, tell):
             if off := next((turn.proposal for turn in made.turns if turn.proposal.code in OFF), None):
@@ -290,17 +288,17 @@ class GenerateWork(ShardStep[Task]):
             seconds = opened.answers.seconds
             seconds["read"] = seconds.get("read", 0.0) + perf_counter() - began
             return imported_layout(task, found, settings, interpret, remarks)
-        return dual_system(task, seed, settings, interpret, is_done=self._is_done)
+        return dual_system(task, seed, settings, interpret, is_done=partial(self._is_done, process))
 
     def _limited(
-        self, function: Callable[["GenerateWork", T], R], item: T, process: IsolatedProcess | None
+        self, function: Callable[["GenerateWork", T], R], item: T, process: IsolatedProcess | None, num_items: int = 1
     ) -> R | ProcessFailure:
-        """Calls a function within the limits of an item; in a separate process if workers died while they processed its shard."""
+        """Calls a function within the limits of its items; in a separate process if workers died while they processed its shard."""
         seconds = self.settings.seconds_per_item
         if process is not None:
-            return process.call(function, self._physics(), item, seconds=seconds)
+            return process.call(function, self._physics(), item, seconds=num_items * seconds, num_items=num_items)
         try:
-            with item_limited(seconds):
+            with item_limited(seconds, num_items):
                 return function(self, item)
         except MemoryError:
             return ProcessFailure.OUT_OF_MEMORY
@@ -315,9 +313,10 @@ class GenerateWork(ShardStep[Task]):
             return Notice(scene_id, LAYOUT_STEP, str(found), f"{scene_id}: its layout {self._told(found)}"), ()
         return found
 
-    def _is_done(self, scene: Scene) -> bool:
-        with item_limited(self.settings.seconds_per_item):
-            return _opened(self).is_done(scene)
+    def _is_done(self, process: IsolatedProcess | None, scene: Scene) -> bool:
+        """Whether the goal of a scene's task holds; False if it cannot be checked."""
+        found = self._limited(_holds, scene, process)
+        return found is True
 
     def _searched(self, search: Search, problem: PlacementProblem, *, process: IsolatedProcess | None) -> Placement:
         """Finds places, in a separate process if workers died while they processed its shard."""
@@ -340,15 +339,17 @@ class GenerateWork(ShardStep[Task]):
     def _moved(
         self, process: IsolatedProcess, scenes: Sequence[Scene], options: Sequence[CorrectionOptions]
     ) -> list[CertificationRequest | Correction]:
-        """Moves scenes one by one, in a separate process."""
+        """Moves and refines scenes in a separate process: together, and if that is lost, one by one."""
+        together = self._limited(_move, (scenes, options), process, len(scenes))
+        if not isinstance(together, ProcessFailure):
+            return list(together)
         found: list[CertificationRequest | Correction] = []
         for scene, option in zip(scenes, options, strict=True):
-            one = self._limited(_move, (scene, option), process)
-            found.append(
-                failed_correction(CertificationRequest(scene, None), f"the flow {self._told(one)}")
-                if isinstance(one, ProcessFailure)
-                else one
-            )
+            one = self._limited(_move, ([scene], [option]), process)
+            if isinstance(one, ProcessFailure):
+                found.append(failed_correction(CertificationRequest(scene, None), f"the flow {self._told(one)}"))
+            else:
+                found += one
         return found
 
     def _certified(self, asked: CertificationRequest, *, process: IsolatedProcess | None) -> Correction:
@@ -447,9 +448,17 @@ class GenerateWork(ShardStep[Task]):
         return found | {"rejected": [row | {"code": code, "reason": reason}], "failures": [notice_row(failure)]}
 
 
-def _prepare(work: GenerateWork) -> None:
-    """Opens what a correction needs; this time does not count against its limit."""
+def _varies(shard: Shard[Task]) -> bool:
+    return any(isinstance(task, SceneVariant) for task in shard.items)
+
+
+def _prepare(work: GenerateWork, varies: bool) -> None:
+    """Opens what items need; this time does not count against their limit."""
     _open_certifier(work)
+    if work.settings.layout == "files":
+        _open_layouts(work)
+    if varies:
+        _open_varied(work)
 
 
 def _read_variant(work: GenerateWork, variant: SceneVariant) -> VariantTask:
@@ -460,9 +469,15 @@ def _read_layout(work: GenerateWork, scene_id: str) -> tuple[Scene | Notice, tup
     return _open_layouts(work).of_task(scene_id)
 
 
-def _move(work: GenerateWork, asked: tuple[Scene, CorrectionOptions]) -> CertificationRequest:
-    certifier, (scene, options) = _open_certifier(work), asked
-    return certifier.corrector.move([scene], certifier.store, [options])[0]
+def _holds(work: GenerateWork, scene: Scene) -> bool:
+    """Whether the goal of a scene's task holds."""
+    resolved, shapes, _ = _open_certifier(work).store.resolved(scene)
+    return holds_at_start(TaskGeometry(resolved, shapes, _open_shelf(work).containers(resolved)))
+
+
+def _move(work: GenerateWork, asked: tuple[Sequence[Scene], Sequence[CorrectionOptions]]) -> list[CertificationRequest]:
+    certifier = _open_certifier(work)
+    return certifier.prepared(certifier.moved(*asked))
 
 
 def _certify(work: GenerateWork, asked: CertificationRequest) -> Correction:

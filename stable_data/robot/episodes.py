@@ -348,8 +348,10 @@ def _refuse_nulls(row: Mapping[str, Any]) -> None:
         if camera is None or camera["camera"] is None or camera["images"] is None or None in camera["images"]:
             found.append("pictures")
     size = row.get("image_size")
-    if size is not None and (len(size) != 2 or None in size):
+    if None in (size or ()):
         found.append("image_size")
+    elif size is not None and len(size) != 2:
+        raise EpisodeError(f"{row['episode_id']}: image_size has {len(size)} numbers, expected 2", "episode_invalid")
     if found:
         raise EpisodeError(
             f"{row['episode_id']}: {found[0]} is null, or a part of it is, expected all values; record the episode again",

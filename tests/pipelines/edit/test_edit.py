@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 import stable_data.storage.run_folder as shards
 from models.semantic_reasoner.editing import apply_edit, edit_prompt_of
+from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.text.reply_json import LayoutReply, render_objects
 from pipelines.__main__ import app
 from pipelines.edit.assets import AssetFinder
@@ -253,6 +254,15 @@ def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, edits: Path, ed
     assert done.exit_code == 0, done.output
     assert "9 of 9 edits" in done.stdout
     assert content(out) == content(edited)
+
+
+def test_edits_with_replies_need_no_engine(dataset: Path) -> None:
+    scene_id = MesaTaskDataset(dataset).scene_ids[0]
+    replied = EditRequest("e", scene_id, "leave it", reply='{"remove": [], "objects": []}')
+    work = EditWork(str(dataset), replace(SMALL, engine=EngineSettings("openai:gpt")))
+    assert [row["scene_id"] for row in work.shard(Shard("0" * 16, (replied,))).rows["scenes"]] == ["e"]
+    with pytest.raises(ConfigError, match="base_url"):
+        work.shard(Shard("0" * 16, (replace(replied, reply=None),)))
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ class Batch(CorrectWork):
     def look(self, item: str, progress: ItemProgress) -> None:
         """Nothing."""
 
-    def prepare_to_ask(self) -> None:
+    def prepare_to_ask(self, items: Sequence[str]) -> None:
         """Nothing."""
 
     def answers(self, items: Sequence[str]) -> list[Any]:

@@ -97,11 +97,11 @@ def test_a_batch_has_the_memory_of_its_items(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
     work = Batch("", CorrectSettings())
     with IsolatedProcess() as apart:
-        assert len(work._isolated_answers(["a"] * 2, {}, apart)) == 2
+        assert len(work._isolated_answers(["a"] * 2, defaultdict(list), apart)) == 2
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={8 * MIB}")
     told = r"for scenes such as a, needed more memory, expected at most .* for each of 2 items"
     with IsolatedProcess() as apart, pytest.raises(ConfigError, match=told) as caught:
-        work._isolated_answers(["a"] * 2, {}, apart)
+        work._isolated_answers(["a"] * 2, defaultdict(list), apart)
     assert "item.max_memory_bytes" in str(caught.value)
 
 
@@ -115,6 +115,14 @@ def test_an_item_that_a_batch_is_lost_for_fails_alone(monkeypatch: pytest.Monkey
         ("big", "isolate", "out_of_memory"),
         ("odd", "answer", "unexpected"),
     ]
+
+
+def test_the_job_ends_only_if_all_items_alone_lose_their_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
+    rows: dict[str, list[Any]] = defaultdict(list)
+    with IsolatedProcess() as apart:
+        assert not Batch("", CorrectSettings())._isolated_answers(["big", "odd"], rows, apart, together=False)
+    assert [row["code"] for row in rows["failures"]] == ["out_of_memory", "unexpected"]
 
 
 @pytest.mark.ray
@@ -190,7 +198,7 @@ def test_a_run_is_resumed_with_its_limits_only(tmp_path: Path, monkeypatch: pyte
 class Lost:
     """A separate process that is lost in each call."""
 
-    def call(self, *_: object, seconds: float) -> ProcessFailure:
+    def call(self, *_: object, seconds: float, num_items: int) -> ProcessFailure:
         return ProcessFailure.TIMED_OUT
 
 

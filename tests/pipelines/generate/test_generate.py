@@ -408,11 +408,13 @@ def test_shared_engines_that_cannot_be_loaded_are_said_in_one_line(dataset: Path
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("weights", ["none", "auto"])
 def test_a_shard_over_which_workers_died_gives_the_same_rows(
-    dataset: Path, settings: GenerateSettings, made: Path, tmp_path: Path
+    weights: str, dataset: Path, settings: GenerateSettings, tmp_path: Path
 ) -> None:
+    own = replace(settings, weights=weights)
     for isolated in (False, True):
-        write = ShardWriter(str(tmp_path / str(isolated)), (GenerateWork((str(dataset),), settings),))
+        write = ShardWriter(str(tmp_path / str(isolated)), (GenerateWork((str(dataset),), own),))
         done = write(ShardTask(0, Shard("0" * 16, tuple(MIXED.tasks[:2]))), isolated=isolated)
         assert (done.num_items, done.num_failures, len(done.checksums)) == (2, 1, len(GenerateWork.TABLES))
     assert content(tmp_path / "True") == content(tmp_path / "False")

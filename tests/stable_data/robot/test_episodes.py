@@ -151,7 +151,7 @@ def test_a_row_with_too_few_numbers_is_refused() -> None:
         ("action_names", None),
         ("state_names", ["a", None]),
         ("subjects", [None]),
-        ("image_size", [4]),
+        ("image_size", [4, None]),
         ("pictures", [{"camera": None, "images": []}]),
         ("pictures", [None]),
     ],
@@ -161,9 +161,13 @@ def test_a_row_with_a_null_for_a_value_is_refused(column: str, value: object) ->
         episode_from_row(episode_row(episode()) | {column: value})
 
 
-def test_a_row_without_steps_is_refused() -> None:
-    with pytest.raises(EpisodeError, match="num_steps is -1, expected at least 1"):
-        episode_from_row(episode_row(episode()) | {"num_steps": -1})
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [("num_steps", -1, "is -1, expected at least 1"), ("image_size", [4], "has 1 numbers, expected 2")],
+)
+def test_a_row_without_steps_or_with_another_size_is_refused(column: str, value: object, said: str) -> None:
+    with pytest.raises(EpisodeError, match=f"{column} {said}"):
+        episode_from_row(episode_row(episode()) | {column: value})
 
 
 def test_a_run_without_episodes_and_a_wrong_condition_are_refused(tmp_path: Path) -> None:
