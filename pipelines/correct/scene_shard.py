@@ -190,11 +190,14 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         Raises:
             _BatchError: They need too much memory, or one of them is the cause of an unexpected error.
         """
-        seconds = self.seconds_to_answer
-        waits = seconds is None or self.correctors is not None  # for an engine or for shared correctors, which others use too
+        waits = (
+            self.seconds_to_answer is None or self.correctors is not None
+        )  # for an engine or for shared correctors, which others use too
+        if not items:
+            return []
         try:
-            with nullcontext() if seconds is None or waits or not items else item_limited(seconds, len(items)):
-                return list(zip(items, self.answers(items) if items else (), strict=True))
+            with nullcontext() if waits else item_limited(self.settings.seconds_per_item, len(items)):
+                return list(zip(items, self.answers(items), strict=True))
         except _OF_THE_RUN:
             raise
         except Exception as error:
