@@ -6,7 +6,7 @@ them. The network is in ``transformer``, ``blocks``, ``level`` and ``serializati
 
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS, load, load_default, load_published, save
 from models.point_encoder.cloud import PUBLISHED, PointCloud, Preprocessing
-from models.point_encoder.encoder import FEATURE_CHANNELS, PointCodes, PointEncoder, one_thread
+from models.point_encoder.encoder import FEATURE_CHANNELS, PointCodes, PointEncoder
 from models.point_encoder.transformer import BASE, EMBEDDED, TransformerConfig
 
 __all__ = [
@@ -23,6 +23,5 @@ __all__ = [
     "load",
     "load_default",
     "load_published",
-    "one_thread",
     "save",
 ]

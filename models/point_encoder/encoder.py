@@ -18,7 +18,18 @@ from stable_data.errors import ConfigError, MeshError
 
 FEATURE_CHANNELS = 64
 
-_DEVICE_BATCH = 64  # clouds in a batch on a GPU
+_DEVICE_BATCH = 64  # clouds in a batch on a GPU; on a CPU, one: a batch saves no time there, and changes the last bits
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Limits torch to one thread: the last bits of sums depend on the number of threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,11 +86,6 @@ class PointEncoder(nn.Module):
         """The device of the weights."""
         return next(self.parameters()).device
 
-    @property
-    def batch_size(self) -> int:
-        """Clouds per batch: one on a CPU, where a batch saves no time and changes the last bits with the other clouds."""
-        return 1 if self.device.type == "cpu" else _DEVICE_BATCH
-
     def forward(self, clouds: Sequence[PointCloud]) -> Tensor:
         """Computes means over the voxels of each cloud, (B, out_channels) float32, before the projection."""
         voxels = voxelise(clouds, self.preprocessing, self.device)
@@ -88,33 +94,37 @@ class PointEncoder(nn.Module):
         # Unlike index_add_, segment_reduce sums in a fixed order on every device.
         return torch.segment_reduce(features, "mean", lengths=lengths, axis=0, unsafe=True)
 
-    def encode(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> PointCodes:
+    def encode(self, clouds: Sequence[PointCloud]) -> PointCodes:
         """Computes features with log extents and fingerprint; see :meth:`codes`."""
         extents = np.array([cloud.size for cloud in clouds], np.float32).reshape(-1, 3)
-        return PointCodes(self.codes(clouds, batch_size), np.log(np.maximum(extents, SMALLEST_EXTENT)), self.fingerprint())
+        return PointCodes(self.codes(clouds), np.log(np.maximum(extents, SMALLEST_EXTENT)), self.fingerprint())
 
-    def codes(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> npt.NDArray[np.float32]:
-        """Computes features, (B, 64) float32, each independent of the other clouds and of the order of points.
+    @_one_thread()
+    def codes(self, clouds: Sequence[PointCloud]) -> npt.NDArray[np.float32]:
+        """Computes features, (B, 64) float32, each independent of the order of points and of the other clouds.
+
+        On a CPU a feature is the same to the last bit, whatever the other clouds and the number of threads are; on another device
+        the last bits depend on the clouds in its batch.
 
         Args:
             clouds: Any number of clouds of :meth:`PointCloud.of_shape` with ``preprocessing.num_points``.
-            batch_size: Clouds per batch.
 
         Raises:
             MeshError: A cloud has not ``preprocessing.num_points`` points, which would change its code (``cloud_invalid``).
             ConfigError: The output has not 64 channels and no projection was fitted (``encoder_unprojected``).
         """
-        codes = self._pool(clouds, batch_size)
-        if self.needs_projection:
-            if not self.basis.any():
-                message = (
-                    f"point encoder gives {codes.shape[1]} channels, expected {FEATURE_CHANNELS}; call fit_projection first"
-                )
-                raise ConfigError(message, "encoder_unprojected")
-            codes = (codes - self.mean.cpu()) @ self.basis.T.cpu()
-        return codes.numpy()
+        if self.needs_projection and not self.basis.any():
+            message = f"point encoder gives {self.config.out_channels} channels, expected {FEATURE_CHANNELS}; call fit_projection first"
+            raise ConfigError(message, "encoder_unprojected")
+        parts = [self._projected(pooled).numpy() for pooled in self._pooled(clouds)]
+        return np.concatenate(parts) if parts else np.zeros((0, FEATURE_CHANNELS), np.float32)
 
-    def fit_projection(self, clouds: Sequence[PointCloud], batch_size: int = 16) -> None:
+    def _projected(self, pooled: Tensor) -> Tensor:
+        """The features of a batch; a product over more clouds at once would sum in another order."""
+        return (pooled - self.mean.cpu()) @ self.basis.T.cpu() if self.needs_projection else pooled
+
+    @_one_thread()
+    def fit_projection(self, clouds: Sequence[PointCloud]) -> None:
         """Fits the projection to 64 channels: whitened principal directions over clouds, more than 64 of them.
 
         Raises:
@@ -123,7 +133,7 @@ class PointEncoder(nn.Module):
         """
         if not self.needs_projection:
             raise ConfigError("point encoder has 64 output channels, expected another number to project", "encoder_config")
-        codes = self._pool(clouds, batch_size).double()
+        codes = torch.cat([torch.zeros(0, self.config.out_channels), *self._pooled(clouds)]).double()
         mean = codes.mean(0)
         _, spread, directions = torch.linalg.svd(codes - mean, full_matrices=False)
         rank = int((spread > 1e-6 * spread.max()).sum())
@@ -159,26 +169,15 @@ class PointEncoder(nn.Module):
         return {"config": asdict(self.config), "preprocessing": asdict(self.preprocessing)}
 
     @torch.no_grad()
-    def _pool(self, clouds: Sequence[PointCloud], batch_size: int) -> Tensor:
+    def _pooled(self, clouds: Sequence[PointCloud]) -> list[Tensor]:
+        """Computes the means over the voxels of each batch of clouds, (batch, out_channels) each."""
         expected = self.preprocessing.num_points
         if others := sorted({len(cloud.points) for cloud in clouds} - {expected}):
             message = f"clouds have {others} points, expected the {expected} of this encoder's preprocessing"
             raise MeshError(message, "cloud_invalid")
-        was_training = self.training
+        was_training, size = self.training, 1 if self.device.type == "cpu" else _DEVICE_BATCH
         self.eval()
         try:
-            parts = [self(clouds[k : k + batch_size]).cpu() for k in range(0, len(clouds), batch_size)]
+            return [self(clouds[k : k + size]).cpu() for k in range(0, len(clouds), size)]
         finally:
             self.train(was_training)
-        return torch.cat(parts) if parts else torch.zeros(0, self.config.out_channels)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Limits torch to one thread: the last bits of sums depend on the number of threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -44,7 +44,7 @@ class ShapeCodes:
         if len(self._codes) + len(new) > _MOST:
             self._codes = {key: self._codes[key] for key in wanted.keys() - new.keys()}
         clouds = [PointCloud.of_shape(self._unit_shape(s), self._encoder.preprocessing.num_points) for s in new.values()]
-        for key, code in zip(new, self._encoder.codes(clouds, self._encoder.batch_size), strict=True):
+        for key, code in zip(new, self._encoder.codes(clouds), strict=True):
             self._codes[key] = code
             self._files.write(key, {"code": code})
         codes = [self._codes[self._key(shape)] for shape in shapes]

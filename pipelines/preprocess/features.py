@@ -51,7 +51,7 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
     Raises:
         MeshError: A shape has no point cloud that the encoder accepts.
     """
-    from models.point_encoder import PointCloud, one_thread
+    from models.point_encoder import PointCloud
 
     progress.step = "features"
     try:
@@ -63,8 +63,7 @@ def feature_rows(use: FeatureUse, store: AssetStore, encoder: PointEncoder, prog
         x, y, z = (shape_use.scale * a for a in aspect_of(shape_use.steps))
         shape = Shape.from_mesh(mesh, (x, y, z), shape_use.tilt_quat_xyzw)
         clouds.append(PointCloud.of_shape(shape, encoder.preprocessing.num_points))
-    with one_thread():
-        found = encoder.encode(clouds, encoder.batch_size)
+    found = encoder.encode(clouds)
     return [
         {
             "asset_id": use.asset_id,

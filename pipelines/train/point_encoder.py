@@ -5,7 +5,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from models.physics_corrector.scene_reading import ENCODER_FILE
-from models.point_encoder import PUBLISHED, PointCloud, PointEncoder, load_published, one_thread, save
+from models.point_encoder import PUBLISHED, PointCloud, PointEncoder, load_published, save
 from pipelines.preprocess.features import AUTO, NONE, encoder_named
 from stable_data.assets.point_features import FeatureKey, feature_key
 from stable_data.assets.run_assets import RunAssets
@@ -49,8 +49,7 @@ def fit_encoder(uri: str, weights: str, out: Path, cache: Path, device: str = "c
     clouds = list(_clouds(uri, cache, encoder))
     if not clouds:
         raise ConfigError(f"{uri}: no object with a mesh in its scenes, expected shapes to fit the projection on", "set_empty")
-    with one_thread():
-        encoder.fit_projection(clouds)
+    encoder.fit_projection(clouds)
     save(encoder, out)
     return f"{out}: projection of {encoder.config.out_channels} channels to 64, fitted on {len(clouds)} shapes"
 

@@ -18,15 +18,23 @@ def far(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]) -> floa
     return float(np.abs(first - second).max())
 
 
-def test_a_feature_does_not_depend_on_its_batch_mates() -> None:
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_the_last_bits_of_a_feature_depend_on_its_cloud_alone(num_threads: int, rng: np.random.Generator) -> None:
     torch.manual_seed(0)
     encoder = PointEncoder(EMBEDDED, Preprocessing(num_points=700))
-    encoder.set_projection(torch.zeros(EMBEDDED.out_channels), torch.eye(FEATURE_CHANNELS, EMBEDDED.out_channels))
-    all_clouds = [box_cloud(*size, num_points=700) for size in ((0.1, 0.1, 0.1), (0.3, 0.02, 0.05), (0.2, 0.2, 0.01))]
-    together = encoder.encode(all_clouds).codes
+    encoder.set_projection(torch.zeros(EMBEDDED.out_channels), torch.randn(FEATURE_CHANNELS, EMBEDDED.out_channels))
+    sizes = rng.uniform(0.02, 0.4, (9, 3)).tolist()
+    all_clouds = [box_cloud(x, y, z, num_points=700) for x, y, z in sizes]
     alone = np.concatenate([encoder.encode([cloud]).codes for cloud in all_clouds])
-    assert together.shape == (3, FEATURE_CHANNELS)
-    assert far(together, alone) < 1e-5
+    before = torch.get_num_threads()
+    torch.set_num_threads(num_threads)
+    try:
+        together = encoder.encode(all_clouds).codes
+        assert torch.get_num_threads() == num_threads
+    finally:
+        torch.set_num_threads(before)
+    assert together.shape == (9, FEATURE_CHANNELS)
+    assert together.tobytes() == alone.tobytes()
     assert far(together[0], together[1]) > 1e-2
 
 
@@ -39,7 +47,7 @@ def test_a_feature_does_not_depend_on_the_order_of_points(seed: int) -> None:
 
 
 def test_a_feature_is_the_same_each_time() -> None:
-    first, second = (tiny_encoder().encode(clouds(), batch_size=2) for _ in range(2))
+    first, second = (tiny_encoder().encode(clouds()) for _ in range(2))
     assert first.codes.tobytes() == second.codes.tobytes()
     assert first.fingerprint == second.fingerprint
 

@@ -33,7 +33,7 @@ def test_features_are_those_of_the_encoder_and_computed_once(tmp_path: Path, sam
     encoder = tiny_encoder()
     codes = ShapeCodes(encoder, tmp_path)
     found = codes(SHAPES)
-    expected = encoder.codes([PointCloud.of_shape(s, encoder.preprocessing.num_points) for s in SHAPES], 1)
+    expected = encoder.codes([PointCloud.of_shape(s, encoder.preprocessing.num_points) for s in SHAPES])
     np.testing.assert_allclose(found, expected, atol=1e-2)  # the vertices are rounded
     np.testing.assert_array_equal(found[0], found[2])  # the same at another scale
     assert not np.array_equal(found[0], found[1])
