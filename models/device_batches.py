@@ -1,4 +1,8 @@
-"""Runs a computation over batches that fit into the memory of a device."""
+"""Runs a computation over batches that fit into the memory of a device, on one thread of the CPU.
+
+So the processes of a cluster, which have a thread each, and a single process compute the same; networks and scenes are too small for
+more threads to save time.
+"""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -6,6 +10,7 @@ from typing import TypeVar
 
 import torch
 
+from models.torch_threads import one_thread
 from stable_data.errors import ConfigError
 
 T = TypeVar("T")
@@ -23,6 +28,7 @@ class DeviceBatches:
     def __init__(self, name: str, size: int) -> None:
         self._name, self._size = name, size
 
+    @one_thread()
     def run(self, items: Sequence[T], compute: Callable[[Sequence[T]], Sequence[R]]) -> list[R]:
         """Computes all items, in order.
 

@@ -22,6 +22,7 @@ from models.point_encoder import load as load_encoder
 from models.point_encoder.checkpoint import DEFAULT_WEIGHTS as ENCODER
 from models.point_encoder.shape_codes import ShapeCodes
 from models.text_encoder import load_default as load_text_encoder
+from models.torch_threads import one_thread
 from stable_data.assets.text_embeddings import TextEncoder
 from stable_data.errors import ConfigError
 from stable_data.geometry.shape import Shape
@@ -129,6 +130,7 @@ class SceneReader:
         has_points = encoders.points is not None and network.num_features
         self._codes = ShapeCodes(encoders.points.to(device), codes) if encoders.points is not None and has_points else None
 
+    @one_thread()
     def condition(self, scenes: Sequence[Scene], shapes: Sequence[Sequence[Shape]], fixed: Sequence[Fixed]) -> Condition:
         """Returns scenes as the network reads them, on the device.
 

@@ -2,8 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -13,23 +12,13 @@ from torch import Tensor, nn
 
 from models.point_encoder.cloud import PointCloud, Preprocessing, voxelise
 from models.point_encoder.transformer import PointTransformer, TransformerConfig
+from models.torch_threads import one_thread
 from stable_data.assets.point_features import SMALLEST_EXTENT
 from stable_data.errors import ConfigError, MeshError
 
 FEATURE_CHANNELS = 64
 
 _DEVICE_BATCH = 64  # clouds in a batch on a GPU; on a CPU, one: a batch saves no time there, and changes the last bits
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Limits torch to one thread: the last bits of sums depend on the number of threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +88,7 @@ class PointEncoder(nn.Module):
         extents = np.array([cloud.size for cloud in clouds], np.float32).reshape(-1, 3)
         return PointCodes(self.codes(clouds), np.log(np.maximum(extents, SMALLEST_EXTENT)), self.fingerprint())
 
-    @_one_thread()
+    @one_thread()
     def codes(self, clouds: Sequence[PointCloud]) -> npt.NDArray[np.float32]:
         """Computes features, (B, 64) float32, each independent of the order of points and of the other clouds.
 
@@ -123,7 +112,7 @@ class PointEncoder(nn.Module):
         """The features of a batch; a product over more clouds at once would sum in another order."""
         return (pooled - self.mean.cpu()) @ self.basis.T.cpu() if self.needs_projection else pooled
 
-    @_one_thread()
+    @one_thread()
     def fit_projection(self, clouds: Sequence[PointCloud]) -> None:
         """Fits the projection to 64 channels: whitened principal directions over clouds, more than 64 of them.
 

@@ -25,6 +25,7 @@ from stable_data.scene import Relation, RelationKind, Scene, TaskInfo
 from tests.models.physics_corrector.certify.things import box, cylinder, laid
 from tests.models.physics_corrector.flow.conditions import awake_network, small_settings
 from tests.models.point_encoder.clouds import tiny_encoder
+from tests.torch_threads import torch_threads
 
 CUP, BOOK = cylinder(0.04, 0.1), box(0.15, 0.2, 0.03)
 FREE: frozenset[str] = frozenset()
@@ -82,6 +83,20 @@ def test_a_scene_comes_out_as_it_would_alone(weights: Path) -> None:
     alone = [moved_by(flow, [scene], [own])[0] for scene, own in zip(scenes, shapes, strict=True)]
     for one, other in zip(together, alone, strict=True):
         assert one.poses() == pytest.approx(other.poses(), abs=1e-5)
+
+
+def test_the_number_of_threads_changes_no_bit(rng: np.random.Generator) -> None:
+    scenes, shapes = list[Scene](), list[list[Shape]]()
+    for _ in range(7):  # products of this size are split among threads
+        things = [(f"o_{n}", (CUP, BOOK)[n % 2], *rng.uniform(0.1, 0.7, 2).tolist(), 0.0) for n in range(8)]
+        scene, own = laid(*things)
+        scenes.append(scene)
+        shapes.append(list(own))
+    found = []
+    for num_threads in (1, 2):
+        with torch_threads(num_threads):
+            found.append([moved.poses().tobytes() for moved in moved_by(load_flow(), scenes, shapes)])
+    assert found[0] == found[1]
 
 
 def test_more_steps_give_another_result(weights: Path) -> None:

@@ -12,6 +12,7 @@ from models.point_encoder.encoder import FEATURE_CHANNELS, PointEncoder
 from models.point_encoder.transformer import EMBEDDED
 from stable_data.errors import ConfigError, MeshError
 from tests.models.point_encoder.clouds import TINY, box_cloud, clouds, shuffled, tiny_encoder
+from tests.torch_threads import torch_threads
 
 
 def far(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]) -> float:
@@ -26,13 +27,8 @@ def test_the_last_bits_of_a_feature_depend_on_its_cloud_alone(num_threads: int, 
     sizes = rng.uniform(0.02, 0.4, (9, 3)).tolist()
     all_clouds = [box_cloud(x, y, z, num_points=700) for x, y, z in sizes]
     alone = np.concatenate([encoder.encode([cloud]).codes for cloud in all_clouds])
-    before = torch.get_num_threads()
-    torch.set_num_threads(num_threads)
-    try:
+    with torch_threads(num_threads):
         together = encoder.encode(all_clouds).codes
-        assert torch.get_num_threads() == num_threads
-    finally:
-        torch.set_num_threads(before)
     assert together.shape == (9, FEATURE_CHANNELS)
     assert together.tobytes() == alone.tobytes()
     assert far(together[0], together[1]) > 1e-2

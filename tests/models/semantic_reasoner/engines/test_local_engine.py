@@ -29,6 +29,7 @@ from models.semantic_reasoner.training.settings import LanguageModelSettings
 from stable_data.errors import ConfigError
 from stable_data.metrics.matching import RequiredObject, unmatched
 from stable_data.scene import Stage, Tabletop
+from tests.torch_threads import torch_threads
 
 TINY = LanguageModelSettings(hidden=32, layers=2, heads=4, key_value_heads=2, head=8, intermediate=64, vocabulary=300)
 TABLE = Tabletop("office_table", (1.12, 0.593))
@@ -123,9 +124,7 @@ def test_logits_do_not_depend_on_the_batch_to_the_last_bit(
     told, more = (torch.randint(5, 300, (size,), generator=draw).tolist() for size in (70, 30))
     others = [torch.randint(5, 300, (size,), generator=draw).tolist() for size in range(3, 400, 20)]
     network.set_attn_implementation(ATTENTION)
-    before = torch.get_num_threads()
-    torch.set_num_threads(num_threads)
-    try:
+    with torch_threads(num_threads):
         for is_plain in (True, False):  # whether the network's own modules are left out
             alone, among = Decoder(network, 64, pad=0), Decoder(network, 64, pad=0)
             if not is_plain:
@@ -145,8 +144,6 @@ def test_logits_do_not_depend_on_the_batch_to_the_last_bit(
                 tokens = [7 + k for k in range(len(among.lengths))]
                 tokens[slot] = token
                 among.step(tokens)
-    finally:
-        torch.set_num_threads(before)
 
 
 def test_only_a_plain_qwen3_is_stepped_without_its_modules(network: Qwen3ForCausalLM) -> None:
