@@ -28,15 +28,18 @@ from pipelines.execution.shard_step import (
     Shard,
     ShardResult,
     ShardStep,
+    batch_notice,
     failed_process,
     rows_isolated,
     rows_or_failure,
+    unexpected_failure,
 )
 from pipelines.sources.scenes import SceneSource, SourceScene, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, Notice
 from stable_data.limits import is_out_of_memory
+from stable_data.storage.table_rows import notice_row
 
 S = TypeVar("S", bound=CorrectSettings)
 I = TypeVar("I")  # noqa: E741 - an item
@@ -100,19 +103,20 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
 
     def shard(self, shard: Shard[I], *, isolated: bool = False) -> ShardResult:
         """Computes the rows of a shard."""
+        failure = ""
         if not isolated:
             try:
                 return self._shard(shard, None)
-            except _BatchError:  # the item is identified in a separate process
-                pass
+            except _BatchError as error:  # the item is identified in a separate process
+                failure = str(error)
             finally:
                 self.opened().taken.clear()
         alone = replace(self, correctors=None, settings=self.settings.alone()) if self.correctors is not None else self
         with IsolatedProcess(partial(alone.prepare_to_ask, shard.items)) as process:
-            return alone._shard(shard, process, together=isolated)
+            return alone._shard(shard, process, failure)
 
-    def _shard(self, shard: Shard[I], process: IsolatedProcess | None, *, together: bool = True) -> ShardResult:
-        """Computes the rows of a shard in this process, or in a separate one: there the batch together at first, or item by item.
+    def _shard(self, shard: Shard[I], process: IsolatedProcess | None, failure: str = "") -> ShardResult:
+        """Computes the rows of a shard in this process, or in a separate one: item by item if it is said how the batch has failed.
 
         Raises:
             _BatchError: In this process, the batch failed.
@@ -124,10 +128,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
             _add(rows, failed)
             if not failed:
                 usable.append(item)
-        if process is not None:
-            answered = self._isolated_answers(usable, rows, process, together=together)
-        else:
-            answered = self._limited_answers(usable)
+        answered = self._limited_answers(usable) if process is None else self._isolated_answers(usable, rows, process, failure)
         for pair in answered:
             _add(rows, self._limited(self._finish, pair, self.item_id(pair[0]), process))
         return ShardResult(rows)
@@ -190,9 +191,8 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         Raises:
             _BatchError: They need too much memory, or one of them is the cause of an unexpected error.
         """
-        waits = (
-            self.seconds_to_answer is None or self.correctors is not None
-        )  # for an engine or for shared correctors, which others use too
+        # For an engine or for shared correctors, which others use too.
+        waits = self.seconds_to_answer is None or self.correctors is not None
         if not items:
             return []
         try:
@@ -201,22 +201,34 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         except _OF_THE_RUN:
             raise
         except Exception as error:
-            raise _BatchError from error
+            raise _BatchError(unexpected_failure(error)) from error
 
     def _isolated_answers(
-        self, items: Sequence[I], rows: Rows, process: IsolatedProcess, *, together: bool = True
+        self, items: Sequence[I], rows: Rows, process: IsolatedProcess, failure: str = ""
     ) -> list[tuple[I, A]]:
-        """The items with their answers, from a separate process; if that fails, each is asked for alone, and fails alone.
+        """The items with their answers, from a separate process; if the batch fails, each is asked for alone, and fails alone.
+
+        Args:
+            items: The items.
+            rows: Gets the rows of items that fail, and a warning if the batch has failed.
+            process: The process.
+            failure: How the batch has failed already; empty if it has not been tried.
 
         Raises:
             ConfigError: The process was lost for each of several items: that is no fault of one of them.
         """
         num, seconds = len(items), self.seconds_to_answer
-        if together and num > 1:
+        if not failure and num > 1:
             limit = None if seconds is None else num * seconds
             found = process.call(self._answered, items, seconds=limit, num_items=num)
             if isinstance(found, list):
                 return list(zip(items, found, strict=True))
+            if isinstance(found, ProcessFailure):
+                failure = f"it {found.told(self.settings.seconds_per_item, num)}"
+            else:
+                failure = str(found["failures"][0]["message"])
+        if failure and items:
+            _add(rows, {"warnings": [notice_row(batch_notice(self.item_id(items[0]), num, failure))]})
         answered: list[tuple[I, A]] = []
         losses: list[ProcessFailure] = []
         for item in items:

@@ -289,6 +289,19 @@ def unexpected_notice(item_id: str, step: str, error: Exception) -> Notice:
     return Notice(item_id, step, code, f"{item_id}: {unexpected_failure(error)}")
 
 
+def batch_notice(item_id: str, num_items: int, failure: str) -> Notice:
+    """The warning that items were computed one by one, so that a fault of the batch alone is not unseen.
+
+    Args:
+        item_id: The first of the items.
+        num_items: Their number.
+        failure: How the batch has failed.
+    """
+    others = f" and {num_items - 1} other{'s' * (num_items > 2)}" if num_items > 1 else ""
+    message = f"{item_id}{others}: the batch failed, and each was computed alone: {failure.removeprefix(f'{item_id}: ')}"
+    return Notice(item_id, "batch", "batch_failed", message)
+
+
 def unexpected_failure(error: Exception) -> str:
     """The message for an error that is none of this project, one line."""
     if is_out_of_memory(error):

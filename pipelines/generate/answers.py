@@ -72,10 +72,12 @@ class LocalCertifier:
     Attributes:
         corrector: Corrects scenes.
         store: The geometry of the assets.
+        failed_batches: The first scene, the number of scenes and the error of each batch that could not be prepared so far.
     """
 
     corrector: Corrector
     store: AssetStore
+    failed_batches: list[tuple[str, int, str]] = field(default_factory=list)
 
     def __call__(self, request: CertificationRequest) -> Correction:
         """Certifies one scene; an unexpected error rejects this scene alone.
@@ -101,7 +103,8 @@ class LocalCertifier:
             return self.corrector.prepare(requests, self.store)
         except NOT_OF_AN_ITEM:
             raise
-        except Exception:  # noqa: BLE001 - the scene is identified when it is certified
+        except Exception as error:  # noqa: BLE001 - the scene is identified when it is certified
+            self.failed_batches.append((requests[0].scene.scene_id, len(requests), unexpected_failure(error)))
             return list(requests)
 
 

@@ -51,6 +51,7 @@ from pipelines.execution.shard_step import (
     Shard,
     ShardResult,
     ShardStep,
+    batch_notice,
     engine_stopped,
     rows_or_failure,
     unexpected_failure,
@@ -202,6 +203,7 @@ class GenerateWork(ShardStep[Task]):
         began, processor, opened = perf_counter(), process_time(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
+        opened.answers.certifier.failed_batches.clear()
         opened.answers.certify = partial(self._certified, process=process)
         opened.answers.move = None if process is None else partial(self._moved, process)
         opened.answers.limited = (
@@ -218,6 +220,7 @@ class GenerateWork(ShardStep[Task]):
                 raise engine_stopped(f"{made.task.scene_id}: {off.failure}")
             for table, found in self._rows(made).items():
                 rows[table] += found
+        rows["warnings"] += [notice_row(batch_notice(*failed)) for failed in opened.answers.certifier.failed_batches]
         judge = perf_counter() - began - sum(seconds.values())
         spent = {**seconds, "judge": judge, "processor": process_time() - processor, "scenes": len(shard)}
         return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
@@ -259,7 +262,8 @@ class GenerateWork(ShardStep[Task]):
                 yield found
         except _NOT_OF_AN_ITEM:
             raise
-        except Exception:  # noqa: BLE001 - the scene is identified below
+        except Exception as error:  # noqa: BLE001 - the scene is identified below
+            opened.answers.certifier.failed_batches.append((tasks[0].scene_id, len(tasks), unexpected_failure(error)))
             for number, task in enumerate(tasks):
                 tell(propose=len(tasks) - number)
                 try:

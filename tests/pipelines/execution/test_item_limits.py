@@ -115,13 +115,17 @@ def test_an_item_that_a_batch_is_lost_for_fails_alone(monkeypatch: pytest.Monkey
         ("big", "isolate", "out_of_memory"),
         ("odd", "answer", "unexpected"),
     ]
+    (warning,) = rows["warnings"]
+    assert (warning["id"], warning["code"]) == ("a", "batch_failed")
+    assert warning["message"].startswith("a and 3 others: the batch failed, and each was computed alone: ")
 
 
 def test_the_job_ends_only_if_all_items_alone_lose_their_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
     rows: dict[str, list[Any]] = defaultdict(list)
     with IsolatedProcess() as apart:
-        assert not Batch("", CorrectSettings())._isolated_answers(["big", "odd"], rows, apart, together=False)
+        assert not Batch("", CorrectSettings())._isolated_answers(["big", "odd"], rows, apart, "it broke")
+    assert [row["message"].rpartition(": ")[2] for row in rows["warnings"]] == ["it broke"]
     assert [row["code"] for row in rows["failures"]] == ["out_of_memory", "unexpected"]
 
 
@@ -140,7 +144,9 @@ def test_a_batch_in_a_worker_is_limited(items: tuple[str, ...], code: str, monke
     work = Batch("", CorrectSettings(seconds_per_item=3.0))
     (made,) = WorkerPool(1).run(work.shard, [Shard("0" * 16, items)])
     assert [(row["id"], row["code"]) for row in made.rows["failures"]] == [(items[1], code)]
-    assert [row["id"] for row in made.rows["warnings"]] == [item for item in items if item != items[1]]
+    told = [(row["id"], row["code"]) for row in made.rows["warnings"]]
+    assert told[0] == ("a", "batch_failed")
+    assert [item for item, code in told[1:]] == [item for item in items if item != items[1]]
 
 
 @pytest.mark.parametrize("work", [CorrectWork("", CorrectSettings()), EditWork("", EditSettings())])

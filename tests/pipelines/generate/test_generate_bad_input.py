@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
@@ -183,6 +184,36 @@ def test_what_nobody_foresaw_costs_one_scene(
     (row,) = RunFolder(str(tmp_path / "out")).table("failures").to_pylist()
     assert (row["id"], row["code"]) == ("task_2", "unknown" if step == "certify_moved" else "unexpected")
     assert "GEOSException: TopologyException: side location conflict; please report" in row["message"]
+    told = [
+        row["message"]
+        for row in RunFolder(str(tmp_path / "out")).table("warnings").to_pylist()
+        if row["code"] == "batch_failed"
+    ]
+    assert len(told) == (step == "assign_assets")
+
+
+@pytest.mark.parametrize("step", ["move", "prepare"])
+def test_a_batch_that_fails_although_none_of_its_scenes_does_is_told(
+    step: str, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = tmp_path / "script.json"
+    script.write_text(json.dumps(one_thing_a_stage(AssetLibraries([str(dataset)]).libraries[0].assets[1:4])))
+    settings = replace(PLAIN, engine=EngineSettings(f"scripted:{script}"), scenes_per_shard=4, accept="clean", settle=False)
+    real = getattr(corrector.PhysicsCorrector, step)
+
+    def fails(self: corrector.PhysicsCorrector, scenes: Sequence[Any], *more: Any) -> Any:
+        if len(scenes) > 1:
+            raise ValueError("too many at once")
+        return real(self, scenes, *more)
+
+    monkeypatch.setattr(corrector.PhysicsCorrector, step, fails)
+    generate(FOUR, str(tmp_path / "out"), settings, ALONE, [str(dataset)], report=False)
+    assert len(ids(tmp_path / "out", "scenes")) == 4
+    told = [row for row in RunFolder(str(tmp_path / "out")).table("warnings").to_pylist() if row["code"] == "batch_failed"]
+    assert {row["id"] for row in told} == {"task_0"}
+    assert told[0]["message"].startswith(
+        "task_0 and 3 others: the batch failed, and each was computed alone: ValueError: too many"
+    )
 
 
 @pytest.mark.parametrize(("module", "step"), [(answers, "assign_assets"), (shard, "relate_scene")], ids=["made", "judged"])
