@@ -6,9 +6,9 @@ and the time limit of a correction is the same in every process.
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from time import perf_counter, process_time
 from typing import ClassVar, TypeVar
@@ -22,8 +22,8 @@ from models.baselines.layout.imported_layout import imported_layout
 from models.baselines.placement.problem import Placement, PlacementProblem, Search
 from models.dual_system.algorithm1 import dual_system
 from models.dual_system.batching import QueueCounts, run_batched
-from models.dual_system.requests import GenerationResult, Loop, Turn
-from models.dual_system.variant_comparison import Comparison, compare_variant
+from models.dual_system.requests import GenerationResult, Loop
+from models.dual_system.variant_comparison import compare_variant
 from models.dual_system.variant_task import VariantTask
 from models.dual_system.variants import NO_VARIANT, VariantWorld, vary
 from models.physics_corrector.certify import CertifyOptions
@@ -36,8 +36,7 @@ from models.semantic_reasoner.engines.protocol import OFF
 from models.semantic_reasoner.factory import embedded_interpreter, load_reasoner
 from models.semantic_reasoner.language.interpreter import InstructionInterpreter
 from models.semantic_reasoner.staged_layout import LayoutTask
-from models.semantic_reasoner.text.prompt import assistant_message
-from pipelines.correct.judging import JudgedScene, judge_scene
+from pipelines.correct.judging import judge_scene
 from pipelines.correct.reaching import reach_scene
 from pipelines.correct.scene_shard import dropped_notice, notices_of
 from pipelines.execution.corrector_pool import PooledCorrector, corrector_pool
@@ -58,6 +57,7 @@ from pipelines.execution.shard_step import (
     unexpected_notice,
 )
 from pipelines.generate.answers import LocalCertifier, LocalRequestHandler, failed_correction
+from pipelines.generate.rows import settled_row, turn_row, variant_columns, why_rejected, with_alignment, with_movement
 from pipelines.generate.settings import GenerateSettings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import Task
@@ -70,18 +70,14 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
-from stable_data.metrics.alignment import Alignment, AlignmentReference, align, requires_the_same
 from stable_data.metrics.audit import PosedScene, audit_posed_scene
-from stable_data.metrics.card import MetricCard, add_counts
-from stable_data.metrics.movement import add_movement
-from stable_data.metrics.reach_columns import GRASPABLE, REACHABLE, REASON
-from stable_data.metrics.related_scene import RelatedScene, relate_scene
-from stable_data.metrics.relations_kept import relations_kept
+from stable_data.metrics.card import add_counts
+from stable_data.metrics.reach_columns import REASON
+from stable_data.metrics.related_scene import relate_scene
 from stable_data.metrics.sampled_collision import add_sampled_collisions
-from stable_data.metrics.verdicts import TOLERANCE, Audit
+from stable_data.metrics.verdicts import TOLERANCE
 from stable_data.random_seeds import named_seed
 from stable_data.scene import Scene
-from stable_data.simulation.settling import SettleResult
 from stable_data.storage import schemas
 from stable_data.storage.table_rows import card_row, notice_row, scene_row
 from stable_data.tasks.compiling import holds_at_start
@@ -376,7 +372,7 @@ class GenerateWork(ShardStep[Task]):
         """All rows of one scene."""
         name = made.task.scene_id
         rows: Rows = {
-            "turns": [_turn_row(name, number, turn) for number, turn in enumerate(made.turns)],
+            "turns": [turn_row(name, number, turn) for number, turn in enumerate(made.turns)],
             "warnings": [notice_row(n) for n in made.warnings],
         }
         if made.scene is None:
@@ -406,8 +402,8 @@ class GenerateWork(ShardStep[Task]):
         rest = judged.rest
         progress.step = "card"
         card = add_sampled_collisions(add_counts(audit.card(), scene), scene, posed.shapes, audit)
-        card = _with_movement(card, made, scene, posed, audit, opened.answers.certifier.store)
-        card, not_as_said = _with_alignment(card, seen, containers, made.task, opened.interpret)
+        card = with_movement(card, made, scene, posed, audit, opened.answers.certifier.store)
+        card, not_as_said = with_alignment(card, seen, containers, made.task, opened.interpret)
         card = judged.filled(card)
         progress.step, began = "reach", perf_counter()
         reach = reach_scene(scene, opened.answers.certifier.store, self.settings, containers)
@@ -426,7 +422,7 @@ class GenerateWork(ShardStep[Task]):
         compared = None
         if isinstance(made.task, VariantTask):
             compared = compare_variant(made.task.source, scene, made.task.axis, opened.shelf.containers)
-            row |= _variant_columns(made.task, compared)
+            row |= variant_columns(made.task, compared)
         told = [Notice(name, n.step, n.code, n.message) for n in (*notices, *audit.notices)]
         told += [Notice(name, "card", "not_as_said", f"{name}: {text}") for text in not_as_said]
         told += [dropped_notice(d, name) for d in made.dropped]
@@ -435,7 +431,7 @@ class GenerateWork(ShardStep[Task]):
         told += judged.notices
         found: Rows = {"warnings": [notice_row(n) for n in dict.fromkeys(told)], "grasps": reach.grasps}
         if rest is not None and self.settings.keep_settled:
-            found["settled"] = [_settled_row(name, rest)]
+            found["settled"] = [settled_row(name, rest)]
         query, code, reason = self.settings.accepting, "", ""
         if compared is not None and not compared.is_varied:
             code, reason = NO_VARIANT, "it equals its source"
@@ -444,7 +440,7 @@ class GenerateWork(ShardStep[Task]):
         elif query is not None and not query.passes(row, schemas.SCHEMAS["scenes"]):
             code, reason = (
                 REJECTED,
-                _why_rejected(query.text, {column: row[column] for column in query.columns}, judged, row[REASON]),
+                why_rejected(query.text, {column: row[column] for column in query.columns}, judged, row[REASON]),
             )
         if not code:
             return found | {"scenes": [row]}
@@ -547,112 +543,3 @@ def _opened(work: GenerateWork) -> GenerateWorkerState:
     known = shelf.by_category(settings.retrieval)
     world = VariantWorld(interpret, lambda category: known.get(category, ()), shelf.containers)
     return GenerateWorkerState(answers, shelf, interpret, shelf.serves(settings.retrieval), world)
-
-
-# --- the card -----------------------------------------------------------------------------------------------------------------
-
-
-def _with_movement(
-    card: MetricCard, made: GenerationResult, scene: Scene, posed: PosedScene, audit: Audit, store: AssetStore
-) -> MetricCard:
-    """Adds to a card how far the corrections moved the proposed objects, and how many relations they kept."""
-    start, there = made.start, {o.instance for o in made.start.objects}
-    if there != {o.instance for o in scene.objects}:
-        return card
-    order = {o.instance: k for k, o in enumerate(scene.objects)}
-    start = replace(start, objects=tuple(sorted(start.objects, key=lambda o: order[o.instance])))
-    start, shapes, _ = store.resolved(start)  # with the proposed tilts
-    # The objects of a stage were judged at their proposed poses before they were corrected.
-    corrections = [correction for turn in made.turns for correction in turn.corrections]
-    known = [(c.start, c.audit_before) for c in corrections if c.audit_before is not None]
-    kept = relations_kept(start, scene, shapes, posed.shapes, audits=(None, audit), known=known)
-    return add_movement(card, start, scene, kept)
-
-
-def _with_alignment(
-    card: MetricCard,
-    seen: RelatedScene,
-    containers: Mapping[str, bool | None],
-    task: LayoutTask,
-    interpret: InstructionInterpreter | None,
-) -> tuple[MetricCard, tuple[str, ...]]:
-    """Adds AwT, AwS and the distractor rate to a card, by the task's labels and as it was read; also returns what is not as it says."""
-
-    def compared(reference: AlignmentReference) -> Alignment:
-        return align(seen.scene, reference, contacts=seen.contacts, footprints=seen.footprints, containers=containers)
-
-    if task.reference is not None:
-        found = compared(task.reference)
-        is_annotated = task.reference.graph is not None
-        card = replace(
-            card,
-            awt=found.awt,
-            aws=found.aws,
-            aws_graph=found.aws_graph,
-            awt_annotated=found.awt if is_annotated else None,
-            distractor_rate=found.distractor_rate,
-        )
-    reference = None if interpret is None or not task.instruction else interpret(task.instruction).stated
-    if reference is None:
-        return card, ()
-    read = compared(reference)
-    is_same = None if task.reference is None else requires_the_same(task.reference, reference)
-    card = replace(card, awt_understood=read.awt, aws_understood=read.aws, read_as_labelled=is_same)
-    lost = tuple(f"the instruction mentions {one}, which is missing" for one in dict.fromkeys(map(str, read.missing)))
-    if read.broken:
-        names = {r.instance: str(r) for r in reference.required}
-        broken = (f"{names[r.subject]} {r.kind} {names.get(r.target, r.target)}" for r in read.broken)
-        lost += (f"the instruction states relations that do not hold: {', '.join(broken)}",)
-    elif read.broken is None and reference.entailed:
-        lost += ("too many objects are alike to tell whether the relations that the instruction states hold",)
-    return card, lost
-
-
-def _variant_columns(task: VariantTask, compared: Comparison) -> schemas.Row:
-    """The columns of a variant: its source, whose split and near-duplicate group it has, and how much of it differs."""
-    found: schemas.Row = {"variant_of": task.source.scene_id, "varied": str(task.axis), "num_varied": compared.num_varied}
-    return found | {"split": task.split, "duplicate_group": task.duplicate_group}
-
-
-def _why_rejected(rule: str, values: dict[str, object], judged: JudgedScene, of_task: str | None) -> str:
-    said = ", ".join(f"{column} is {'unknown' if value is None else value}" for column, value in values.items())
-    reason = "".join(f"; {verdict.reason}" for verdict in judged.verdicts.values() if verdict.reason)
-    if of_task is not None and not {REACHABLE, GRASPABLE}.isdisjoint(values):
-        reason += f"; {of_task}"
-    return f"not accepted by {rule!r}: {said}{reason}"
-
-
-# --- rows ---------------------------------------------------------------------------------------------------------------------
-
-
-def _turn_row(name: str, number: int, turn: Turn) -> schemas.Row:
-    p, done = turn.proposal, turn.corrections[-1] if turn.corrections else None
-    return {
-        "scene_id": name,
-        "turn": number,
-        "stage": str(turn.wanted),
-        "tries": p.tries,
-        "refused": [[f.code for f in r.faults] for r in p.refused],
-        "reply": None if p.reply is None else assistant_message(p.reply.objects),
-        "prompt_tokens": p.prompt_tokens,
-        "reply_tokens": p.reply_tokens,
-        "cost": p.cost,
-        "unmatched": [] if turn.assigned is None else sorted(turn.assigned.unmatched),
-        "coarse": None if done is None else _poses(done.start),
-        "corrected": None if done is None or done.certified is None else _poses(done.certified),
-        "solved_by": None if done is None or done.solved_by is None else str(done.solved_by),
-        "card_before": None if done is None or done.card_before is None else asdict(done.card_before),
-        "card_after": None if done is None or done.card_after is None else asdict(done.card_after),
-        "dropped": [] if done is None else [asdict(d) for d in done.dropped],
-        "code": turn.code,
-        "reason": turn.rejected,
-    }
-
-
-def _poses(scene: Scene) -> list[schemas.Row]:
-    return [{"instance": o.instance, "position": o.position, "yaw": o.yaw} for o in scene.movable]
-
-
-def _settled_row(name: str, rest: SettleResult) -> schemas.Row:
-    poses = zip(rest.names, rest.positions.tolist(), rest.quats_xyzw.tolist(), strict=True)
-    return {"scene_id": name, "poses": [{"instance": n, "position": p, "quat_xyzw": q} for n, p, q in poses]}
