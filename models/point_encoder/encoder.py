@@ -90,10 +90,10 @@ class PointEncoder(nn.Module):
 
     @one_thread()
     def codes(self, clouds: Sequence[PointCloud]) -> npt.NDArray[np.float32]:
-        """Computes features, (B, 64) float32, each independent of the order of points and of the other clouds.
+        """Computes features, (B, 64) float32, each independent of the order of points and of the other clouds, except for rounding.
 
-        On a CPU a feature is the same to the last bit, whatever the other clouds and the number of threads are; on another device
-        the last bits depend on the clouds in its batch.
+        On a CPU, the other clouds and the number of threads change no bit; on another device, the last bits depend on the clouds in
+        the batch.
 
         Args:
             clouds: Any number of clouds of :meth:`PointCloud.of_shape` with ``preprocessing.num_points``.
@@ -109,7 +109,7 @@ class PointEncoder(nn.Module):
         return np.concatenate(parts) if parts else np.zeros((0, FEATURE_CHANNELS), np.float32)
 
     def _projected(self, pooled: Tensor) -> Tensor:
-        """The features of a batch; a product over more clouds at once would sum in another order."""
+        """The features of a batch; a product over more clouds at once may sum in another order."""
         return (pooled - self.mean.cpu()) @ self.basis.T.cpu() if self.needs_projection else pooled
 
     @one_thread()

@@ -6,6 +6,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from models.point_encoder.cloud import PointCloud
 from models.point_encoder.encoder import FEATURE_CHANNELS, PointEncoder
@@ -27,8 +28,9 @@ class ShapeCodes:
 
     def __init__(self, encoder: PointEncoder, folder: Path | None = None) -> None:
         self._encoder, self._files = encoder, ArrayFiles(folder)
-        # The last bits depend on the kind of device.
-        origin = f"{encoder.fingerprint()} {encoder.device.type}".encode()
+        # The last bits depend on the kind of device, on the processor and on the version of torch.
+        machine = f"{encoder.device.type} {torch.backends.cpu.get_cpu_capability()} {torch.__version__}"
+        origin = f"{encoder.fingerprint()} {machine}".encode()
         self._origin = (Path(surface_sampling.__file__).read_bytes(), origin)
         self._codes: dict[str, npt.NDArray[np.float32]] = {}
         self._keys: WeakKeyDictionary[Shape, str] = WeakKeyDictionary()

@@ -28,11 +28,11 @@ from pipelines.execution.shard_step import (
     Shard,
     ShardResult,
     ShardStep,
-    batch_notice,
+    batch_failure,
+    batch_notices,
     failed_process,
     rows_isolated,
     rows_or_failure,
-    unexpected_failure,
 )
 from pipelines.sources.scenes import SceneSource, SourceScene, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
@@ -116,7 +116,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
             return alone._shard(shard, process, failure)
 
     def _shard(self, shard: Shard[I], process: IsolatedProcess | None, failure: str = "") -> ShardResult:
-        """Computes the rows of a shard in this process, or in a separate one: item by item if it is said how the batch has failed.
+        """Computes the rows of a shard in this process or in a separate one; item by item if ``failure`` says how the batch has failed.
 
         Raises:
             _BatchError: In this process, the batch failed.
@@ -201,7 +201,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
         except _OF_THE_RUN:
             raise
         except Exception as error:
-            raise _BatchError(unexpected_failure(error)) from error
+            raise _BatchError(batch_failure(error, len(items))) from error
 
     def _isolated_answers(
         self, items: Sequence[I], rows: Rows, process: IsolatedProcess, failure: str = ""
@@ -228,7 +228,7 @@ class SceneWork(ShardStep[I], Generic[S, I, A]):
             else:
                 failure = str(found["failures"][0]["message"])
         if failure and items:
-            _add(rows, {"warnings": [notice_row(batch_notice(self.item_id(items[0]), num, failure))]})
+            _add(rows, {"warnings": list(map(notice_row, batch_notices(self.item_id(items[0]), num, failure)))})
         answered: list[tuple[I, A]] = []
         losses: list[ProcessFailure] = []
         for item in items:

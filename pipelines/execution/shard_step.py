@@ -289,17 +289,26 @@ def unexpected_notice(item_id: str, step: str, error: Exception) -> Notice:
     return Notice(item_id, step, code, f"{item_id}: {unexpected_failure(error)}")
 
 
-def batch_notice(item_id: str, num_items: int, failure: str) -> Notice:
-    """The warning that items were computed one by one, so that a fault of the batch alone is not unseen.
+def batch_notices(item_id: str, num_items: int, failure: str) -> list[Notice]:
+    """The warning that items were computed one by one, because else nobody sees a fault that only their batch has.
 
     Args:
         item_id: The first of the items.
-        num_items: Their number.
+        num_items: Their number; there is no warning for one, which fails itself.
         failure: How the batch has failed.
     """
-    others = f" and {num_items - 1} other{'s' * (num_items > 2)}" if num_items > 1 else ""
-    message = f"{item_id}{others}: the batch failed, and each was computed alone: {failure.removeprefix(f'{item_id}: ')}"
-    return Notice(item_id, "batch", "batch_failed", message)
+    if num_items == 1:
+        return []
+    others = f"{item_id} and {num_items - 1} other{'s' * (num_items > 2)}"
+    message = f"{others}: the batch failed, and each was computed alone: {failure.removeprefix(f'{item_id}: ')}"
+    return [Notice(item_id, "batch", "batch_failed", message)]
+
+
+def batch_failure(error: Exception, num_items: int) -> str:
+    """The message for an error of a batch, one line."""
+    if is_out_of_memory(error):
+        return f"it {ProcessFailure.OUT_OF_MEMORY.told(0.0, num_items)}"
+    return str(error) if isinstance(error, StableDataError) else unexpected_failure(error)
 
 
 def unexpected_failure(error: Exception) -> str:

@@ -21,10 +21,11 @@ from models.physics_corrector.certify import CorrectionStatus
 from models.physics_corrector.certify.correction import CertificationRequest, Correction, CorrectionOptions
 from models.semantic_reasoner.engines.incremental_batches import Conversation
 from models.semantic_reasoner.reasoner import SemanticReasoner
-from pipelines.execution.shard_step import NOT_OF_AN_ITEM, unexpected_failure
+from pipelines.execution.shard_step import NOT_OF_AN_ITEM, batch_failure, batch_notices, unexpected_failure
 from stable_data.assets.assignment import AssignedLayout, assign_assets, retrieve_usable
 from stable_data.assets.retrieval import Retriever
 from stable_data.assets.store import AssetStore
+from stable_data.errors import Notice
 from stable_data.scene import Scene
 
 Certify: TypeAlias = Callable[[CertificationRequest], Correction]
@@ -72,12 +73,12 @@ class LocalCertifier:
     Attributes:
         corrector: Corrects scenes.
         store: The geometry of the assets.
-        failed_batches: The first scene, the number of scenes and the error of each batch that could not be prepared so far.
+        warnings: About batches that failed so far.
     """
 
     corrector: Corrector
     store: AssetStore
-    failed_batches: list[tuple[str, int, str]] = field(default_factory=list)
+    warnings: list[Notice] = field(default_factory=list)
 
     def __call__(self, request: CertificationRequest) -> Correction:
         """Certifies one scene; an unexpected error rejects this scene alone.
@@ -104,7 +105,7 @@ class LocalCertifier:
         except NOT_OF_AN_ITEM:
             raise
         except Exception as error:  # noqa: BLE001 - the scene is identified when it is certified
-            self.failed_batches.append((requests[0].scene.scene_id, len(requests), unexpected_failure(error)))
+            self.warnings.extend(batch_notices(requests[0].scene.scene_id, len(requests), batch_failure(error, len(requests))))
             return list(requests)
 
 

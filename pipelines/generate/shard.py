@@ -1,7 +1,7 @@
 """One shard of the generate job: Algorithm 1 makes its scenes concurrently, then each scene is judged.
 
-The rows of a shard depend on the shard alone, but for rounding with shared correctors: batches follow from the order of its tasks,
-and the time limit of a correction is the same in every process.
+The rows of a shard depend on the shard alone, except for rounding on a GPU or with shared correctors: batches follow from the order of its
+tasks, and the time limit of a correction is the same in every process.
 """
 
 import json
@@ -50,7 +50,8 @@ from pipelines.execution.shard_step import (
     Shard,
     ShardResult,
     ShardStep,
-    batch_notice,
+    batch_failure,
+    batch_notices,
     engine_stopped,
     rows_or_failure,
     unexpected_failure,
@@ -199,9 +200,9 @@ class GenerateWork(ShardStep[Task]):
         began, processor, opened = perf_counter(), process_time(), _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
-        opened.answers.certifier.failed_batches.clear()
+        opened.answers.certifier.warnings.clear()
         opened.answers.certify = partial(self._certified, process=process)
-        opened.answers.move = None if process is None else partial(self._moved, process)
+        opened.answers.move = None if process is None else partial(self._moved, process, opened.answers.certifier.warnings)
         opened.answers.limited = (
             partial(item_limited, self.settings.seconds_per_item) if self.correctors is None else lambda _: nullcontext()
         )
@@ -216,7 +217,7 @@ class GenerateWork(ShardStep[Task]):
                 raise engine_stopped(f"{made.task.scene_id}: {off.failure}")
             for table, found in self._rows(made).items():
                 rows[table] += found
-        rows["warnings"] += [notice_row(batch_notice(*failed)) for failed in opened.answers.certifier.failed_batches]
+        rows["warnings"] += map(notice_row, dict.fromkeys(opened.answers.certifier.warnings))
         judge = perf_counter() - began - sum(seconds.values())
         spent = {**seconds, "judge": judge, "processor": process_time() - processor, "scenes": len(shard)}
         return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
@@ -259,7 +260,8 @@ class GenerateWork(ShardStep[Task]):
         except _NOT_OF_AN_ITEM:
             raise
         except Exception as error:  # noqa: BLE001 - the scene is identified below
-            opened.answers.certifier.failed_batches.append((tasks[0].scene_id, len(tasks), unexpected_failure(error)))
+            failure = batch_failure(error, len(tasks))
+            opened.answers.certifier.warnings.extend(batch_notices(tasks[0].scene_id, len(tasks), failure))
             for number, task in enumerate(tasks):
                 tell(propose=len(tasks) - number)
                 try:
@@ -337,19 +339,26 @@ class GenerateWork(ShardStep[Task]):
         return Placement((), dict.fromkeys((o.instance for o in problem.objects), reason))
 
     def _moved(
-        self, process: IsolatedProcess, scenes: Sequence[Scene], options: Sequence[CorrectionOptions]
+        self,
+        process: IsolatedProcess,
+        warnings: list[Notice],
+        scenes: Sequence[Scene],
+        options: Sequence[CorrectionOptions],
     ) -> list[CertificationRequest | Correction]:
-        """Moves and refines scenes in a separate process: together, and if that is lost, one by one."""
+        """Moves and refines scenes in a separate process: together, and if that is lost, one by one, which is added to ``warnings``."""
         together = self._limited(_move, (scenes, options), process, len(scenes))
         if not isinstance(together, ProcessFailure):
-            return list(together)
+            warnings += together[1]
+            return list(together[0])
+        failure = f"it {together.told(self.settings.seconds_per_item, len(scenes))}"
+        warnings += batch_notices(scenes[0].scene_id, len(scenes), failure)
         found: list[CertificationRequest | Correction] = []
         for scene, option in zip(scenes, options, strict=True):
             one = self._limited(_move, ([scene], [option]), process)
             if isinstance(one, ProcessFailure):
                 found.append(failed_correction(CertificationRequest(scene, None), f"the flow {self._told(one)}"))
             else:
-                found += one
+                found += one[0]
         return found
 
     def _certified(self, asked: CertificationRequest, *, process: IsolatedProcess | None) -> Correction:
@@ -475,9 +484,13 @@ def _holds(work: GenerateWork, scene: Scene) -> bool:
     return holds_at_start(TaskGeometry(resolved, shapes, _open_shelf(work).containers(resolved)))
 
 
-def _move(work: GenerateWork, asked: tuple[Sequence[Scene], Sequence[CorrectionOptions]]) -> list[CertificationRequest]:
+def _move(
+    work: GenerateWork, asked: tuple[Sequence[Scene], Sequence[CorrectionOptions]]
+) -> tuple[list[CertificationRequest], list[Notice]]:
+    """Moves and refines scenes as one batch; also returns the warning if they could not be refined together."""
     certifier = _open_certifier(work)
-    return certifier.prepared(certifier.moved(*asked))
+    certifier.warnings.clear()
+    return certifier.prepared(certifier.moved(*asked)), list(certifier.warnings)
 
 
 def _certify(work: GenerateWork, asked: CertificationRequest) -> Correction:

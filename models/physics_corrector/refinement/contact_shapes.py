@@ -65,6 +65,9 @@ class _UnitShape:
 class ContactShapeCache:
     """Makes the contact shapes of batches of scenes; what does not depend on the size of an asset is made once.
 
+    It is made from the asset alone, never from the object that needed it first: two corners of an outline may be equally far out, and at
+    another size rounding chooses the other one, which moves objects by centimetres.
+
     Args:
         store: Meshes of the assets.
         grids: Their signed-distance grids.
@@ -95,8 +98,8 @@ class ContactShapeCache:
             for o, shape in zip(scene.objects, own, strict=True):
                 asset_id, mesh, scale, tilt = source_of(o, shape, self._store)
                 if (key := (asset_id, scale, tilt)) not in order:
-                    unit, grid = self._made(asset_id, mesh, scale, tilt, shape)
-                    number = grids.setdefault((asset_id, aspect_steps(scale)), len(found))
+                    unit, grid = self._made(asset_id, mesh, scale, tilt)
+                    number = grids.setdefault((asset_id, aspect_steps(_relative(scale))), len(found))
                     if number == len(found):
                         found.append(grid)
                     order[key] = len(rows)
@@ -111,43 +114,47 @@ class ContactShapeCache:
             MeshError: As for :meth:`shapes_of`.
         """
         for o, shape in zip(scene.objects, shapes, strict=True):
-            self._made(*source_of(o, shape, self._store), shape)
+            self._made(*source_of(o, shape, self._store))
 
-    def _made(self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, shape: Shape) -> tuple[_UnitShape, SdfGrid]:
+    def _made(self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw) -> tuple[_UnitShape, SdfGrid]:
+        scale = _relative(scale)
         is_sheet = bool(asset_id) and self._store.asset(asset_id).report.is_sheet
         grid = self._grids.grid(mesh, aspect_steps(scale), is_sheet=is_sheet)
-        return self._unit(asset_id, mesh, scale, tilt, shape, grid), grid
+        return self._unit(asset_id, mesh, scale, tilt, grid), grid
 
-    def _unit(self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, shape: Shape, grid: SdfGrid) -> _UnitShape:
-        factor = max(scale)
-        x, y, z = (round(s / factor, _DIGITS) for s in scale)
-        key = (asset_id, (x, y, z), tilt)
+    def _unit(self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, grid: SdfGrid) -> _UnitShape:
+        key = (asset_id, scale, tilt)
         if key not in self._units:
             while len(self._units) >= _MOST_UNITS:
                 self._units.popitem(last=False)
-            self._units[key] = self._unit_shape(asset_id, mesh, (x, y, z), tilt, shape, factor, grid)
+            self._units[key] = self._unit_shape(asset_id, mesh, scale, tilt, grid)
         self._units.move_to_end(key)
         return self._units[key]
 
-    def _unit_shape(
-        self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, shape: Shape, factor: float, grid: SdfGrid
-    ) -> _UnitShape:
+    def _unit_shape(self, asset_id: str, mesh: Mesh, scale: Vec3, tilt: QuatXyzw, grid: SdfGrid) -> _UnitShape:
+        shape = self._store.shape_at(asset_id, scale, tilt) if asset_id else Shape.from_mesh(mesh, scale, tilt)
         rotation = Rotation.from_quat(tilt).as_matrix()
-        linear, centre = grid_map(mesh, scale, rotation, shape.vertices[0] / factor, grid)
+        linear, centre = grid_map(mesh, scale, rotation, shape.vertices[0], grid)
         if asset_id not in self._points:
             while len(self._points) >= _MOST_UNITS:
                 self._points.popitem(last=False)
             self._points[asset_id] = surface_points(mesh, _NUM_SAMPLES)[0].astype(np.float64)
         samples = (self._points[asset_id] * scale) @ rotation.T - centre
-        corners = _hull_corners(shape) / factor
+        corners = _hull_corners(shape)
         samples[_NUM_SAMPLES - len(corners) :] = corners  # the first ones, farthest-point ordered, cover the surface evenly
         return _UnitShape(
             linear,
             linear @ centre,
             samples.astype(np.float32),
-            (_outline(shape) / factor).astype(np.float32),
-            (centre_of_mass(shape) / factor).astype(np.float32),
+            _outline(shape).astype(np.float32),
+            centre_of_mass(shape).astype(np.float32),
         )
+
+
+def _relative(scale: Vec3) -> Vec3:
+    """Returns a scale over its largest factor, rounded, so that an asset has one at all sizes."""
+    x, y, z = (round(s / max(scale), _DIGITS) for s in scale)
+    return x, y, z
 
 
 def _stacked(rows: Sequence[tuple[_UnitShape, float, int, SdfGrid]], grids: Sequence[SdfGrid]) -> ContactShapes:

@@ -224,6 +224,15 @@ def test_what_a_task_is_read_from_is_read_within_the_limits(monkeypatch: pytest.
         assert not list(work._tasks(Shard("0" * 16, (variant,)), rows, None, process))  # type: ignore[arg-type]
         assert [(row["id"], row["code"]) for row in rows["failures"]] == [(variant.scene_id, code)]
         assert all(told in message for message in (notice.message, rows["failures"][0]["message"]))
-    (moved,) = work._moved(lost, [Scene("mug", Tabletop("office_table", (1.2, 0.6)), ())], [CorrectionOptions()])  # type: ignore[arg-type]
+    warnings = list[Notice]()
+    scenes, options = [Scene("mug", Tabletop("office_table", (1.2, 0.6)), ())], [CorrectionOptions()]
+    (moved,) = work._moved(lost, warnings, scenes, options)  # type: ignore[arg-type]
     assert isinstance(moved, Correction)
     assert "the flow took over 7 s" in moved.reason
+    assert not warnings  # one scene is no batch
+    assert len(work._moved(lost, warnings, 2 * scenes, 2 * options)) == 2  # type: ignore[arg-type]
+    assert [(notice.item_id, notice.code) for notice in warnings] == [("mug", "batch_failed")]
+    assert (
+        "mug and 1 other: the batch failed, and each was computed alone: it took over 7 s for each of 2 items"
+        in warnings[0].message
+    )
