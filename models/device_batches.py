@@ -1,7 +1,7 @@
 """Runs a computation over batches that fit into the memory of a device, on one thread of the CPU.
 
 The workers of a cluster have one thread each, and the last bits of sums depend on the number of threads: a single process with more
-threads would give other results. Two threads save 5 % of this time.
+threads would give other results.
 """
 
 import warnings

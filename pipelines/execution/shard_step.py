@@ -294,8 +294,11 @@ def batch_notices(item_id: str, num_items: int, failure: str) -> list[Notice]:
 
     Args:
         item_id: The first of the items.
-        num_items: Their number; there is no warning for one, which fails itself.
-        failure: How the batch has failed.
+        num_items: Their number; one item is no batch and has no warning.
+        failure: How the batch has failed, one line.
+
+    Returns:
+        One notice, or none.
     """
     if num_items == 1:
         return []
@@ -305,7 +308,7 @@ def batch_notices(item_id: str, num_items: int, failure: str) -> list[Notice]:
 
 
 def batch_failure(error: Exception, num_items: int) -> str:
-    """The message for an error of a batch, one line."""
+    """The message for an error of a batch of ``num_items`` items, one line."""
     if is_out_of_memory(error):
         return f"it {ProcessFailure.OUT_OF_MEMORY.told(0.0, num_items)}"
     return str(error) if isinstance(error, StableDataError) else unexpected_failure(error)

@@ -210,11 +210,9 @@ def test_a_batch_that_fails_although_none_of_its_scenes_does_is_told(
     generate(FOUR, str(tmp_path / "out"), settings, ALONE, [str(dataset)], report=False)
     assert len(ids(tmp_path / "out", "scenes")) == 4
     told = [row for row in RunFolder(str(tmp_path / "out")).table("warnings").to_pylist() if row["code"] == "batch_failed"]
-    assert {row["id"] for row in told} == {"task_0"}
-    assert len({row["message"] for row in told}) == len(told) == 1
-    assert told[0]["message"].startswith(
-        "task_0 and 3 others: the batch failed, and each was computed alone: ValueError: too many"
-    )
+    (row,) = told
+    assert row["id"] == "task_0"
+    assert row["message"].startswith("task_0 and 3 others: the batch failed, and each was computed alone: ValueError: too many")
 
 
 @pytest.mark.parametrize(("module", "step"), [(answers, "assign_assets"), (shard, "relate_scene")], ids=["made", "judged"])
