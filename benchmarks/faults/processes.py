@@ -30,6 +30,7 @@ def started(command: Sequence[str], log: IO[bytes], environment: Mapping[str, st
 
 def _prepare() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell in the background ignores it, and so would the command
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # likewise where it is blocked
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 

@@ -80,20 +80,25 @@ def test_a_killed_driver_is_hit_and_a_started_command_ends_with_its_parent(tmp_p
     assert usage_of([int(words[0])]).processes == 0
 
 
-def test_a_command_is_ended_as_ctrl_c_does_even_where_it_is_ignored(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_blocked", [False, True])
+def test_a_command_is_ended_as_ctrl_c_does_even_where_it_is_ignored(is_blocked: bool, tmp_path: Path) -> None:
+    # Many short sleeps: a signal that comes just before a sleep does not end it.
     code = """if True:
         import time
         try:
             print("there", flush=True)
-            time.sleep(60)
+            for _ in range(6000):
+                time.sleep(0.01)
         except KeyboardInterrupt:
             raise SystemExit(7)
     """
     log, before = tmp_path / "log", signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a shell
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT} if is_blocked else set())
     try:
         with log.open("wb") as stream:
             command = started([sys.executable, "-c", code], stream)
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         signal.signal(signal.SIGINT, before)
     assert children(os.getpid()) >= {command.pid}
     while "there" not in log.read_text("utf-8"):
