@@ -1,11 +1,13 @@
 """What every test may ask for, and the order of the tests."""
 
+import fcntl
 import gc
 import json
 import logging
 import os
 import shutil
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: two threads on a busy machine wait for each other
@@ -15,6 +17,7 @@ import pytest
 import ray
 from hypothesis import settings
 
+from stable_data.cache_folder import user_cache
 from stable_data.embedded_world import EmbeddedWorld, write_world
 from stable_data.scene import Stage, Tabletop
 from stable_data.storage.run_folder import RunFolder
@@ -23,6 +26,47 @@ from tests.broken_inputs import write_broken_inputs
 # A run that fails fails again, and none fails because the machine is busy; `--hypothesis-profile=default` explores.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Path:
+    """A folder of all processes of this run of the tests."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if hasattr(pytestconfig, "workerinput") else own) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(shared_folder: Path) -> Iterator[None]:
+    """An empty cache, so that nothing depends on what a machine has made before; files of robots that are there are used."""
+    robots, cache = user_cache("robots"), shared_folder / "cache"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(cache))
+        user_cache("robots").parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError):  # of another process
+            user_cache("robots").symlink_to(robots)
+        yield
+
+
+@pytest.fixture(scope="session")
+def make_once(shared_folder: Path) -> MakeOnce:
+    """Makes a folder, given its name, unless another process of this run of the tests has; returns the folder."""
+
+    def once(name: str, make: Callable[[Path], object]) -> Path:
+        folder, done = shared_folder / name, shared_folder / f"{name}.made"
+        with (shared_folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not done.exists():
+                shutil.rmtree(folder, ignore_errors=True)  # of a process that failed
+                folder.mkdir()
+                make(folder)
+                done.touch()
+        return folder
+
+    return once
 
 
 @pytest.fixture(scope="session")
@@ -56,28 +100,32 @@ def measured_data(request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.fixture(scope="session")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four embedded scenes. A test that changes one copies it first."""
-    root = tmp_path_factory.mktemp("embedded") / "data"
-    write_world(root, 4, EmbeddedWorld(seed=3, pictures=False))
-    return root
+def dataset(make_once: MakeOnce) -> Path:
+    """Four embedded scenes. A test that changes one copies it first, since other processes use it."""
+    return make_once("embedded", lambda folder: write_world(folder / "data", 4, EmbeddedWorld(seed=3, pictures=False))) / "data"
 
 
 @pytest.fixture(scope="session")
-def clean_run(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def clean_run(dataset: Path, make_once: MakeOnce) -> Path:
     """A run of preprocess over ``dataset``. Likewise."""
-    from pipelines.execution.ray_executor import WorkerPool
-    from pipelines.preprocess.job import preprocess
-    from tests.pipelines.runs import SMALL
 
-    out = tmp_path_factory.mktemp("run") / "out"
-    preprocess(str(dataset), str(out), SMALL, WorkerPool())
-    return out
+    def make(folder: Path) -> None:
+        from pipelines.execution.ray_executor import WorkerPool
+        from pipelines.preprocess.job import preprocess
+        from tests.pipelines.runs import SMALL
+
+        preprocess(str(dataset), str(folder / "out"), SMALL, WorkerPool())
+
+    return make_once("clean_run", make) / "out"
 
 
 @pytest.fixture(scope="session")
-def generated(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three scenes of three objects and two failures of the generate job, in three shards; settled."""
+def generated(dataset: Path, make_once: MakeOnce) -> Path:
+    """Three scenes of three objects and two failures of the generate job, in three shards; settled. Likewise."""
+    return make_once("generated", lambda folder: _generate(dataset, folder)) / "run"
+
+
+def _generate(dataset: Path, folder: Path) -> None:
     # Imported here: most tests need neither the jobs nor torch.
     from models.semantic_reasoner.engines.registry import EngineSettings
     from models.semantic_reasoner.staged_layout import LayoutTask
@@ -98,7 +146,6 @@ def generated(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         WANTED[Stage.IMPORTANT]: {"objects": [entry(second, 21.0)]},
         WANTED[Stage.SECONDARY]: {"objects": [entry(third, 22.0)]},
     }
-    folder = tmp_path_factory.mktemp("generated")
     (folder / "script.json").write_text(json.dumps(script))
     engine = EngineSettings(f"scripted:{folder / 'script.json'}")
     settings = GenerateSettings(engine, weights="none", scenes_per_shard=2, keep_settled=True, num_pictures=0)
@@ -106,7 +153,6 @@ def generated(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     said = ("Lift it.", "Say nonsense", "Turn it.", "Say nonsense again", "Take it.")
     tasks = TaskSource("tasks", [LayoutTask(f"task_{n}", words, desk) for n, words in enumerate(said)])
     generate(tasks, str(folder / "run"), settings, WorkerPool(), [str(dataset)])
-    return folder / "run"
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,6 @@ from stable_data.storage.schemas import Row
 from tests.pipelines.edit import edit_runs
 from tests.pipelines.runs import SMALL, used_assets
 from tests.stable_data.embedded_world.edit_scenes import made_scenes, row_of
-
-
-@pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """An empty cache, so that nothing depends on what a machine has made before."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 @pytest.fixture(scope="session")
@@ -100,9 +92,10 @@ def edits(wanted: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture(scope="session")
-def edited(dataset: Path, edits: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("edited") / "out"
-    manifest = edit(str(dataset), edits, str(out), edit_runs.SMALL, edit_runs.ALONE)
-    assert manifest["counts"]["scenes"] == manifest["num_edits"] == 9
-    assert manifest["counts"]["failures"] == 0
-    return out
+def edited(dataset: Path, edits: Path, make_once: Callable[[str, Callable[[Path], None]], Path]) -> Path:
+    def make(folder: Path) -> None:
+        manifest = edit(str(dataset), edits, str(folder / "out"), edit_runs.SMALL, edit_runs.ALONE)
+        assert manifest["counts"]["scenes"] == manifest["num_edits"] == 9
+        assert manifest["counts"]["failures"] == 0
+
+    return make_once("edited", make) / "out"
