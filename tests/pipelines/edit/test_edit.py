@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 import stable_data.storage.run_folder as shards
 from models.semantic_reasoner.editing import apply_edit, edit_prompt_of
+from models.semantic_reasoner.engines.http_settings import HttpSettings
 from models.semantic_reasoner.engines.registry import EngineSettings
 from models.semantic_reasoner.text.reply_json import LayoutReply, render_objects
 from pipelines.__main__ import app
@@ -192,6 +193,7 @@ def test_a_shard_that_is_missing_is_made_again(dataset: Path, edits: Path, edite
     assert content(out) == content(edited)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_broken_off_goes_on(
     dataset: Path, edits: Path, edited: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,7 +261,8 @@ def test_ray_gives_the_same_bytes_as_this_process(dataset: Path, edits: Path, ed
 def test_edits_with_replies_need_no_engine(dataset: Path) -> None:
     scene_id = MesaTaskDataset(dataset).scene_ids[0]
     replied = EditRequest("e", scene_id, "leave it", reply='{"remove": [], "objects": []}')
-    work = EditWork(str(dataset), replace(SMALL, engine=EngineSettings("openai:gpt")))
+    nobody = HttpSettings("http://127.0.0.1:1/v1", "gpt", tries=1)
+    work = EditWork(str(dataset), replace(SMALL, engine=EngineSettings("openai:gpt", http=nobody)))
     assert [row["scene_id"] for row in work.shard(Shard("0" * 16, (replied,))).rows["scenes"]] == ["e"]
     with pytest.raises(ConfigError, match="base_url"):
         work.shard(Shard("0" * 16, (replace(replied, reply=None),)))

@@ -112,12 +112,12 @@ def encoded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_world(root / "data", 2, EmbeddedWorld(seed=3, pictures=False))
     out = root / "run"
     preprocess(str(root / "data"), str(out), replace(SMALL, features="auto", tasks_per_scene=2), WorkerPool())
+    assert verified(out)[0].is_whole
     return out
 
 
 @pytest.mark.parametrize("name", OF_FEATURES)
 def test_damaged_features_and_further_tasks_are_found(name: str, encoded: Path, tmp_path: Path) -> None:
-    assert verified(encoded)[0].is_whole
     check(encoded, tmp_path, *OF_FEATURES[name])
 
 
