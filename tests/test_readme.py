@@ -45,7 +45,7 @@ def test_there_are_commands_to_run() -> None:
     assert {command.split()[0] for command in COMMANDS} == {"make", "python", "stable-data"}
 
 
-LONG = (" generate ", " correct ", " import sdformat ")
+LONG = (" generate ", " correct ", " import sdformat ", " synth ")
 """Words of commands that take long, which the default tests of their jobs run too; what generate would do is planned here."""
 
 

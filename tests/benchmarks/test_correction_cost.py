@@ -25,6 +25,7 @@ def bench(root: Path) -> Bench:
     return Bench(root, 2)
 
 
+@pytest.mark.slow
 def test_scenes_are_jittered_differently_each_round_and_come_out_clean(bench: Bench) -> None:
     first, again, second = bench.jittered(1), bench.jittered(1), bench.jittered(2)
     for clean, one, same, other in zip(bench.scenes, first, again, second, strict=True):
@@ -78,6 +79,7 @@ def test_the_exponent_is_that_of_the_law() -> None:
     assert [line.split()[-1] for line in lines] == ["clean", "1/1", "1/1", "0/1", "1.50"]
 
 
+@pytest.mark.slow
 def test_what_has_no_place_on_a_full_table_is_counted(bench: Bench, rng: np.random.Generator) -> None:
     cost = bench.cost("certify", crowd(bench.scenes, 16, rng, 2.5), 2.5)
     assert cost.is_clean

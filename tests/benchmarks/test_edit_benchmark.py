@@ -88,6 +88,7 @@ def test_a_line_that_says_no_expectation_is_refused(tmp_path: Path, expected: An
         read_expected_edits(tmp_path / "edits.jsonl")
 
 
+@pytest.mark.slow
 def test_edits_of_a_folder_are_applied_and_judged(tmp_path: Path) -> None:
     scene = MesaTaskDataset(DATA).read(SCENE)[0]
     gone = "3_mug_0"

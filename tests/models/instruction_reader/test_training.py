@@ -37,6 +37,7 @@ def values(network: ReaderNetwork) -> list[torch.Tensor]:
     return [value.clone() for value in network.state_dict().values()]
 
 
+@pytest.mark.slow
 def test_a_stopped_training_ends_as_one_that_was_not_stopped(tmp_path: Path, model: ReaderModel) -> None:
     whole = trainer(model)
     losses = [whole.train_step()["start"] for _ in range(4)]

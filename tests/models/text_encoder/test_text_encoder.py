@@ -266,6 +266,7 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         load_default()
 
 
+@pytest.mark.slow
 def test_it_loads_late_without_warnings_network_or_sentence_transformers() -> None:
     code = """
 import socket, sys

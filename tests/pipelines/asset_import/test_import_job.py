@@ -117,6 +117,7 @@ def test_ray_gives_the_same_bytes_as_this_process(source: Path, library: Path, t
     assert content(tmp_path / "out") == content(library)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bytes(source: Path, library: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "pipelines", *command_of(source, out, "--workers", "0")]

@@ -199,6 +199,7 @@ def test_what_a_reasoner_takes_for_task_objects_does_not_count(
     _assert_same_figures(found["mine"], found["stable"])
 
 
+@pytest.mark.slow
 def test_pictures_are_compared_with_those_of_a_reference(
     tasks: TaskSource, settings: EvaluateSettings, dataset: Path, evaluated: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:

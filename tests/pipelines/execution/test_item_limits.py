@@ -93,6 +93,7 @@ def test_a_reader_that_needs_more_memory_is_not_said_to_find_a_broken_file(
     assert "item.max_memory_bytes" in row["message"]
 
 
+@pytest.mark.slow
 def test_a_batch_has_the_memory_of_its_items(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
     work = Batch("", CorrectSettings())
@@ -120,6 +121,7 @@ def test_an_item_that_a_batch_is_lost_for_fails_alone(monkeypatch: pytest.Monkey
     assert warning["message"].startswith("a and 3 others: the batch failed, and each was computed alone: ")
 
 
+@pytest.mark.slow
 def test_the_job_ends_only_if_all_items_alone_lose_their_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SETTING, f"item.max_memory_bytes={32 * MIB}")
     rows: dict[str, list[Any]] = defaultdict(list)

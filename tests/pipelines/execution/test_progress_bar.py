@@ -176,7 +176,7 @@ def test_the_reports_of_a_long_run_leave_nothing_in_rays_head(local_ray: None) -
 
 
 @pytest.mark.ray
-@pytest.mark.parametrize("workers", [WorkerPool(), WorkerPool(1)], ids=["here", "ray"])
+@pytest.mark.parametrize("workers", [WorkerPool(), pytest.param(WorkerPool(1), marks=pytest.mark.slow)], ids=["here", "ray"])
 @pytest.mark.usefixtures("local_ray")
 def test_a_run_tells_where_its_scenes_are(
     workers: WorkerPool, settings: GenerateSettings, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

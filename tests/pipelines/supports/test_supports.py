@@ -105,6 +105,7 @@ def test_a_coffee_table_has_its_top_and_three_compartments(supports: str) -> Non
     assert not any(row["on_table"] for row in rows.values())  # none is offered where things for a table are asked for
 
 
+@pytest.mark.slow
 def test_a_support_run_is_resumed_and_refuses_another_one_at_once(
     library: str, supports: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -301,24 +302,27 @@ def test_the_zone_of_things_far_apart_is_that_of_the_largest() -> None:
     assert apart.restricted_zone == pytest.approx((1.55, 1.85, 0.2, 0.4))
 
 
-def test_the_command_says_what_it_found_and_what_is_wrong(library: str, supports: str, tmp_path: Path) -> None:
-    runner = CliRunner()
-    empty = str(tmp_path / "empty")
-    shutil.copytree(library, empty)
-    for path in Path(empty).glob("*/*.parquet"):
-        pq.write_table(pq.read_table(path).slice(0, 0), path)
-    done = runner.invoke(
+@pytest.mark.slow
+def test_the_command_says_what_it_found(library: str, supports: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(
         app, ["supports", library, "--asset", COFFEE, "--asset", COFFEE, "--out", str(tmp_path / "a"), "--surface", "top"]
     )
     assert done.exit_code == 0, done.output
     assert f"{COFFEE} top: 131 x 65 cm" in done.output
     assert [s.frame.surface for s in scenes_of(str(tmp_path / "a")) if s.frame] == ["top"]
-    again = runner.invoke(app, ["supports", supports, "--out", str(tmp_path / "again")])
+    again = CliRunner().invoke(app, ["supports", supports, "--out", str(tmp_path / "again")])
     frames = [s.frame for s in scenes_of(str(tmp_path / "again"))]
     assert {frame and frame.asset_id for frame in frames} == {COFFEE}  # bodies in the way are no supports
     left = len(AssetLibraries((), scenes=supports).asset_ids) - 1
     assert left > 0
     assert f"{left} other assets were not looked at" in again.output
+
+
+def test_the_command_says_what_is_wrong(library: str, tmp_path: Path) -> None:
+    runner, empty = CliRunner(), str(tmp_path / "empty")
+    shutil.copytree(library, empty)
+    for path in Path(empty).glob("*/*.parquet"):
+        pq.write_table(pq.read_table(path).slice(0, 0), path)
     for arguments, words in (
         ([library, "--asset", "sofa"], "has no asset sofa"),
         ([library, "--surface", "lid"], "has no surface lid, expected one of top, shelf_1"),

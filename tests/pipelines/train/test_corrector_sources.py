@@ -140,6 +140,7 @@ def real_run(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root / "out"
 
 
+@pytest.mark.slow
 def test_a_training_on_two_runs_has_the_scenes_of_both(clean_run: Path, real_run: Path, tmp_path: Path) -> None:
     both = TrainingScenes((str(clean_run), str(real_run)), tmp_path, 64, 16).load("box")
     one = TrainingScenes((str(clean_run),), tmp_path, 64, 16).load("box")
@@ -172,6 +173,7 @@ def test_runs_with_another_mesh_of_an_asset_are_refused(clean_run: Path, tmp_pat
         TrainingScenes((str(clean_run), str(other)), tmp_path / "cache", 64, 16).load("box")
 
 
+@pytest.mark.slow
 def test_targets_that_are_not_clean_are_repaired(real_run: Path, clean_run: Path, tmp_path: Path) -> None:
     raw = TrainingScenes((str(clean_run), str(real_run)), tmp_path / "cache", 64, 16).load("box")
     left_out = raw.counts["left_out_not_clean"] + raw.counts["left_out_unknown"]

@@ -138,6 +138,7 @@ def test_the_checks_know_the_run_s_categories(run: Path, out: Path) -> None:
     assert found.tables
 
 
+@pytest.mark.slow
 def test_the_weights_are_a_plain_folder(run: Path, out: Path, tmp_path: Path) -> None:
     job(run, out).run()
     code = (

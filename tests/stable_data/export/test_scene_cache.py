@@ -43,7 +43,10 @@ def copied(run: Path, to: Path, table: str, change: Any) -> RunFolder:
     return folder
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
+@pytest.mark.parametrize(
+    "name",
+    [name if name in ("mjcf", "sdformat", "usd") else pytest.param(name, marks=pytest.mark.slow) for name in sorted(FORMATS)],
+)
 def test_a_second_export_copies_the_same_files(name: str, run: RunFolder, tmp_path: Path) -> None:
     plain = export_run(run, tmp_path / "plain", name, SceneSelection())
     first = export_run(run, tmp_path / "first", name, SceneSelection(), is_cached=True)
@@ -114,6 +117,7 @@ def test_without_a_folder_scenes_are_made(run: RunFolder, tmp_path: Path, cache:
     assert (tmp_path / "out" / "falling.glb").exists()
 
 
+@pytest.mark.slow
 def test_two_processes_at_once(run: RunFolder, tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; import stable_data as sd\n"

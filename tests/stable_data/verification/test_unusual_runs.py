@@ -67,7 +67,7 @@ def unusual(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.mark.parametrize("writer", ["", f"{__name__}:write_task"])
+@pytest.mark.parametrize("writer", ["", pytest.param(f"{__name__}:write_task", marks=pytest.mark.slow)])
 def test_a_sound_run_of_unusual_scenes_is_whole(writer: str, unusual: Path, tmp_path: Path) -> None:
     settings = replace(SMALL, features="auto", scenes_per_shard=1, task_writer=writer, task_cache=str(tmp_path / "cache"))
     counts = preprocess(str(unusual), str(tmp_path / "run"), settings, WorkerPool())

@@ -288,7 +288,7 @@ def discs(num_scenes: int, seed: int) -> tuple[Condition, Tensor]:
     return scenes, clean
 
 
-@pytest.mark.parametrize("backbone", ["unet1d", "set_transformer"])
+@pytest.mark.parametrize("backbone", [pytest.param("unet1d", marks=pytest.mark.slow), "set_transformer"])
 def test_a_small_network_learns_to_push_two_discs_apart(backbone: str) -> None:
     torch.manual_seed(0)
     network, flow = small_settings(backbone, FlowSettings(sigma=0.1)).build()
