@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -207,9 +208,12 @@ def local_ray() -> None:
 
 
 def pytest_collection_modifyitems(session: pytest.Session, items: list[pytest.Item]) -> None:
-    """Puts the files that use Ray first: they take the longest, so no worker of pytest-xdist is left with one at the end."""
-    ray_files = {item.path for item in items if item.get_closest_marker("ray")}
-    items.sort(key=lambda item: item.path not in ray_files)
+    """Puts the files first that take the longest, so that no worker of pytest-xdist is left with one at the end.
+
+    These are the files that use Ray, and then those with many tests.
+    """
+    ray_files, num_tests = {item.path for item in items if item.get_closest_marker("ray")}, Counter(item.path for item in items)
+    items.sort(key=lambda item: (item.path not in ray_files, -(num_tests[item.path] // 100)))
     session.stash[_RAY_FILES] = {item.path for item in items if _uses_local_ray(item)}
 
 

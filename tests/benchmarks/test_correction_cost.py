@@ -38,6 +38,7 @@ def test_scenes_are_jittered_differently_each_round_and_come_out_clean(bench: Be
     assert "certify" in bench.methods
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 7, 40])
 def test_crowds_are_as_dense_whatever_their_number(bench: Bench, count: int, rng: np.random.Generator) -> None:
     scene = crowd(bench.scenes, count, rng)
@@ -48,6 +49,7 @@ def test_crowds_are_as_dense_whatever_their_number(bench: Bench, count: int, rng
     assert all(0 < x < scene.table.size_xy[0] and 0 < y < scene.table.size_xy[1] for x, y, _ in (o.position for o in standing))
 
 
+@pytest.mark.slow
 def test_what_is_carried_goes_along(bench: Bench, rng: np.random.Generator) -> None:
     known = np.array([offset for scene in bench.scenes for offset in _offsets(scene)])
     found = _offsets(crowd(bench.scenes, 40, rng))
@@ -61,6 +63,7 @@ def _offsets(scene: Scene) -> list[np.ndarray]:
     return [np.subtract(o.position, scene[o.support].position) for o in scene.objects if o.support and o.support in names]
 
 
+@pytest.mark.slow
 def test_a_number_that_cannot_be_met_is_refused(bench: Bench, rng: np.random.Generator) -> None:
     scene = bench.scenes[0]
     first, second, *_ = scene.objects

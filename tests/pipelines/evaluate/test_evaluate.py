@@ -163,6 +163,7 @@ def test_the_page_has_measured_and_published_figures_apart(evaluated: tuple[Path
     assert "not run" in page
 
 
+@pytest.mark.slow
 def test_the_same_again_changes_nothing_and_systems_can_be_added(
     evaluated: tuple[Path, dict[str, Any]], tasks: TaskSource, settings: EvaluateSettings, dataset: Path
 ) -> None:
@@ -185,6 +186,7 @@ def _assert_same_figures(one: dict[str, Any], other: dict[str, Any]) -> None:
             assert one["figures"][figure.key] == other["figures"][figure.key], figure.key
 
 
+@pytest.mark.slow
 def test_what_a_reasoner_takes_for_task_objects_does_not_count(
     tasks: TaskSource, settings: EvaluateSettings, dataset: Path, tmp_path: Path
 ) -> None:

@@ -145,6 +145,7 @@ def test_what_is_lost_is_made_again_the_same(made: Path, run: str, settings: Gen
     assert content(made) == before
 
 
+@pytest.mark.slow
 def test_another_number_is_another_variant_and_does_not_change_the_first(
     run: str, settings: GenerateSettings, tmp_path: Path
 ) -> None:

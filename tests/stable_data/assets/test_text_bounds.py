@@ -92,6 +92,7 @@ def queries(seed: int, ids: list[str]) -> list[AssetQuery]:
     return [*found, replace(found[0], without=frozenset(ids)), replace(found[1], without=frozenset(ids))]
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=40)
 @given(
     st.integers(0, 2**32),

@@ -81,6 +81,7 @@ def test_a_row_says_what_its_kind_does(drafted: list[Row]) -> None:
         assert not set("[]{}|") & set(edit["instruction"])
 
 
+@pytest.mark.slow
 def test_what_is_drafted_is_mostly_clean_as_it_was_lowered(rows: list[Row], drafted: list[Row]) -> None:
     scenes = {row["scene_id"]: scene_from_row(row) for row in rows}
     keys = {asset(key).uid: key for key in KEYS}

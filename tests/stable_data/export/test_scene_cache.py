@@ -86,6 +86,7 @@ def test_what_changed_is_made(run: RunFolder, tmp_path: Path, monkeypatch: pytes
     assert export_run(run, tmp_path / "code_out", "glb", SceneSelection(), is_cached=True).num_cached == 0
 
 
+@pytest.mark.slow
 def test_damage_and_loss_cost_time_only(run: RunFolder, tmp_path: Path, cache: Path) -> None:
     export_run(run, tmp_path / "out", "mjcf", SceneSelection(), is_cached=True)
     for number, damage in enumerate((b"", b"x", b"{}", b'{"files": {"../evil": "00"}, "num_boxes": 0}', None)):

@@ -206,6 +206,7 @@ def test_a_reply_depends_on_its_seed_and_not_on_its_neighbours(
     assert len({c.text for c in LocalEngine(network, tokenizer, "tiny", SHORT).complete([request(s) for s in range(6)])}) > 1
 
 
+@pytest.mark.slow
 def test_threads_share_a_running_batch_and_get_what_each_would_get_alone(
     network: Qwen3ForCausalLM, tokenizer: PreTrainedTokenizerFast
 ) -> None:
