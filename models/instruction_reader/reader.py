@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import islice
 from pathlib import Path
 
@@ -28,6 +28,7 @@ _MOST_WORDS = 200
 _MOST_MENTIONS = 40
 
 
+@cache
 def reader_fingerprint() -> str:
     """Returns a hash of the shipped weights and nouns, on which every reading depends."""
     return content_id(hashlib.sha256(DEFAULT_WEIGHTS.read_bytes()).hexdigest(), asdict(read_nouns()))

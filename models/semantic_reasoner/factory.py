@@ -1,7 +1,7 @@
 """Makes a reasoner from its settings: the engine, the checks, and the interpreter of instructions."""
 
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -103,8 +103,9 @@ def load_reasoner(
     return reasoner, interpret
 
 
+@cache
 def embedded_interpreter() -> InstructionInterpreter:
-    """Returns the interpreter of the embedded reasoner, which reads instructions for any system."""
+    """Returns the interpreter of the embedded reasoner, which reads instructions for any system; the same one each time."""
     from models.text_encoder import load_default
 
     return InstructionInterpreter(CategoryStatistics.load(EMBEDDED), load_default())

