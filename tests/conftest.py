@@ -42,19 +42,21 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(shared_folder: Path) -> Iterator[None]:
-    """An empty cache, so that nothing depends on what a machine has made before; files of robots that are there are used."""
-    robots, cache = user_cache("robots"), shared_folder / "cache"
+    """An empty cache, so that nothing depends on what a machine has made before, but for files that were downloaded."""
+    downloaded = [folder for folder in (user_cache("robots"), user_cache("features")) if folder.is_dir()]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(cache))
-        user_cache("robots").parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileExistsError):  # of another process
-            user_cache("robots").symlink_to(robots)
+        patch.setenv("XDG_CACHE_HOME", str(shared_folder / "cache"))
+        for folder in downloaded:
+            here = user_cache(folder.name)
+            here.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileExistsError):  # another process was faster
+                here.symlink_to(folder)
         yield
 
 
 @pytest.fixture(scope="session")
 def make_once(shared_folder: Path) -> MakeOnce:
-    """Makes a folder, given its name, unless another process of this run of the tests has; returns the folder."""
+    """A function that makes a folder of a name, unless another process of the same test run has made it, and returns it."""
 
     def once(name: str, make: Callable[[Path], object]) -> Path:
         folder, done = shared_folder / name, shared_folder / f"{name}.made"
@@ -108,7 +110,7 @@ def dataset(make_once: MakeOnce) -> Path:
 
 @pytest.fixture(scope="session")
 def clean_run(dataset: Path, make_once: MakeOnce) -> Path:
-    """A run of preprocess over ``dataset``. Likewise."""
+    """A run of preprocess over ``dataset``. A test that changes it copies it first."""
 
     def make(folder: Path) -> None:
         from pipelines.execution.ray_executor import WorkerPool
@@ -122,7 +124,10 @@ def clean_run(dataset: Path, make_once: MakeOnce) -> Path:
 
 @pytest.fixture(scope="session")
 def generated(dataset: Path, make_once: MakeOnce) -> Path:
-    """Three scenes of three objects and two failures of the generate job, in three shards; settled. Likewise."""
+    """Three scenes of three objects and two failures of the generate job, in three shards; settled.
+
+    A test that changes the run copies it first.
+    """
     return make_once("generated", lambda folder: _generate(dataset, folder)) / "run"
 
 

@@ -1,13 +1,16 @@
 """What a soak says of its samples: flat, growing, falling or unknown."""
 
 import json
+import subprocess
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.faults.processes import Usage
+from benchmarks.chaos import NOT_COMPLETE
+from benchmarks.faults.processes import ROOT, Usage
 from benchmarks.soak import WALL_TIME, Sample, SoakedRun, is_good, outcomes, show, trend, trends
 from stable_data.errors import ConfigError
 from stable_data.storage.manifest import write_manifest
@@ -135,3 +138,30 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text('{"trends": []}')
     with pytest.raises(ConfigError, match="expected the output of --json"):
         SoakedRun.read(tmp_path / "other.json")
+
+
+@pytest.mark.ray
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_soak_goes_on_and_sixteen_scenes_say_nothing(dataset: Path, tmp_path: Path) -> None:
+    settings = [f"--set={s}" for s in ("schedule=task", "settle=false", "judges=", "accept=clean")]
+    out = ["--out", str(tmp_path / "work"), "--json", str(tmp_path / "soak.json")]
+
+    def soak(*more: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "benchmarks.soak", str(dataset), *out, "--scenes=16", "--per-shard=4", *more, "--"]
+        return subprocess.run([*command, *settings], cwd=ROOT, capture_output=True, text=True)
+
+    first = soak("--minutes=0.4")
+    assert (first.returncode, first.stderr) == (NOT_COMPLETE, "")
+    assert soak("--seed=1").returncode == 2  # another run
+    second = soak()
+    assert second.returncode == 1, second.stderr
+    assert "scenes in 1 runs and 2 sessions" in second.stdout
+    assert second.stdout.count("unknown") > 8
+    run = SoakedRun.read(tmp_path / "soak.json")
+    assert (run.is_complete, run.is_whole, run.accepted + sum(run.failures.values())) == (True, True, 16)
+    assert {sample.session for sample in run.samples} == {0, 1}
+    assert 0 < max(sample.scenes for sample in run.samples) <= 16  # the last look is up to ten seconds before the end
+    assert {sample.driver.processes for sample in run.samples} == {1}
+    assert run.samples[-1].ray.memory_mb > 0
+    assert any(sample.workers.cpu_seconds > 1 for sample in run.samples)

@@ -107,7 +107,6 @@ def test_pretraining_lowers_its_loss_and_leaves_an_encoder(tmp_path: Path, small
     )
 
 
-@pytest.mark.slow
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(tmp_path: Path, small: PretrainSettings) -> None:
     whole = pretrain(tmp_path / "whole", small)
     parts = [pretrain(tmp_path / "parts", small, stop_after=n) for n in (2, 5, None)]

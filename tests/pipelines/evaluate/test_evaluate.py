@@ -163,7 +163,6 @@ def test_the_page_has_measured_and_published_figures_apart(evaluated: tuple[Path
     assert "not run" in page
 
 
-@pytest.mark.slow
 def test_the_same_again_changes_nothing_and_systems_can_be_added(
     evaluated: tuple[Path, dict[str, Any]], tasks: TaskSource, settings: EvaluateSettings, dataset: Path
 ) -> None:

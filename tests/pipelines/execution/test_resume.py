@@ -24,6 +24,12 @@ from stable_data.storage.schemas import TABLE_VERSION
 from tests.pipelines.runs import ROOT, SMALL, command_of, content, run_cli
 
 
+@pytest.fixture
+def clean_run(clean_run: Path, tmp_path: Path) -> Path:
+    """A copy: a job locks its folder and writes the manifest, while other processes read the shared run."""
+    return Path(shutil.copytree(clean_run, tmp_path / "clean_run"))
+
+
 def test_a_complete_run_is_left_alone(dataset: Path, clean_run: Path) -> None:
     before = {p: p.stat().st_mtime_ns for p in clean_run.glob("*/part-*.parquet")}
     preprocess(str(dataset), str(clean_run), SMALL, WorkerPool())

@@ -138,7 +138,6 @@ def test_the_default_size_of_shards_is_that_of_the_first_tasks(
     assert OF_DATASET not in first
 
 
-@pytest.mark.slow
 def test_a_run_without_its_rejected_scenes_can_grow(
     dataset: Path, settings: GenerateSettings, whole: Path, tmp_path: Path
 ) -> None:

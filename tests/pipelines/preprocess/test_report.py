@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,12 @@ from stable_data.errors import ConfigError
 from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.run_folder import RunFolder
 from stable_data.viewer.page import SCRIPT_NAME, script
+
+
+@pytest.fixture(scope="module")
+def clean_run(clean_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy, whose report is written anew."""
+    return Path(shutil.copytree(clean_run, tmp_path_factory.mktemp("reported") / "run"))
 
 
 def page(run: Path, data: Path, num_pictures: int) -> str:

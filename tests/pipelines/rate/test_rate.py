@@ -119,7 +119,6 @@ def test_a_model_sees_two_pictures_of_each_scene_and_gives_the_rows(run: Path, t
     assert (front[:256] != perspective[:256]).mean() > 0.2
 
 
-@pytest.mark.slow
 def test_a_stopped_run_goes_on_and_asks_nothing_twice(run: Path, tmp_path: Path) -> None:
     with endpoint(answer) as server:
         settings = by_model(server)

@@ -105,7 +105,6 @@ def test_a_coffee_table_has_its_top_and_three_compartments(supports: str) -> Non
     assert not any(row["on_table"] for row in rows.values())  # none is offered where things for a table are asked for
 
 
-@pytest.mark.slow
 def test_a_support_run_is_resumed_and_refuses_another_one_at_once(
     library: str, supports: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -302,17 +301,20 @@ def test_the_zone_of_things_far_apart_is_that_of_the_largest() -> None:
     assert apart.restricted_zone == pytest.approx((1.55, 1.85, 0.2, 0.4))
 
 
-@pytest.mark.slow
-def test_the_command_says_what_it_found(library: str, supports: str, tmp_path: Path) -> None:
+def test_the_command_says_what_it_found(library: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(
         app, ["supports", library, "--asset", COFFEE, "--asset", COFFEE, "--out", str(tmp_path / "a"), "--surface", "top"]
     )
     assert done.exit_code == 0, done.output
     assert f"{COFFEE} top: 131 x 65 cm" in done.output
     assert [s.frame.surface for s in scenes_of(str(tmp_path / "a")) if s.frame] == ["top"]
+
+
+@pytest.mark.slow
+def test_bodies_in_the_way_are_no_supports(supports: str, tmp_path: Path) -> None:
     again = CliRunner().invoke(app, ["supports", supports, "--out", str(tmp_path / "again")])
     frames = [s.frame for s in scenes_of(str(tmp_path / "again"))]
-    assert {frame and frame.asset_id for frame in frames} == {COFFEE}  # bodies in the way are no supports
+    assert {frame and frame.asset_id for frame in frames} == {COFFEE}
     left = len(AssetLibraries((), scenes=supports).asset_ids) - 1
     assert left > 0
     assert f"{left} other assets were not looked at" in again.output

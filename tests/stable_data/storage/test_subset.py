@@ -171,7 +171,6 @@ def test_grids_and_features_of_shared_assets_are_those_of_the_run_that_has_them(
     assert sorted(map(str, joined.table("warnings", ["id", "step", "code"]).to_pylist())) == sorted(map(str, warned))
 
 
-@pytest.mark.slow
 def test_a_scene_that_differs_is_that_of_the_first_run_and_is_counted(clean_run: Path, tmp_path: Path) -> None:
     first, second = parts_of(clean_run, tmp_path, "scene_id is not None", "scene_id is not None")
     rows = second.table("scenes")
