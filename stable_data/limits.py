@@ -49,7 +49,7 @@ class FileLimits:
     Attributes:
         max_file_bytes: Size of one file.
         max_bytes: Size of all files that are read for an asset.
-        max_files: Number of these files, and of names of files that one of them states.
+        max_files: Number of these files, and of files that one of them names.
         max_xml_bytes: Size of an XML file: MJCF, URDF, SDFormat.
         max_nested_bytes: Size of a COLLADA or a glTF file with its JSON, which take many times their size in memory.
         max_ascii_bytes: Size of an ASCII STL or PLY, likewise.

@@ -124,6 +124,8 @@ def test_the_public_ci_does_what_ci_does_and_the_wheel_with_each_python() -> Non
     assert "make test-wheel" in (ROOT / ".ci" / "run").read_text("utf-8")
     assert any("-m slow tests/test_wheel.py" in run for run in runs["wheel"])
     assert "make test-all" in runs["all-tests"]
+    assert WORKFLOWS["ci.yml"][True]["schedule"]  # YAML reads "on" as true
+    assert JOBS["ci.yml", "all-tests"]["if"] == "github.event_name == 'schedule' || startsWith(github.ref, 'refs/tags/v')"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     pythons = JOBS["ci.yml", "wheel"]["strategy"]["matrix"]["python"]
     assert {f"Programming Language :: Python :: {python}" for python in pythons} <= set(project["classifiers"])
