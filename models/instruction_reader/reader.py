@@ -26,6 +26,7 @@ in few sentences, but not all nouns always mean an object (``tea``)."""
 
 _MOST_WORDS = 200
 _MOST_MENTIONS = 40
+_REMEMBERED = 256  # texts: more than the scenes that a process makes at a time
 
 
 @cache
@@ -54,7 +55,7 @@ class InstructionReader:
 
     def __init__(self, model: ReaderModel, lexicon: Lexicon, spelling: Spelling) -> None:
         self._model, self.lexicon, self._spelling = model, lexicon, spelling
-        self._read = lru_cache(maxsize=4096)(self._reading)
+        self._read = lru_cache(maxsize=_REMEMBERED)(self._reading)
 
     @classmethod
     def load(cls, categories: Iterable[str], path: Path = DEFAULT_WEIGHTS) -> "InstructionReader":

@@ -43,6 +43,7 @@ ALIKE, APART = 0.4, 0.15
 LANGUAGE = 0.5
 """Share of unknown words above which a text counts as another language than English."""
 
+_REMEMBERED = 256  # instructions: more than the scenes that a process makes at a time
 _MIN_FOREIGN = 3  # least number of unknown words in a text of another language
 _SHOWN = 60  # characters of an instruction in a message
 
@@ -86,7 +87,7 @@ class InstructionInterpreter:
     ) -> None:
         self._statistics, self._encode = statistics, encode
         self._reader = reader or InstructionReader.load(statistics.categories)
-        self._interpret = lru_cache(maxsize=4096)(self._interpreted)
+        self._interpret = lru_cache(maxsize=_REMEMBERED)(self._interpreted)
 
     @property
     def lexicon(self) -> Lexicon:
