@@ -215,7 +215,7 @@ def local_ray() -> None:
 def pytest_collection_modifyitems(session: pytest.Session, items: list[pytest.Item]) -> None:
     """Puts the files first that take the longest, so that no worker of pytest-xdist is left with one at the end.
 
-    These are the files that use Ray, and then those with many tests.
+    These are the files that use Ray, and then those with at least a hundred tests, slow ones counted.
     """
     ray_files, num_tests = {item.path for item in items if item.get_closest_marker("ray")}, Counter(item.path for item in items)
     items.sort(key=lambda item: (item.path not in ray_files, -(num_tests[item.path] // 100)))
