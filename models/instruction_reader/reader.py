@@ -26,7 +26,6 @@ in few sentences, but not all nouns always mean an object (``tea``)."""
 
 _MOST_WORDS = 200
 _MOST_MENTIONS = 40
-_REMEMBERED = 256  # texts: more than the scenes that a process makes at a time
 
 
 @cache
@@ -55,7 +54,6 @@ class InstructionReader:
 
     def __init__(self, model: ReaderModel, lexicon: Lexicon, spelling: Spelling) -> None:
         self._model, self.lexicon, self._spelling = model, lexicon, spelling
-        self._read = lru_cache(maxsize=_REMEMBERED)(self._reading)
 
     @classmethod
     def load(cls, categories: Iterable[str], path: Path = DEFAULT_WEIGHTS) -> "InstructionReader":
@@ -78,9 +76,6 @@ class InstructionReader:
             text: The text.
             is_edit: Whether it says how to change a scene.
         """
-        return self._read(text, is_edit)
-
-    def _reading(self, text: str, is_edit: bool) -> InstructionReading:
         mark = EDIT_MARK if is_edit else ()
         found = list(islice(WORD.finditer(text), _MOST_WORDS))
         if not found:
