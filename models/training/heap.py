@@ -1,9 +1,8 @@
 """Keeps the memory of a long training flat."""
 
-import ctypes
-import sys
+from stable_data.limits import release_free_memory
 
-_STEPS = 32  # between two calls of malloc_trim
+_STEPS = 32  # between two calls, each of which takes some ten milliseconds
 
 
 def trim_heap(step: int) -> None:
@@ -12,6 +11,5 @@ def trim_heap(step: int) -> None:
     Args:
         step: Number of the training's step.
     """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if step % _STEPS == 0 and sys.platform == "linux" else None
-    if trim is not None:
-        trim(0)
+    if step % _STEPS == 0:
+        release_free_memory()

@@ -1,6 +1,8 @@
 """What is written of a shard."""
 
-from dataclasses import dataclass
+import os
+import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -8,7 +10,7 @@ import pyarrow as pa
 import pytest
 
 from pipelines.execution.item_progress import ItemProgress
-from pipelines.execution.shard_step import ItemStep, Rows, Shard, ShardTask, ShardWriter
+from pipelines.execution.shard_step import ItemStep, Rows, Shard, ShardResult, ShardStep, ShardTask, ShardWriter
 from stable_data.errors import Notice
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
@@ -53,3 +55,39 @@ def test_rows_that_cannot_be_written_and_are_of_no_item_end_the_job(tmp_path: Pa
     with pytest.raises(pa.ArrowTypeError):
         ShardWriter(str(tmp_path), (UncheckedRemarkStep(),))(ShardTask(0, Shard(SHARD, (("a", "one"), ("b", 3)))))
     assert not RunFolder(tmp_path).shard_ids("warnings")
+
+
+@dataclass(frozen=True, slots=True)
+class WastefulStep(ShardStep[int]):
+    """Leaves memory that is free, except for 64 KiB of each megabyte.
+
+    Attributes:
+        begins: Memory of this process at the begin of each shard, and the last at the end, MB.
+        kept: What keeps the heap large.
+    """
+
+    TABLES: ClassVar = ("warnings",)
+
+    begins: list[float] = field(default_factory=list)
+    kept: list[bytes] = field(default_factory=list)
+
+    def shard(self, shard: Shard[int], *, isolated: bool = False) -> ShardResult:
+        self.begins.append(resident_mb())
+        pieces = [os.urandom(2**16) for _ in range(2**11)]  # of 64 KiB, which malloc takes from its heap
+        self.kept.extend(pieces[::16])
+        del pieces
+        self.begins.append(resident_mb())
+        return ShardResult({})
+
+
+def resident_mb() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc returns what is free")
+def test_what_a_shard_has_freed_is_returned_to_the_system(tmp_path: Path) -> None:
+    step = WastefulStep()
+    for _ in range(2):
+        ShardWriter(str(tmp_path), (step,))(ShardTask(0, Shard(SHARD, (1,))))
+    _, first_end, second_begin, _ = step.begins
+    assert second_begin < first_end - 90  # of the 128 MB, 8 are kept
