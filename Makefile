@@ -54,8 +54,8 @@ demo: $(READY) ## Fresh machine to 50 generated, certified, settled scenes and a
 test: $(READY) ## Run the tests, the slow ones left out (what CI runs)
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 
-test-all: $(READY) ## Run all tests
-	$(BIN)/python -m pytest -m ''
+test-all: $(READY) ## Run all tests, with more examples of each property
+	$(BIN)/python -m pytest -m '' --hypothesis-profile=thorough
 
 lint: $(READY) ## Check style and types
 	$(BIN)/ruff check .

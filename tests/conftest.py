@@ -25,7 +25,8 @@ from stable_data.storage.run_folder import RunFolder
 from tests.broken_inputs import write_broken_inputs
 
 # A run that fails fails again, and none fails because the machine is busy; `--hypothesis-profile=default` explores.
-settings.register_profile("repeatable", derandomize=True, deadline=None)
+for _name, _examples in (("repeatable", 40), ("thorough", 200)):
+    settings.register_profile(_name, derandomize=True, deadline=None, max_examples=_examples)
 settings.load_profile("repeatable")
 
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]

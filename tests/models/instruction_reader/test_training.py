@@ -1,6 +1,7 @@
 """Training of the reader: exact resume, weights on disk, and the job."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import torch
 from typer.testing import CliRunner
 
 from models.instruction_reader.averaging import average_readers
-from models.instruction_reader.frames import read_frames
+from models.instruction_reader.frames import Frame, read_frames
 from models.instruction_reader.lexicon import Lexicon
 from models.instruction_reader.network import START, ReaderNetwork, WordTokens
 from models.instruction_reader.nouns import read_nouns
@@ -20,8 +21,13 @@ from models.instruction_reader.weights import ReaderModel, load_reader, new_read
 from pipelines.__main__ import app
 from stable_data.errors import ConfigError
 
-FRAMES, NOUNS = list(read_frames()), read_nouns()
+NOUNS = read_nouns()
 SHORT = ReaderTrainingSettings(sentences=32, batch=4)
+
+
+@cache
+def frames() -> tuple[Frame, ...]:
+    return tuple(read_frames())
 
 
 @pytest.fixture
@@ -30,7 +36,7 @@ def model() -> ReaderModel:
 
 
 def trainer(model: ReaderModel, settings: ReaderTrainingSettings = SHORT, identity: str = "one") -> ReaderTrainer:
-    return ReaderTrainer(model.network, model.tokens, FRAMES, NOUNS, settings, {"frames": identity})
+    return ReaderTrainer(model.network, model.tokens, frames(), NOUNS, settings, {"frames": identity})
 
 
 def values(network: ReaderNetwork) -> list[torch.Tensor]:
@@ -66,10 +72,10 @@ def test_embeddings_stay_and_layers_learn(model: ReaderModel) -> None:
 
 
 def test_held_out_frames_are_in_no_training() -> None:
-    train, held = split_frames(FRAMES)
-    assert len(train) + len(held) == len(FRAMES)
+    train, held = split_frames(frames())
+    assert len(train) + len(held) == len(frames())
     assert not {f.text for f in train} & {f.text for f in held}
-    assert 0.03 < len(held) / len(FRAMES) < 0.05
+    assert 0.03 < len(held) / len(frames()) < 0.05
     assert {f.is_edit for f in held} == {False, True}
 
 
@@ -136,7 +142,7 @@ def test_files_that_are_no_reader_are_refused(tmp_path: Path, model: ReaderModel
 )
 def test_any_text_can_be_read(model: ReaderModel, text: str) -> None:
     lexicon = Lexicon.of(NOUNS, NOUNS.nouns)
-    spelling = Spelling.of([frame.text for frame in FRAMES[:10]], NOUNS, model.tokens.whole_words)
+    spelling = Spelling.of([frame.text for frame in frames()[:10]], NOUNS, model.tokens.whole_words)
     reader = InstructionReader(model, lexicon, spelling)
     for is_edit in (False, True):
         reading = reader.read(text, is_edit)
@@ -197,7 +203,7 @@ def test_the_mean_of_equal_readers_is_the_reader_and_of_two_lies_between() -> No
 
 def test_favoured_frames_are_drawn_more_often(model: ReaderModel) -> None:
     def drawn(favoured: str) -> int:
-        own = [frame for frame in FRAMES if frame.source in ("plain", "short_notes")]
+        own = [frame for frame in frames() if frame.source in ("plain", "short_notes")]
         settings = replace(SHORT, favoured=favoured, favour=50)
         maker = ReaderTrainer(model.network, model.tokens, own, NOUNS, settings, {})
         return sum(len(s.words) < 12 for batch in maker._batches(0) for s in batch)

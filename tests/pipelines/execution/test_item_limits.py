@@ -131,14 +131,11 @@ def test_the_job_ends_only_if_all_items_alone_lose_their_process(monkeypatch: py
     assert [row["code"] for row in rows["failures"]] == ["out_of_memory", "unexpected"]
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 @pytest.mark.parametrize(
     ("items", "code"),
-    [
-        (("a", "big", "b"), "out_of_memory"),
-        pytest.param(("a", "odd"), "unexpected", marks=pytest.mark.slow),
-        pytest.param(("a", "slow"), "timed_out", marks=pytest.mark.slow),
-    ],
+    [(("a", "big", "b"), "out_of_memory"), (("a", "odd"), "unexpected"), (("a", "slow"), "timed_out")],
 )
 def test_a_batch_in_a_worker_is_limited(items: tuple[str, ...], code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is too much for the batch is found alone, in workers that were given no other reason to run items alone."""
