@@ -14,7 +14,7 @@ from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.progress_bar import ProgressTally
 from pipelines.execution.ray_executor import IsolatedProcess, ProcessFailure, WorkerPool, item_limited
 from stable_data.errors import ConfigError, Notice, StableDataError
-from stable_data.limits import LIMITS, at_most, is_out_of_memory, release_free_memory
+from stable_data.limits import LIMITS, at_most, is_out_of_memory, map_large_arrays, release_free_memory
 from stable_data.storage import schemas
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import ROW_ERRORS, arrow_table, notice_row
@@ -231,6 +231,7 @@ class ShardWriter:
         """
         step, items, folder = self.steps[shard.step], shard.shard, RunFolder(self.out)
         add_schemas(step)
+        map_large_arrays()
         release_free_memory()  # of the shard before, all of which has ended: within a shard, what is still in use keeps the heap large
         made = step.shard(items, isolated=isolated)
         try:

@@ -171,6 +171,29 @@ for size in (200, 200, 300, 300, 200):
     assert done.stdout.split() == ["allocated"] * 2 + ["refused"] * 2 + ["allocated"]
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc has the bound")
+def test_large_arrays_leave_no_gaps_in_the_heap() -> None:
+    code = """
+import sys
+import numpy as np
+from stable_data.limits import map_large_arrays
+def resident_mb():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 // 2**20
+if sys.argv[1] == "mapped":
+    map_large_arrays()
+np.ones(2**25 - 2**16, np.uint8)  # from now on glibc takes such arrays from its heap, if it may
+before, kept, arrays = resident_mb(), [], []
+for _ in range(16):
+    arrays.append(np.ones(2**23, np.uint8))
+    kept.append(bytes(100_000))
+del arrays
+print(resident_mb() - before)
+"""
+    kept = [int(subprocess.check_output([sys.executable, "-c", code, how])) for how in ("mapped", "default")]
+    assert kept[0] < 8  # MB
+    assert kept[1] > 100  # else this test shows nothing
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is bounded on Linux")
 def test_what_arrow_keeps_is_not_taken_from_a_body() -> None:
     code = """
