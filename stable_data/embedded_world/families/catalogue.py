@@ -78,9 +78,9 @@ class EmbeddedAsset:
         """Its colour, ``#rrggbb``."""
         return _rgb(self.color_name)
 
-    @cached_property
+    @property
     def glb(self) -> bytes:
-        """The contents of its GLB file."""
+        """The contents of its GLB file, made anew each time: a process may know all assets, and writes few."""
         return write_glb(self.mesh, unit=self.unit, is_z_up=self.is_z_up, paint=self.paint, parts=self.parts)
 
     @cached_property

@@ -39,7 +39,7 @@ def is_listed(category: str) -> bool:
     return category_words(category) in _things()[0]
 
 
-@lru_cache(maxsize=65536)
+@lru_cache(maxsize=16384)
 def is_kind_of(category: str, wanted: str) -> bool:
     """Whether a category is a wanted one by its name or a synonym, or is a kind of it.
 

@@ -244,14 +244,14 @@ def is_counted(noun: str) -> bool:
     return noun.split(" ")[-1] not in _UNCOUNTED
 
 
-@lru_cache(maxsize=65536)
+@lru_cache(maxsize=16384)
 def answers_to(category: str, noun: str) -> bool:
     """Whether a noun can mean an object of a category: ``glass`` can mean a ``wine_glass``, ``cup`` a mug."""
     asked = singular_noun(noun)
     return any(singular_noun(own).endswith(asked) for own in nouns_of(category))
 
 
-@lru_cache(maxsize=65536)
+@lru_cache(maxsize=16384)
 def closeness(found: str, wanted: str) -> int:
     """How well a category fits a wanted one: 2 the same words, 1 a name of the wanted one or a kind of it, 0 something else.
 
