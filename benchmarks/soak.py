@@ -385,7 +385,9 @@ def run_campaign() -> int:
     parser.add_argument("--out", type=Path, required=True, metavar="WORK")
     parser.add_argument("--scenes", type=int, default=20000)
     parser.add_argument("--seed", type=int, default=0, help="of the tasks")
-    parser.add_argument("--per-shard", type=int, default=32)
+    parser.add_argument(
+        "--per-shard", type=int, default=128, help="scenes of a shard; the default is that of generate for many scenes"
+    )
     parser.add_argument("--warm-up", type=int, default=1000, help="first scenes of each session that are left out")
     parser.add_argument("--minutes", type=float, help="the session ends then; the same command continues")
     parser.add_argument("--json", type=Path, help="output file of the figures and samples")
