@@ -486,8 +486,8 @@ def memory_limited(num_bytes: int) -> Iterator[None]:
 def map_large_arrays() -> None:
     """Gives each array of a mebibyte or more memory of its own, which the system gets back with the array; in this process from now on.
 
-    Otherwise glibc raises that bound to 32 MiB as it sees such arrays. Those of ever other sizes then leave gaps in its heap, in which
-    small things stay: that of a worker of ``generate`` has 1.3 GB instead of 0.5 GB after 256 scenes, half of it unused.
+    Otherwise glibc takes freed arrays as a reason to raise that bound, up to 32 MiB. Arrays of many sizes then leave gaps between the
+    small things in its heap: after 256 scenes the heap of a worker of ``generate`` has 1.3 GB, of which half is unused, instead of 0.5 GB.
     """
     if hasattr(_C, "mallopt"):  # of glibc
         _C.mallopt(_MMAP_THRESHOLD, MIB)
@@ -496,7 +496,7 @@ def map_large_arrays() -> None:
 def release_free_memory() -> None:
     """Returns to the system what libraries have freed and keep, as far as they can; their addresses stay reserved.
 
-    A long process calls it after each of its batches, when little is in use: even small arrays of ever other sizes fragment a heap.
+    A long process calls it between its batches, when little is in use: small arrays of many sizes leave gaps in a heap, too.
     """
     arrow = sys.modules.get("pyarrow")
     if arrow is not None:

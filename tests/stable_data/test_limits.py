@@ -174,11 +174,12 @@ for size in (200, 200, 300, 300, 200):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc has the bound")
 def test_large_arrays_leave_no_gaps_in_the_heap() -> None:
     code = """
+import os
 import sys
 import numpy as np
 from stable_data.limits import map_large_arrays
 def resident_mb():
-    return int(open("/proc/self/statm").read().split()[1]) * 4096 // 2**20
+    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 2**20
 if sys.argv[1] == "mapped":
     map_large_arrays()
 np.ones(2**25 - 2**16, np.uint8)  # from now on glibc takes such arrays from its heap, if it may

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import pyarrow as pa
 import pytest
 
@@ -59,24 +60,33 @@ def test_rows_that_cannot_be_written_and_are_of_no_item_end_the_job(tmp_path: Pa
 
 @dataclass(frozen=True, slots=True)
 class WastefulStep(ShardStep[int]):
-    """Leaves memory that is free, except for 64 KiB of each megabyte.
+    """Leaves memory that is free, except for 64 KiB of each megabyte, and large arrays between small pieces that stay.
 
     Attributes:
-        begins: Memory of this process at the begin of each shard, and the last at the end, MB.
-        kept: What keeps the heap large.
+        resident: Memory of this process before and after the pieces of each shard, MB.
+        gaps: Memory that the large arrays leave, MB.
+        kept: The pieces that stay.
     """
 
     TABLES: ClassVar = ("warnings",)
 
-    begins: list[float] = field(default_factory=list)
+    resident: list[float] = field(default_factory=list)
+    gaps: list[float] = field(default_factory=list)
     kept: list[bytes] = field(default_factory=list)
 
     def shard(self, shard: Shard[int], *, isolated: bool = False) -> ShardResult:
-        self.begins.append(resident_mb())
+        np.ones(2**25 - 2**16, np.uint8)  # from now on glibc takes such arrays from its heap, if it may
+        before, arrays = resident_mb(), list[Any]()
+        for _ in range(16):
+            arrays.append(np.ones(2**23, np.uint8))
+            self.kept.append(os.urandom(100_000))
+        del arrays
+        self.gaps.append(resident_mb() - before)
+        self.resident.append(resident_mb())
         pieces = [os.urandom(2**16) for _ in range(2**11)]  # of 64 KiB, which malloc takes from its heap
         self.kept.extend(pieces[::16])
         del pieces
-        self.begins.append(resident_mb())
+        self.resident.append(resident_mb())
         return ShardResult({})
 
 
@@ -89,5 +99,6 @@ def test_what_a_shard_has_freed_is_returned_to_the_system(tmp_path: Path) -> Non
     step = WastefulStep()
     for _ in range(2):
         ShardWriter(str(tmp_path), (step,))(ShardTask(0, Shard(SHARD, (1,))))
-    _, first_end, second_begin, _ = step.begins
-    assert second_begin < first_end - 90  # of the 128 MB, 8 are kept
+    _, first_after, second_before, _ = step.resident
+    assert second_before < first_after - 90  # of the 128 MB, 8 are kept
+    assert max(step.gaps) < 8
