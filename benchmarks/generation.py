@@ -30,7 +30,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -45,8 +44,8 @@ from models.semantic_reasoner.engines.protocol import Request
 from models.semantic_reasoner.engines.scripted_engine import ScriptedEngine
 from models.semantic_reasoner.staged_layout import LayoutTask
 from models.semantic_reasoner.text.prompt import WANTED
+from pipelines.generate.report import TimeSpent
 from pipelines.generate.settings import GenerateSettings
-from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import SampledTask, sample_tasks
 from stable_data.commands.command_line import DONE, SOME_FAILED
@@ -106,11 +105,10 @@ def course_of(out: Path) -> GenerationRun:
     """Reads the figures of a run from its files."""
     folder = RunFolder(str(out))
     manifest = json.loads((out / "manifest.json").read_text("utf-8"))
-    steps: Counter[str] = Counter()
-    for path in (out / TIMING_FOLDER).glob("*.json"):
-        steps.update(json.loads(path.read_text("utf-8")))
-    scenes = int(steps.pop("scenes"))
-    return GenerationRun(scenes, folder.num_rows("scenes"), sum(w["seconds"] for w in manifest["work"]), dict(steps))
+    spent = TimeSpent.of_run(folder)
+    return GenerationRun(
+        spent.num_scenes, folder.num_rows("scenes"), sum(w["seconds"] for w in manifest["work"]), dict(spent.steps)
+    )
 
 
 def tasks_file(path: Path, tasks: Sequence[LayoutTask]) -> Path:

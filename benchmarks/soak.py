@@ -14,6 +14,10 @@ interval is wider where what is left of neighbouring blocks is alike: such block
 - *grows* or *falls* if it is not flat and the interval does not contain 0;
 - is *unknown* otherwise, and with fewer than eight blocks.
 
+The memory of a worker is what it keeps from shard to shard: all that it holds when a shard begins, as the files of the run's timing tell.
+While a worker is at a shard it needs up to a gigabyte more, mostly for the replies of the model: that follows from the tasks of the shard,
+and differs far more than by 5 MB. So the memory of the workers at work is judged as all else.
+
 Every other quantity is *flat* if the interval predicts a change of less than 20 % of its mean over all scenes of all runs, and contains 0
 or the slope itself predicts a change of less than 5 %. The rest is as for memory.
 
@@ -43,10 +47,12 @@ from scipy.stats import t as student
 
 from benchmarks.chaos import NOT_COMPLETE, is_complete, status_of, verified
 from benchmarks.faults.processes import Usage, below, end, started, usage_of
+from pipelines.generate.shard import KEPT, TIMING_FOLDER
 from stable_data.atomic_files import write_file_atomically
 from stable_data.commands.command_line import DONE, SOME_FAILED
 from stable_data.config_diff import refuse_changed
 from stable_data.errors import ConfigError
+from stable_data.limits import MIB
 from stable_data.storage.manifest import read_manifest
 from stable_data.storage.run_folder import RunFolder
 
@@ -75,6 +81,7 @@ class Sample:
         driver: The process of the command.
         workers: The processes that work on shards, or wait for one.
         ray: Ray's own processes.
+        kept_mb: Memory that a worker kept when it began the newest of the finished shards, MB; None before there is one.
     """
 
     session: int
@@ -83,12 +90,13 @@ class Sample:
     driver: Usage
     workers: Usage
     ray: Usage
+    kept_mb: float | None = None
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> "Sample":
         """Reads a line of the file of samples."""
         parts = {name: Usage(**row[name]) for name in ("driver", "workers", "ray")}
-        return cls(row["session"], row["seconds"], row["scenes"], **parts)
+        return cls(row["session"], row["seconds"], row["scenes"], **parts, kept_mb=row["kept_mb"])
 
     @property
     def cpu_seconds(self) -> float:
@@ -161,20 +169,21 @@ class Trend:
     verdict: str
 
 
-QUANTITIES: Mapping[str, Callable[[Sample], float]] = {
+MEMORY: Mapping[str, Callable[[Sample], float | None]] = {
     "driver memory, MB": lambda s: s.driver.memory_mb,
-    "workers' memory, MB": lambda s: s.workers.memory_mb,
+    "memory that a worker keeps, MB": lambda s: s.kept_mb,
     "Ray's memory, MB": lambda s: s.ray.memory_mb,
+}
+QUANTITIES: Mapping[str, Callable[[Sample], float | None]] = {
+    **MEMORY,
+    "memory of workers at work, MB": lambda s: s.workers.memory_mb,
     "driver open files": lambda s: s.driver.handles,
     "workers' open files": lambda s: s.workers.handles,
     "Ray's open files": lambda s: s.ray.handles,
     "processes": lambda s: (s.driver + s.workers + s.ray).processes,
     "threads": lambda s: (s.driver + s.workers + s.ray).threads,
 }
-
-
-MEMORY = tuple(name for name in QUANTITIES if name.endswith(", MB"))
-"""The quantities that are memory."""
+"""The quantities that are memory, and all but the times."""
 
 
 def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int, allowed: float | None = None) -> Trend:
@@ -233,7 +242,8 @@ def trends(runs: Sequence[SoakedRun], warm_up: int) -> list[Trend]:
     for name, value in QUANTITIES.items():
         blocks: dict[tuple[int, int], list[float]] = {}
         for sample in kept:
-            blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(value(sample))
+            if (known := value(sample)) is not None:
+                blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(known)
         means = [(session, (block + 0.5) * _BLOCK, float(np.mean(own))) for (session, block), own in blocks.items()]
         found.append(trend(name, means, num_scenes, _MOST_MB if name in MEMORY else None))
     for name, clock in (("processor seconds a scene", _cpu), (WALL_TIME, _seconds)):
@@ -345,7 +355,13 @@ class Soak:
         workers = [pid for pid in workers if not processes[pid].startswith("ray::RuntimeEnv")]
         rest = processes.keys() - {driver, *workers}
         scenes = min(self.num_scenes, self._per_shard * len(self.run.files("scenes")))
-        return Sample(session, round(seconds, 1), scenes, usage_of([driver]), usage_of(workers), usage_of(rest))
+        parts = usage_of([driver]), usage_of(workers), usage_of(rest)
+        return Sample(session, round(seconds, 1), scenes, *parts, self._kept_mb())
+
+    def _kept_mb(self) -> float | None:
+        newest = max((self._folder / "run" / TIMING_FOLDER).glob("*.json"), key=lambda path: path.stat().st_mtime, default=None)
+        found = None if newest is None else json.loads(newest.read_bytes()).get(KEPT)
+        return None if found is None else found / MIB
 
 
 def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
@@ -358,13 +374,13 @@ def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
     print(f"{sum(run.accepted for run in runs):,} accepted, {failures.total():,} failed: {by_code}")
     if own := [code for code in FAULTS_OF_THE_TOOLKIT if failures[code]]:
         print(f"failed through the toolkit itself: {', '.join(f'{code} {failures[code]}' for code in own)}")
-    print(f"{'':28} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
+    print(f"{'':30} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
     for one in found:
         if one.slope is None:
-            print(f"{one.name:28} {one.mean:10.3f} {'':34} {'':11} {one.blocks:7d}  {one.verdict}")
+            print(f"{one.name:30} {one.mean:10.3f} {'':34} {'':11} {one.blocks:7d}  {one.verdict}")
             continue
         interval = f"{one.slope:+.4f} ({one.low:+.4f} … {one.high:+.4f})"
-        print(f"{one.name:28} {one.mean:10.3f} {interval:>34} {one.change:+11.1%} {one.blocks:7d}  {one.verdict}")
+        print(f"{one.name:30} {one.mean:10.3f} {interval:>34} {one.change:+11.1%} {one.blocks:7d}  {one.verdict}")
 
 
 def is_good(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> bool:

@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 from PIL import Image
 
 from pipelines.generate.settings import GenerateSettings
-from pipelines.generate.shard import TIMING_FOLDER
+from pipelines.generate.shard import KEPT, TIMING_FOLDER
 from pipelines.reports.agreement import judge_agreement
 from pipelines.reports.html import bars, head, histogram, notices, page, table, tiles
 from pipelines.reports.reach import reach_figures
@@ -149,6 +149,7 @@ class TimeSpent:
                 found = json.loads(content) if content is not None else {}
                 num_scenes += found.pop("scenes", 0)
                 processor += found.pop("processor", math.nan)
+                found.pop(KEPT, None)
                 steps.update(found)
         return cls(dict(steps), None if math.isnan(processor) else processor, num_scenes)
 

@@ -69,6 +69,7 @@ from pipelines.sources.scenes import TableSource, contact_grid_cache
 from stable_data.assets.contact_grids import ContactGrids
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError, Notice, SceneError
+from stable_data.limits import resident_memory
 from stable_data.mesatask.dataset_split import split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
 from stable_data.metrics.audit import PosedScene, audit_posed_scene
@@ -92,6 +93,9 @@ SOURCE = "generated"
 
 TIMING_FOLDER = "timing"
 """Files in the run's folder with the process seconds of each shard. They are no table, because they differ between runs."""
+
+KEPT = "kept_bytes"
+"""What a file of the timing calls the memory of the process when the shard began: all that it keeps from shard to shard."""
 
 _DEPTH = 0.8 * TOLERANCE
 """Largest accepted penetration, metres; a margin, because a judge with fewer directions measures up to an eighth more."""
@@ -197,7 +201,8 @@ class GenerateWork(ShardStep[Task]):
             return self._made(shard, apart if isolated else None, tell)
 
     def _made(self, shard: Shard[Task], process: IsolatedProcess | None, tell: ProgressReporter) -> ShardResult:
-        began, processor, opened = perf_counter(), process_time(), _opened(self)
+        began, processor, kept = perf_counter(), process_time(), resident_memory()
+        opened = _opened(self)
         seconds = opened.answers.seconds
         seconds.update(dict.fromkeys(seconds, 0.0))
         opened.answers.certifier.warnings.clear()
@@ -219,7 +224,7 @@ class GenerateWork(ShardStep[Task]):
                 rows[table] += found
         rows["warnings"] += map(notice_row, dict.fromkeys(opened.answers.certifier.warnings))
         judge = perf_counter() - began - sum(seconds.values())
-        spent = {**seconds, "judge": judge, "processor": process_time() - processor, "scenes": len(shard)}
+        spent = {**seconds, "judge": judge, "processor": process_time() - processor, "scenes": len(shard), KEPT: kept}
         return ShardResult(rows, {f"{TIMING_FOLDER}/{shard.shard_id}.json": json.dumps(spent).encode()})
 
     def _tasks(

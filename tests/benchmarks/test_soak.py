@@ -108,11 +108,18 @@ def test_growth_after_the_start_is_found_and_growth_at_the_start_is_not() -> Non
         starting = min(2500.0, 20.0 * scenes)  # reached after 125 scenes
         used = Usage(starting, 100, 2, 20, 2.0 * scenes)
         leaking = Usage(400.0 + scenes / 10, 50 + scenes // 100, 1, 8, 0.0)
-        samples.append(Sample(0, 10.0 * number, scenes, leaking, used, Usage(300.0, 60, 5, 50, 0.0)))
+        kept = None if number < 20 else 800.0 + 50 * (number % 2)
+        samples.append(Sample(0, 10.0 * number, scenes, leaking, used, Usage(300.0, 60, 5, 50, 0.0), kept))
     runs = [SoakedRun(6000, is_complete=True, is_whole=True, samples=samples)]
     found = {one.name: one.verdict for one in trends(runs, warm_up=400)}
     assert found["driver memory, MB"] == found["driver open files"] == "grows"
-    assert found["workers' memory, MB"] == found["Ray's memory, MB"] == found["processes"] == "flat"
+    assert found["memory of workers at work, MB"] == found["Ray's memory, MB"] == found["processes"] == "flat"
+    assert found["memory that a worker keeps, MB"] == "flat"
+    fuller = [replace(sample, kept_mb=(sample.kept_mb or 0.0) + sample.scenes / 20) for sample in samples]
+    untold = [replace(sample, kept_mb=None) for sample in samples]
+    for other, verdict in ((fuller, "grows"), (untold, "unknown")):
+        told = {one.name: one.verdict for one in trends([replace(runs[0], samples=other)], warm_up=400)}
+        assert told == {**found, "memory that a worker keeps, MB": verdict}
     assert found["processor seconds a scene"] == found["seconds a scene"] == "flat"
     assert {one.name: one.mean for one in trends(runs, warm_up=400)}["processor seconds a scene"] == pytest.approx(2.0)
 
@@ -157,7 +164,7 @@ def test_a_soak_goes_on_and_sixteen_scenes_say_nothing(dataset: Path, tmp_path: 
     second = soak()
     assert second.returncode == 1, second.stderr
     assert "scenes in 1 runs and 2 sessions" in second.stdout
-    assert second.stdout.count("unknown") > 8
+    assert second.stdout.count("unknown") > 9
     run = SoakedRun.read(tmp_path / "soak.json")
     assert (run.is_complete, run.is_whole, run.accepted + sum(run.failures.values())) == (True, True, 16)
     assert {sample.session for sample in run.samples} == {0, 1}
@@ -165,3 +172,4 @@ def test_a_soak_goes_on_and_sixteen_scenes_say_nothing(dataset: Path, tmp_path: 
     assert {sample.driver.processes for sample in run.samples} == {1}
     assert run.samples[-1].ray.memory_mb > 0
     assert any(sample.workers.cpu_seconds > 1 for sample in run.samples)
+    assert any(sample.kept_mb is not None and sample.kept_mb > 100 for sample in run.samples)

@@ -174,21 +174,18 @@ for size in (200, 200, 300, 300, 200):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc has the bound")
 def test_large_arrays_leave_no_gaps_in_the_heap() -> None:
     code = """
-import os
 import sys
 import numpy as np
-from stable_data.limits import map_large_arrays
-def resident_mb():
-    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") // 2**20
+from stable_data.limits import MIB, map_large_arrays, resident_memory
 if sys.argv[1] == "mapped":
     map_large_arrays()
 np.ones(2**25 - 2**16, np.uint8)  # from now on glibc takes such arrays from its heap, if it may
-before, kept, arrays = resident_mb(), [], []
+before, kept, arrays = resident_memory(), [], []
 for _ in range(16):
     arrays.append(np.ones(2**23, np.uint8))
     kept.append(bytes(100_000))
 del arrays
-print(resident_mb() - before)
+print((resident_memory() - before) // MIB)
 """
     kept = [int(subprocess.check_output([sys.executable, "-c", code, how])) for how in ("mapped", "default")]
     assert kept[0] < 8  # MB

@@ -13,6 +13,7 @@ import pytest
 from pipelines.execution.item_progress import ItemProgress
 from pipelines.execution.shard_step import ItemStep, Rows, Shard, ShardResult, ShardStep, ShardTask, ShardWriter
 from stable_data.errors import Notice
+from stable_data.limits import MIB, resident_memory
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import notice_row
 
@@ -91,7 +92,9 @@ class WastefulStep(ShardStep[int]):
 
 
 def resident_mb() -> float:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+    resident = resident_memory()
+    assert resident is not None
+    return resident / MIB
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc returns what is free")

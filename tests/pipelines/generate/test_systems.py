@@ -18,12 +18,15 @@ from models.semantic_reasoner.text.prompt import WANTED
 from pipelines.__main__ import app
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.generate.job import GenerateJob, generate
+from pipelines.generate.report import TimeSpent
 from pipelines.generate.settings import GenerateSettings
+from pipelines.generate.shard import KEPT
 from pipelines.settings import resolve_settings
 from pipelines.sources.assets import AssetLibraries
 from pipelines.sources.generation_tasks import TaskSource, sample_tasks
 from pipelines.sources.tasks import read_tasks
 from stable_data.errors import ConfigError
+from stable_data.limits import MIB
 from stable_data.metrics.alignment import AlignmentReference
 from stable_data.metrics.matching import RequiredObject
 from stable_data.scene import Tabletop
@@ -125,7 +128,11 @@ def test_placed_layouts_are_judged_like_all_others(placed: Callable[[str], Path]
     assert all(row["tries"] == 2 and json.loads(row["reply"])["objects"] for row in turns.values())
     assert "own_prompts_only" not in {row["code"] for row in rows_of(out, "warnings")}
     (timing,) = (out / "timing").glob("*.json")
-    assert json.loads(timing.read_text())["place"] > 0
+    spent = json.loads(timing.read_text())
+    assert spent["place"] > 0
+    assert spent.pop(KEPT) > 100 * MIB
+    told = TimeSpent.of_run(RunFolder(str(out)))
+    assert {**told.steps, "processor": told.processor, "scenes": told.num_scenes} == spent
     page = (out / "report" / "index.html").read_text()
     assert f"Layout: {name}. Corrector: none" in page
 
