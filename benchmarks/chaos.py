@@ -291,6 +291,7 @@ class ChaosWork:
         if settings.faulty_store:
             missed += [f"store: no request was {name}" for name in _STORE_FAULTS if not self.requests[name]]
         return {
+            "settings": self._stored_settings,
             "job": settings.job,
             "scenes": settings.scenes,
             "seconds_undisturbed": self.clean_seconds,

@@ -115,6 +115,8 @@ class SoakedRun:
         samples: The samples, in order.
         accepted: Scenes that were accepted.
         failures: Scenes that failed, by code.
+        code_versions: Versions of the code that made the scenes, in order.
+        command: The options of the job.
     """
 
     num_scenes: int
@@ -123,6 +125,8 @@ class SoakedRun:
     samples: Sequence[Sample]
     accepted: int = 0
     failures: Mapping[str, int] = field(default_factory=dict)
+    code_versions: Sequence[str] = ()
+    command: Sequence[str] = ()
 
     @classmethod
     def read(cls, path: Path) -> "SoakedRun":
@@ -138,10 +142,15 @@ class SoakedRun:
             raise ConfigError(f"{path}: cannot be read ({error}), expected the output of --json", "soak_invalid") from error
 
 
-def outcomes(run: RunFolder) -> tuple[int, dict[str, int]]:
-    """Reads the manifest of a run; returns the number of accepted scenes, and of failed ones by code; none before it is complete."""
-    counts = (read_manifest(run) or {}).get("counts", {})
-    return int(counts.get("scenes", 0)), dict(counts.get("failures_by_code", {}))
+def outcomes(run: RunFolder) -> dict[str, Any]:
+    """Reads the manifest of a run; returns its part of :class:`SoakedRun`. Before the run is complete, nothing is counted."""
+    manifest = read_manifest(run) or {}
+    counts = manifest.get("counts", {})
+    return {
+        "accepted": int(counts.get("scenes", 0)),
+        "failures": dict(counts.get("failures_by_code", {})),
+        "code_versions": list(manifest.get("code_versions", ())),
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,6 +299,9 @@ class Soak:
         libraries: The asset libraries.
         more: Further options of the job.
 
+    Attributes:
+        command: All options of the job.
+
     Raises:
         ConfigError: The folder is of other settings.
     """
@@ -301,12 +313,12 @@ class Soak:
         self.num_scenes, self._per_shard = num_scenes, per_shard
         command = ["generate", "--count", str(num_scenes), *(word for place in libraries for word in ("--assets", place))]
         command += ["--out", self.run.uri, "--workers", str(_WORKERS)]
-        self._command = [*command, "--set", "num_pictures=0", "--set", f"scenes_per_shard={per_shard}", *more]
+        self.command = [*command, "--set", "num_pictures=0", "--set", f"scenes_per_shard={per_shard}", *more]
         folder.mkdir(parents=True, exist_ok=True)
         state = folder / "soak.json"
         if state.exists():
-            refuse_changed(str(folder), json.loads(state.read_text("utf-8")), {"command": self._command})
-        write_file_atomically(state, json.dumps({"command": self._command}).encode())
+            refuse_changed(str(folder), json.loads(state.read_text("utf-8")), {"command": self.command})
+        write_file_atomically(state, json.dumps({"command": self.command}).encode())
 
     @property
     def samples(self) -> list[Sample]:
@@ -328,7 +340,7 @@ class Soak:
             content = self._samples.read_bytes()
             write_file_atomically(self._samples, content[: content.rfind(b"\n") + 1])
         session = 1 + max((sample.session for sample in self.samples), default=-1)
-        command = [sys.executable, "-m", "pipelines", *self._command]
+        command = [sys.executable, "-m", "pipelines", *self.command]
         began = time.monotonic()
         with (self._folder / "log").open("ab") as log, self._samples.open("a", encoding="utf-8") as stream:
             job = started(command, log)
@@ -374,6 +386,8 @@ def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
     print(f"{sum(run.accepted for run in runs):,} accepted, {failures.total():,} failed: {by_code}")
     if own := [code for code in FAULTS_OF_THE_TOOLKIT if failures[code]]:
         print(f"failed through the toolkit itself: {', '.join(f'{code} {failures[code]}' for code in own)}")
+    versions = dict.fromkeys(version for run in runs for version in run.code_versions)
+    print(f"code: {', '.join(versions) or 'unknown'}")
     print(f"{'':30} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
     for one in found:
         if one.slope is None:
@@ -420,7 +434,9 @@ def run_campaign() -> int:
     soak = Soak(arguments.out.absolute(), arguments.scenes, arguments.per_shard, arguments.libraries, [*seed, *more])
     is_complete = soak.go(until)
     verdict: dict[str, Any] = verified(soak.run.uri) if is_complete else {"is_whole": False, "verify": []}
-    run = SoakedRun(arguments.scenes, is_complete, verdict["is_whole"], soak.samples, *outcomes(soak.run))
+    run = SoakedRun(
+        arguments.scenes, is_complete, verdict["is_whole"], soak.samples, **outcomes(soak.run), command=soak.command
+    )
     runs = [*others, run]
     found = trends(runs, arguments.warm_up)
     show(found, runs)

@@ -82,7 +82,9 @@ def test_attacks_that_once_worked_are_tried_again() -> None:
         named = re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", row)
         assert named, row
         for file, test in named:
-            assert re.search(rf"^def {test}\(", (ROOT / file).read_text("utf-8"), re.MULTILINE), f"{file}::{test}"
+            found = re.search(rf"((?:^@.*\n)*)^def {test}\(", (ROOT / file).read_text("utf-8"), re.MULTILINE)
+            assert found, f"{file}::{test}"
+            assert "mark.slow" not in found[1], f"{file}::{test}: the page says that it is run by make test"
 
 
 def test_actions_are_pinned_to_commits_and_keep_no_credentials() -> None:

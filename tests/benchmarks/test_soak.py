@@ -79,10 +79,11 @@ def test_outcomes_are_those_of_the_manifest_and_faults_of_the_toolkit_are_told(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     folder = RunFolder(str(tmp_path / "run"))
-    assert outcomes(folder) == (0, {})
-    write_manifest(folder, {"counts": {"scenes": 90, "failures_by_code": {"rejected": 8, "crashed": 1}}})
-    assert outcomes(folder) == (90, {"rejected": 8, "crashed": 1})
-    bad = SoakedRun(99, True, True, [], *outcomes(folder))
+    assert outcomes(folder) == {"accepted": 0, "failures": {}, "code_versions": []}
+    counts = {"scenes": 90, "failures_by_code": {"rejected": 8, "crashed": 1}}
+    write_manifest(folder, {"counts": counts, "code_versions": ["0.1.0+a", "0.1.0+b"]})
+    bad = SoakedRun(99, True, True, [], **outcomes(folder))
+    assert (bad.accepted, bad.failures) == (90, {"rejected": 8, "crashed": 1})
     good = SoakedRun(99, True, True, [], 91, {"rejected": 8})
     flat, grows, wall = (trend("m", blocks(slope, 1.0), SCENES, 5.0) for slope in (0.0, 50.0, 50.0))
     assert is_good([flat], [good])
@@ -94,6 +95,7 @@ def test_outcomes_are_those_of_the_manifest_and_faults_of_the_toolkit_are_told(
     shown = capfd.readouterr().out
     assert "181 accepted, 17 failed: rejected 16, crashed 1\n" in shown
     assert "failed through the toolkit itself: crashed 1\n" in shown
+    assert "code: 0.1.0+a, 0.1.0+b\n" in shown
 
 
 def test_few_blocks_say_nothing() -> None:
@@ -168,6 +170,8 @@ def test_a_soak_goes_on_and_sixteen_scenes_say_nothing(dataset: Path, tmp_path: 
     run = SoakedRun.read(tmp_path / "soak.json")
     assert (run.is_complete, run.is_whole, run.accepted + sum(run.failures.values())) == (True, True, 16)
     assert {sample.session for sample in run.samples} == {0, 1}
+    assert len(run.code_versions) == 1
+    assert run.command[:3] == ["generate", "--count", "16"]
     assert 0 < max(sample.scenes for sample in run.samples) <= 16  # the last look is up to ten seconds before the end
     assert {sample.driver.processes for sample in run.samples} == {1}
     assert run.samples[-1].ray.memory_mb > 0
