@@ -6,9 +6,10 @@ workers on a local Ray. All processes of the job are looked at every ten seconds
 are of all sessions. Several runs, each with a seed and a folder of its own, may be summed: ``--with`` reads what ``--json`` of another
 one wrote.
 
-The criterion: a quantity is the mean over blocks of 100 scenes (500 for times), without the first scenes of each session, in which
-processes still fill their caches (by default 1,000). A line with one slope and an own height for each session is fitted. Its 95 %
-interval is wider where what is left of neighbouring blocks is alike: such blocks are not independent. Memory
+The criterion: a quantity is the mean over blocks of 100 scenes, without the first scenes of each session, in which processes still fill
+their caches (by default 4,000; 1,000 for times). What a worker keeps and the time of a scene are of single shards. A line with one slope
+and an own height for each session is fitted. Its 95 % interval is wider where what is left of neighbouring blocks is alike: such blocks
+are not independent. Memory
 
 - is *flat* if the whole interval of its slope is within 5 MB per 1,000 scenes: over 20,000 scenes less than 100 MB;
 - *grows* or *falls* if it is not flat and the interval does not contain 0;
@@ -18,10 +19,13 @@ The memory of a worker is what it keeps from shard to shard: all that it holds w
 While a worker is at a shard it needs up to a gigabyte more, mostly for the replies of the model: that follows from the tasks of the shard,
 and differs far more than by 5 MB. So the memory of the workers at work is judged as all else.
 
+The time of a scene is that of the worker's processor. Most of it goes into long replies, whose lengths follow from the tasks. So it is
+judged at equal replies: together with the line, its dependence on the tokens of the replies of a shard, and on their squares, is fitted.
+
 Every other quantity is *flat* if the interval predicts a change of less than 20 % of its mean over all scenes of all runs, and contains 0
 or the slope itself predicts a change of less than 5 %. The rest is as for memory.
 
-The wall time of a scene is shown too, but not judged: it depends on what else the machine does.
+The wall time of a scene is shown too (over blocks of 500 scenes), but not judged: it depends on what else the machine does.
 
 The outcomes of the scenes are those of the manifests: how many were accepted, and how many failed, by code. A scene that failed through
 the toolkit itself is told as such: ``unexpected``, ``out_of_memory``, ``timed_out`` or ``crashed``.
@@ -71,6 +75,36 @@ _MOST_MB = 5.0  # that memory may change per 1,000 scenes
 
 
 @dataclass(frozen=True, slots=True)
+class FinishedShard:
+    """What a shard of the job tells.
+
+    Attributes:
+        shard_id: Its id.
+        scenes: Its scenes.
+        seconds: Seconds of the processor that its worker took.
+        kept_mb: Memory that the worker kept from earlier shards, MB; None if it is not told.
+        tokens: Tokens of the model's replies.
+        tokens_squared: Sum of the squares of the tokens of each turn: a long reply attends to more, and is written with few others.
+    """
+
+    shard_id: str
+    scenes: int
+    seconds: float
+    kept_mb: float | None
+    tokens: int
+    tokens_squared: int
+
+    @classmethod
+    def of_run(cls, run: RunFolder, shard_id: str) -> "FinishedShard":
+        """Reads what a run holds of a shard."""
+        told = json.loads(run.read_bytes(f"{TIMING_FOLDER}/{shard_id}.json") or b"{}")
+        kept = told.get(KEPT)
+        tokens = [n or 0 for n in run.table("turns", ["reply_tokens"], shard_ids={shard_id})["reply_tokens"].to_pylist()]
+        squared = sum(n * n for n in tokens)
+        return cls(shard_id, told["scenes"], told["processor"], None if kept is None else kept / MIB, sum(tokens), squared)
+
+
+@dataclass(frozen=True, slots=True)
 class Sample:
     """One look at the job.
 
@@ -81,7 +115,7 @@ class Sample:
         driver: The process of the command.
         workers: The processes that work on shards, or wait for one.
         ray: Ray's own processes.
-        kept_mb: Memory that a worker kept when it began the newest of the finished shards, MB; None before there is one.
+        finished: Shards that were finished since the look before.
     """
 
     session: int
@@ -90,18 +124,14 @@ class Sample:
     driver: Usage
     workers: Usage
     ray: Usage
-    kept_mb: float | None = None
+    finished: Sequence[FinishedShard] = ()
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> "Sample":
         """Reads a line of the file of samples."""
         parts = {name: Usage(**row[name]) for name in ("driver", "workers", "ray")}
-        return cls(row["session"], row["seconds"], row["scenes"], **parts, kept_mb=row["kept_mb"])
-
-    @property
-    def cpu_seconds(self) -> float:
-        """Time of the processor of all processes."""
-        return (self.driver + self.workers + self.ray).cpu_seconds
+        shards = [FinishedShard(**shard) for shard in row["finished"]]
+        return cls(row["session"], row["seconds"], row["scenes"], **parts, finished=shards)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,13 +208,11 @@ class Trend:
     verdict: str
 
 
-MEMORY: Mapping[str, Callable[[Sample], float | None]] = {
+KEPT_MEMORY = "memory that a worker keeps, MB"
+MEMORY = ("driver memory, MB", "Ray's memory, MB")
+QUANTITIES: Mapping[str, Callable[[Sample], float]] = {
     "driver memory, MB": lambda s: s.driver.memory_mb,
-    "memory that a worker keeps, MB": lambda s: s.kept_mb,
     "Ray's memory, MB": lambda s: s.ray.memory_mb,
-}
-QUANTITIES: Mapping[str, Callable[[Sample], float | None]] = {
-    **MEMORY,
     "memory of workers at work, MB": lambda s: s.workers.memory_mb,
     "driver open files": lambda s: s.driver.handles,
     "workers' open files": lambda s: s.workers.handles,
@@ -192,10 +220,16 @@ QUANTITIES: Mapping[str, Callable[[Sample], float | None]] = {
     "processes": lambda s: (s.driver + s.workers + s.ray).processes,
     "threads": lambda s: (s.driver + s.workers + s.ray).threads,
 }
-"""The quantities that are memory, and all but the times."""
+"""The quantities that each look gives, and those of them that must not grow by more than an allowance."""
 
 
-def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int, allowed: float | None = None) -> Trend:
+def trend(
+    name: str,
+    blocks: Sequence[tuple[int, float, float]],
+    num_scenes: int,
+    allowed: float | None = None,
+    causes: Sequence[Sequence[float]] = (),
+) -> Trend:
     """Fits a line with one slope and an own height for each session.
 
     Args:
@@ -203,16 +237,20 @@ def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int
         blocks: Session, number of scenes and value of each block, in order.
         num_scenes: Scenes of all runs.
         allowed: Change per 1,000 scenes that a flat quantity may have; None for a share of its mean.
+        causes: Quantities of each block on which the value depends, too: factors for them are fitted together with the slope.
     """
     values = np.array([value for _, _, value in blocks], dtype=np.float64)
     scenes = np.array([where for _, where, _ in blocks], dtype=np.float64)
     sessions = np.array([session for session, _, _ in blocks], dtype=np.int64)
+    others = np.array(causes, dtype=np.float64).reshape(len(causes), len(blocks))
     mean = float(values.mean()) if len(values) else float("nan")
-    freedom = len(values) - len(set(sessions.tolist())) - 1
+    freedom = len(values) - len(set(sessions.tolist())) - 1 - len(others)
     for session in set(sessions.tolist()):  # its own height
         mine = sessions == session
-        values[mine] -= values[mine].mean()
-        scenes[mine] -= scenes[mine].mean()
+        for row in (values, scenes, *others):
+            row[mine] -= row[mine].mean()
+    if len(others) and freedom > 0:  # what follows from the causes alone
+        values, scenes = (row - others.T @ np.linalg.lstsq(others.T, row, rcond=None)[0] for row in (values, scenes))
     spread = float(scenes @ scenes)
     if len(blocks) < _FEWEST_BLOCKS or freedom < 1 or spread == 0 or mean == 0:
         return Trend(name, mean, None, None, None, None, len(blocks), "unknown")
@@ -238,25 +276,35 @@ def trend(name: str, blocks: Sequence[tuple[int, float, float]], num_scenes: int
     return Trend(name, mean, 1000 * slope, 1000 * low, 1000 * high, change, len(blocks), verdict)
 
 
-def trends(runs: Sequence[SoakedRun], warm_up: int) -> list[Trend]:
+def trends(runs: Sequence[SoakedRun], warm_up: int, warm_up_of_times: int) -> list[Trend]:
     """The trends of all quantities.
 
     Args:
         runs: The runs.
         warm_up: First scenes of each session that are left out.
+        warm_up_of_times: The same for times.
     """
-    kept = list(_warm(runs, warm_up))
+    samples, of_times = list(_warm(runs, warm_up)), list(_warm(runs, warm_up_of_times))
     num_scenes = sum(run.num_scenes for run in runs)
-    found = []
+    kept = [
+        (one.session, float(one.scenes), shard.kept_mb)
+        for one in samples
+        for shard in one.finished
+        if shard.kept_mb is not None
+    ]
+    found = [trend(KEPT_MEMORY, kept, num_scenes, _MOST_MB)]
     for name, value in QUANTITIES.items():
         blocks: dict[tuple[int, int], list[float]] = {}
-        for sample in kept:
-            if (known := value(sample)) is not None:
-                blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(known)
+        for sample in samples:
+            blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(value(sample))
         means = [(session, (block + 0.5) * _BLOCK, float(np.mean(own))) for (session, block), own in blocks.items()]
         found.append(trend(name, means, num_scenes, _MOST_MB if name in MEMORY else None))
-    for name, clock in (("processor seconds a scene", _cpu), (WALL_TIME, _seconds)):
-        found.append(trend(name, list(_times(kept, clock)), num_scenes))
+    shards = [(one, shard) for one in of_times for shard in one.finished]
+    times = [(one.session, float(one.scenes), shard.seconds / shard.scenes) for one, shard in shards]
+    replies = [[value(shard) / shard.scenes for _, shard in shards] for value in (_tokens, _tokens_squared)]
+    found.append(trend("worker seconds a scene, at equal replies", times, num_scenes, causes=replies))
+    found.append(trend("driver and Ray, seconds a scene", list(_times(of_times, _driver_and_ray)), num_scenes))
+    found.append(trend(WALL_TIME, list(_times(of_times, _seconds)), num_scenes))
     return found
 
 
@@ -281,8 +329,16 @@ def _times(kept: Sequence[Sample], clock: Callable[[Sample], float]) -> Iterator
                 start = sample
 
 
-def _cpu(sample: Sample) -> float:
-    return sample.cpu_seconds
+def _driver_and_ray(sample: Sample) -> float:
+    return (sample.driver + sample.ray).cpu_seconds
+
+
+def _tokens(shard: FinishedShard) -> int:
+    return shard.tokens
+
+
+def _tokens_squared(shard: FinishedShard) -> int:
+    return shard.tokens_squared
 
 
 def _seconds(sample: Sample) -> float:
@@ -340,13 +396,14 @@ class Soak:
             content = self._samples.read_bytes()
             write_file_atomically(self._samples, content[: content.rfind(b"\n") + 1])
         session = 1 + max((sample.session for sample in self.samples), default=-1)
+        told = {shard.shard_id for sample in self.samples for shard in sample.finished}
         command = [sys.executable, "-m", "pipelines", *self.command]
         began = time.monotonic()
         with (self._folder / "log").open("ab") as log, self._samples.open("a", encoding="utf-8") as stream:
             job = started(command, log)
             try:
                 while job.poll() is None and time.monotonic() < until:
-                    sample = self._look(job.pid, session, time.monotonic() - began)
+                    sample = self._look(job.pid, session, time.monotonic() - began, told)
                     stream.write(json.dumps(asdict(sample)) + "\n")
                     stream.flush()
                     try:
@@ -361,19 +418,16 @@ class Soak:
             raise RuntimeError(f"the job ended with status {job.returncode}, see {self._folder / 'log'}")
         return False
 
-    def _look(self, driver: int, session: int, seconds: float) -> Sample:
+    def _look(self, driver: int, session: int, seconds: float, told: set[str]) -> Sample:
         processes = below([driver])
         workers = [pid for pid, words in processes.items() if words.startswith("ray::") and not words.startswith("ray::Dash")]
         workers = [pid for pid in workers if not processes[pid].startswith("ray::RuntimeEnv")]
         rest = processes.keys() - {driver, *workers}
-        scenes = min(self.num_scenes, self._per_shard * len(self.run.files("scenes")))
-        parts = usage_of([driver]), usage_of(workers), usage_of(rest)
-        return Sample(session, round(seconds, 1), scenes, *parts, self._kept_mb())
-
-    def _kept_mb(self) -> float | None:
-        newest = max((self._folder / "run" / TIMING_FOLDER).glob("*.json"), key=lambda path: path.stat().st_mtime, default=None)
-        found = None if newest is None else json.loads(newest.read_bytes()).get(KEPT)
-        return None if found is None else found / MIB
+        written = self.run.shard_ids("scenes")
+        finished = [FinishedShard.of_run(self.run, shard_id) for shard_id in sorted(written - told)]
+        told |= written
+        scenes = min(self.num_scenes, self._per_shard * len(written))
+        return Sample(session, round(seconds, 1), scenes, usage_of([driver]), usage_of(workers), usage_of(rest), finished)
 
 
 def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
@@ -388,13 +442,13 @@ def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
         print(f"failed through the toolkit itself: {', '.join(f'{code} {failures[code]}' for code in own)}")
     versions = dict.fromkeys(version for run in runs for version in run.code_versions)
     print(f"code: {', '.join(versions) or 'unknown'}")
-    print(f"{'':30} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
+    print(f"{'':40} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
     for one in found:
         if one.slope is None:
-            print(f"{one.name:30} {one.mean:10.3f} {'':34} {'':11} {one.blocks:7d}  {one.verdict}")
+            print(f"{one.name:40} {one.mean:10.3f} {'':34} {'':11} {one.blocks:7d}  {one.verdict}")
             continue
         interval = f"{one.slope:+.4f} ({one.low:+.4f} … {one.high:+.4f})"
-        print(f"{one.name:30} {one.mean:10.3f} {interval:>34} {one.change:+11.1%} {one.blocks:7d}  {one.verdict}")
+        print(f"{one.name:40} {one.mean:10.3f} {interval:>34} {one.change:+11.1%} {one.blocks:7d}  {one.verdict}")
 
 
 def is_good(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> bool:
@@ -418,7 +472,8 @@ def run_campaign() -> int:
     parser.add_argument(
         "--per-shard", type=int, default=128, help="scenes of a shard; the default is that of generate for many scenes"
     )
-    parser.add_argument("--warm-up", type=int, default=1000, help="first scenes of each session that are left out")
+    parser.add_argument("--warm-up", type=int, default=4000, help="first scenes of each session that are left out")
+    parser.add_argument("--warm-up-of-times", type=int, default=1000, help="the same for the time of a scene")
     parser.add_argument("--minutes", type=float, help="the session ends then; the same command continues")
     parser.add_argument("--json", type=Path, help="output file of the figures and samples")
     parser.add_argument(
@@ -438,7 +493,7 @@ def run_campaign() -> int:
         arguments.scenes, is_complete, verdict["is_whole"], soak.samples, **outcomes(soak.run), command=soak.command
     )
     runs = [*others, run]
-    found = trends(runs, arguments.warm_up)
+    found = trends(runs, arguments.warm_up, arguments.warm_up_of_times)
     show(found, runs)
     print(*verdict["verify"], sep="\n")
     if arguments.json:

@@ -11,12 +11,25 @@ import pytest
 
 from benchmarks.chaos import NOT_COMPLETE
 from benchmarks.faults.processes import ROOT, Usage
-from benchmarks.soak import WALL_TIME, Sample, SoakedRun, is_good, outcomes, show, trend, trends
+from benchmarks.soak import (
+    KEPT_MEMORY,
+    WALL_TIME,
+    FinishedShard,
+    Sample,
+    SoakedRun,
+    Trend,
+    is_good,
+    outcomes,
+    show,
+    trend,
+    trends,
+)
 from stable_data.errors import ConfigError
 from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
 
 SCENES = 20000
+TIME = "worker seconds a scene, at equal replies"
 
 
 def blocks(slope: float, noise: float, count: int = 150, sessions: int = 3) -> list[tuple[int, float, float]]:
@@ -103,27 +116,56 @@ def test_few_blocks_say_nothing() -> None:
     assert trend("memory", [], SCENES).verdict == "unknown"
 
 
-def test_growth_after_the_start_is_found_and_growth_at_the_start_is_not() -> None:
-    samples = []
-    for number in range(1200):
+def of_shards(more_kept: float | None = 0.0, more_seconds: float = 0.0, count: int = 1200) -> list[Sample]:
+    """Looks at a job with a shard of five scenes each; a worker keeps, and takes, that much more for each 1,000 scenes."""
+    rng, samples = np.random.default_rng(0), list[Sample]()
+    for number in range(count):
         scenes = 5 * number
         starting = min(2500.0, 20.0 * scenes)  # reached after 125 scenes
         used = Usage(starting, 100, 2, 20, 2.0 * scenes)
-        leaking = Usage(400.0 + scenes / 10, 50 + scenes // 100, 1, 8, 0.0)
-        kept = None if number < 20 else 800.0 + 50 * (number % 2)
-        samples.append(Sample(0, 10.0 * number, scenes, leaking, used, Usage(300.0, 60, 5, 50, 0.0), kept))
-    runs = [SoakedRun(6000, is_complete=True, is_whole=True, samples=samples)]
-    found = {one.name: one.verdict for one in trends(runs, warm_up=400)}
+        leaking = Usage(400.0 + scenes / 10, 50 + scenes // 100, 1, 8, scenes / 100)
+        tokens = rng.lognormal(5, 1, 5).astype(int)
+        squared = int((tokens**2).sum())
+        seconds = 5.0 + tokens.sum() / 100 + squared / 1e5 + 5 * more_seconds * scenes / 1000
+        kept = None if more_kept is None or number < 20 else 800.0 + 50 * (number % 2) + more_kept * scenes / 1000
+        shard = FinishedShard(str(number), 5, float(seconds + rng.normal(0, 0.2)), kept, int(tokens.sum()), squared)
+        samples.append(Sample(0, 10.0 * number, scenes, leaking, used, Usage(300.0, 60, 5, 50, 0.0), [shard]))
+    return samples
+
+
+def judged(samples: list[Sample], scenes: int = 6000) -> dict[str, Trend]:
+    run = SoakedRun(scenes, is_complete=True, is_whole=True, samples=samples)
+    return {one.name: one for one in trends([run], warm_up=400, warm_up_of_times=200)}
+
+
+def test_growth_after_the_start_is_found_and_growth_at_the_start_is_not() -> None:
+    found = {name: one.verdict for name, one in judged(of_shards()).items()}
     assert found["driver memory, MB"] == found["driver open files"] == "grows"
     assert found["memory of workers at work, MB"] == found["Ray's memory, MB"] == found["processes"] == "flat"
-    assert found["memory that a worker keeps, MB"] == "flat"
-    fuller = [replace(sample, kept_mb=(sample.kept_mb or 0.0) + sample.scenes / 20) for sample in samples]
-    untold = [replace(sample, kept_mb=None) for sample in samples]
-    for other, verdict in ((fuller, "grows"), (untold, "unknown")):
-        told = {one.name: one.verdict for one in trends([replace(runs[0], samples=other)], warm_up=400)}
-        assert told == {**found, "memory that a worker keeps, MB": verdict}
-    assert found["processor seconds a scene"] == found["seconds a scene"] == "flat"
-    assert {one.name: one.mean for one in trends(runs, warm_up=400)}["processor seconds a scene"] == pytest.approx(2.0)
+    assert found[KEPT_MEMORY] == found[TIME] == found[WALL_TIME] == found["driver and Ray, seconds a scene"] == "flat"
+    assert len(found) == 12
+
+
+@pytest.mark.parametrize(("more", "verdict"), [(1.0, "flat"), (50.0, "grows"), (-50.0, "falls"), (None, "unknown")])
+def test_what_a_worker_keeps_is_judged_shard_by_shard(more: float | None, verdict: str) -> None:
+    usual, found = judged(of_shards()), judged(of_shards(more_kept=more))
+    assert found.pop(KEPT_MEMORY).verdict == verdict
+    assert {**found, KEPT_MEMORY: usual[KEPT_MEMORY]} == usual
+
+
+@pytest.mark.parametrize(("more", "verdict"), [(0.0, "flat"), (0.5, "grows"), (-0.5, "falls")])
+def test_the_time_of_a_scene_is_judged_at_equal_replies(more: float, verdict: str) -> None:
+    samples = of_shards(more_seconds=more)
+    found = judged(samples)[TIME]
+    assert found.verdict == verdict
+    assert found.slope == pytest.approx(more, abs=0.02)
+    shards = [(0, float(sample.scenes), shard.seconds / 5) for sample in samples for shard in sample.finished]
+    unequal = trend(TIME, shards, 6000)
+    assert unequal.high is not None
+    assert unequal.low is not None
+    assert found.high is not None
+    assert found.low is not None
+    assert unequal.high - unequal.low > 5 * (found.high - found.low)
 
 
 def test_runs_are_summed_with_a_height_of_their_own(tmp_path: Path) -> None:
@@ -132,12 +174,13 @@ def test_runs_are_summed_with_a_height_of_their_own(tmp_path: Path) -> None:
         of_run = []
         for number in range(600):
             driver = Usage(400.0 + 100 * seed + number / 1000, 50, 1, 8, 0.0)
-            of_run.append(Sample(0, 10.0 * number, 5 * number, driver, Usage(500.0, 90, 2, 20, 10.0 * number), driver))
+            used, shard = Usage(500.0, 90, 2, 20, 10.0 * number), FinishedShard(str(number), 5, 1.0, None, 900, 90000)
+            of_run.append(Sample(0, 10.0 * number, 5 * number, driver, used, driver, [shard]))
         path = tmp_path / f"{seed}.json"
         path.write_text(json.dumps({"run": asdict(SoakedRun(3000, is_complete=True, is_whole=True, samples=of_run))}))
         runs.append(SoakedRun.read(path))
         assert runs[-1].samples == of_run
-    found = {one.name: one for one in trends(runs, warm_up=400)}["driver memory, MB"]
+    found = {one.name: one for one in trends(runs, 400, 400)}["driver memory, MB"]
     assert found.verdict == "flat"
     assert found.slope == pytest.approx(0.2, abs=0.01)
     assert found.change == pytest.approx(0.2 * 6 / found.mean, abs=0.001)
@@ -176,4 +219,7 @@ def test_a_soak_goes_on_and_sixteen_scenes_say_nothing(dataset: Path, tmp_path: 
     assert {sample.driver.processes for sample in run.samples} == {1}
     assert run.samples[-1].ray.memory_mb > 0
     assert any(sample.workers.cpu_seconds > 1 for sample in run.samples)
-    assert any(sample.kept_mb is not None and sample.kept_mb > 100 for sample in run.samples)
+    shards = [shard for sample in run.samples for shard in sample.finished]
+    assert len(shards) == len({shard.shard_id for shard in shards}) > 1  # of four; the last look is before the end
+    assert all(shard.scenes == 4 and shard.seconds > 0 and shard.tokens > 100 for shard in shards)
+    assert max(shard.kept_mb or 0.0 for shard in shards) > 100
