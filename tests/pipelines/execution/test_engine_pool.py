@@ -211,7 +211,7 @@ def test_a_killed_actor_is_restarted_and_every_request_is_answered_once(slow_eng
 
 
 @pytest.mark.ray
-@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+@pytest.mark.parametrize("error", [pytest.param(RuntimeError, marks=pytest.mark.slow), KeyboardInterrupt])
 def test_engines_end_with_the_job_however_it_ends(
     slow_engines: EngineSettings, tmp_path: Path, local_ray: None, error: type[BaseException]
 ) -> None:

@@ -247,7 +247,7 @@ def test_what_a_repair_wrote_is_no_scene_of_its_own(tmp_path: Path) -> None:
     assert scene_candidates(tmp_path) == ["a.usda", "b_repaired.usda"]
 
 
-@pytest.mark.parametrize("num_files", [0, 1])
+@pytest.mark.parametrize("num_files", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_folder_without_a_scene_is_an_error(tmp_path: Path, num_files: int) -> None:
     source = tmp_path / "in"
     source.mkdir()

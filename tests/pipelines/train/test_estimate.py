@@ -67,7 +67,7 @@ def test_the_plan_of_one_process_is_what_it_holds(case: str, base: Path) -> None
     compare(measured(settings, CPU), planned(settings, 1))
 
 
-@pytest.mark.parametrize("precision", ["bfloat16", "float32"])
+@pytest.mark.parametrize("precision", [pytest.param("bfloat16", marks=pytest.mark.slow), "float32"])
 @pytest.mark.parametrize(
     "network",
     [LanguageModelSettings(), LanguageModelSettings(layers=3, heads=8, key_value_heads=8, head=32, intermediate=512)],

@@ -46,6 +46,7 @@ def leaning(tmp_path_factory: pytest.TempPathFactory) -> MesaTaskDataset:
     return MesaTaskDataset(out)
 
 
+@pytest.mark.slow
 def test_embedded_scenes_place_box_centres_and_are_told_apart(leaning: MesaTaskDataset, tmp_path: Path) -> None:
     store = AssetStore(leaning)
     assert position_convention(leaning, store) is PositionConvention.BOX_CENTRE

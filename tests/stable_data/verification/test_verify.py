@@ -321,7 +321,7 @@ def test_a_killed_run_is_not_damaged(lost: dict[str, int | None], generated: Pat
     assert str(result).startswith(f"{copy}: not finished (generate; ")
 
 
-@pytest.mark.parametrize("hidden", [{"networkx", "scipy"}, {"mujoco"}])
+@pytest.mark.parametrize("hidden", [{"networkx", "scipy"}, pytest.param({"mujoco"}, marks=pytest.mark.slow)])
 def test_without_the_extras_verdicts_are_unknown(hidden: set[str], generated: Path) -> None:
     """With the base dependencies alone all else is checked, and the line says what is not."""
     missing = [name for name in EXTRA_OF_MODULE if name in hidden or "networkx" in hidden]

@@ -114,7 +114,7 @@ def test_the_cache_of_a_batch_is_freed_when_the_batch_ends(network: Qwen3ForCaus
 
 
 @pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
-@pytest.mark.parametrize("num_threads", [1, 2])
+@pytest.mark.parametrize("num_threads", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_logits_do_not_depend_on_the_batch_to_the_last_bit(
     network: Qwen3ForCausalLM, num_threads: int, precision: torch.dtype
 ) -> None:
