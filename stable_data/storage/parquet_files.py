@@ -16,6 +16,7 @@ from stable_data.storage.page_headers import check_pages
 
 _CHECKED: set[tuple[str, int, int, int]] = set()
 _MOST_CHECKED = 10_000  # files that a process remembers
+_PARTS = 8  # of the memory that decoded rows may have: who looks at them needs it some times
 _Rows = TypeVar("_Rows", pa.RecordBatch, pa.Table)
 
 
@@ -108,7 +109,8 @@ def bounded_batches(
         if most_rows is None and footer.num_rows <= rows:
             batches = iter(file.read_row_group(group, columns, use_threads=use_threads).to_batches())  # faster than in steps
         else:
-            batches = file.iter_batches(max(1, min(rows, most_rows or rows)), [group], columns, use_threads=use_threads)
+            few = max(1, rows // _PARTS)
+            batches = file.iter_batches(min(few, most_rows or few), [group], columns, use_threads=use_threads)
         yield from map(checked, batches)
 
 

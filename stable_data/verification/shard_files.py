@@ -4,11 +4,13 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
 from stable_data.errors import ConfigError
+from stable_data.limits import LIMITS
 from stable_data.storage.checksums import CHECKSUMS, checksum_of, is_shard_file
 from stable_data.storage.parquet_files import bounded_batches, open_parquet
 from stable_data.storage.run_folder import PART, RunFolder
@@ -16,6 +18,7 @@ from stable_data.verification.findings import Findings
 
 _WHOLE = 256 * 2**20  # a file up to this size is read once, for its checksum and its rows; a larger one twice
 _CHUNK = 4 * 2**20
+_MOST_TIMES = 100  # the bytes of a file that its rows may have; those of jobs have about ten times as many
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,22 +116,32 @@ def row_groups(opened: pq.ParquetFile, file: ShardFile, findings: Findings) -> I
     """Yields the rows of a file, a row group or a part of one at a time, each with the number of its first row.
 
     At a row group that cannot be read there is damage, and the end. A small file may hold very many rows, so that they are never in memory
-    together.
+    together. If they have more bytes than a table may have in memory and hundred times those of the file, that is damage too: no job
+    writes such a file, and to look at all of them would take for ever.
     """
-    start = 0
-    for group in range(opened.num_row_groups):
-        batches = bounded_batches(opened, file.name, [group])
-        while True:
-            try:
-                batch = next(batches, None)
-            except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
-                what = f"row group {group} of {opened.num_row_groups} cannot be read ({_line(error)})"
-                findings.damage(file.name, what, start)
-                return
-            if batch is None:
-                break
-            yield start, pa.Table.from_batches([batch])
-            start += batch.num_rows
+    size, most = 0, max(LIMITS.table.max_decoded_bytes, _MOST_TIMES * file.size)
+    start, groups = 0, range(opened.num_row_groups)
+    ends = np.cumsum([opened.metadata.row_group(group).num_rows for group in groups])
+    batches = bounded_batches(opened, file.name, groups)
+    while True:
+        try:
+            batch = next(batches, None)
+        except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
+            group = int(np.searchsorted(ends, start, side="right"))
+            findings.damage(file.name, f"row group {group} of {len(groups)} cannot be read ({_line(error)})", start)
+            return
+        if batch is None:
+            break
+        size += batch.nbytes
+        if size > most:
+            findings.damage(
+                file.name,
+                f"its rows have more than {most:,} bytes, expected at most {_MOST_TIMES} times those of the file",
+                start,
+            )
+            return
+        yield start, pa.Table.from_batches([batch])
+        start += batch.num_rows
     if start != opened.metadata.num_rows:
         findings.damage(file.name, f"has {start} rows, expected {opened.metadata.num_rows} as its footer says")
 

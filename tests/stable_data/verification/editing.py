@@ -129,11 +129,11 @@ def small_run(folder: Path) -> Path:
     return run
 
 
-def write_equal_rows(run: Path, table: str, number: int) -> None:
-    """Replaces the first file of a table by very many rows of empty texts, in a few kilobytes; the checksums fit."""
+def write_equal_rows(run: Path, table: str, number: int, text: str = "") -> None:
+    """Replaces the first file of a table by very many rows of one text, in a few kilobytes; the checksums fit."""
     path = files_of(run, table, with_rows=False)[0]
     schema = pq.read_schema(path)
-    empty = pa.DictionaryArray.from_arrays(pa.array(np.zeros(number, np.int32)), pa.array([""]))
+    empty = pa.DictionaryArray.from_arrays(pa.array(np.zeros(number, np.int32)), pa.array([text]))
     rows_of_table = pa.table(dict.fromkeys(schema.names, empty))
     with pq.ParquetWriter(path, rows_of_table.schema, store_schema=False) as writer:
         writer.add_key_value_metadata({key.decode(): value.decode() for key, value in schema.metadata.items()})

@@ -32,6 +32,7 @@ from stable_data.verification.known_ids import KEYS
 from stable_data.verification.manifest_checks import CountCheck
 from stable_data.verification.shard_files import ShardFile
 from stable_data.verification.verifier import Verdicts, Verification, VerifyOptions, verify_run
+from tests.bounds import limit, soon
 from tests.object_store import object_store
 from tests.stable_data.verification.damages import (
     BY_CHECKSUM,
@@ -178,6 +179,19 @@ def test_very_many_rows_of_a_small_file_take_little_memory(tmp_path: Path) -> No
     assert (result.rows["failures"], counts) == (many, {"": many})
     assert any("by the rows" in each.what for each in found)
     assert (pool.max_memory() or 0) < 16 * 2**20
+
+
+def test_rows_that_are_far_larger_than_their_file_are_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A text of 10 kB that a hundred thousand rows have: a gigabyte, of which no more than the limit is looked at."""
+    run = small_run(tmp_path)
+    write_equal_rows(run, "failures", 100_000, "x" * 10_000)
+    assert sum(path.stat().st_size for path in files_of(run, "failures")) < 100_000
+    limit(monkeypatch, "table", max_decoded_bytes=20 * 10**6)
+    with soon(5.0):
+        result, found = verified(run)
+    assert not result.is_whole
+    assert any("its rows have more than 20,000,000 bytes" in each.what for each in found), found
+    assert result.rows["failures"] < 2_000
 
 
 def test_there_are_many_ways_to_damage_a_run() -> None:
