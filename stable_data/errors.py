@@ -29,6 +29,12 @@ def one_line(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def failure_line(item_id: str | None, message: str) -> str:
+    """Returns why an item is lost, on one line of bounded length; a row of others may have no id, or one of any length."""
+    name, message = short_line(str(item_id)), " ".join(message.split())
+    return short_line(message if message.startswith(name) else f"{name}: {message}")
+
+
 def plain_markdown(text: str) -> str:
     """Returns text from outside as a Markdown page shows it: on one line, of bounded length, none of it markup."""
     shown = one_line(" ".join(text.split()))

@@ -228,13 +228,20 @@ class RunAssets:
     def fingerprint(self, asset_id: str) -> str:
         """Returns a hash of the rows of an asset in ``assets`` and ``meshes``, with the images that its look names.
 
+        The hash that a row states stands for its GLB; where the GLB has another one, the asset has no mesh, and another fingerprint.
+
         Raises:
-            ConfigError: A table can no longer be read.
+            ConfigError: A table can no longer be read, or the file of the mesh cannot be written.
         """
+        try:
+            self.asset_path(asset_id)
+            is_refused = False
+        except MeshError:
+            is_refused = True
         content, images = self._rows.fingerprint(asset_id)
         described = "" if self._described is None else self._described.fingerprint(asset_id)[0]
         known = [name for name in images if self._textures.row(name) is not None]  # a look without its image is not shown
-        return content_id(content, described, known)
+        return content_id(content, described, known, is_refused)
 
     @cached_property
     def _described(self) -> RowsOfAssets | None:

@@ -18,7 +18,7 @@ from stable_data.atomic_files import write_file_atomically
 from stable_data.code_version import code_version
 from stable_data.config_diff import refuse_changed
 from stable_data.content_id import content_id
-from stable_data.errors import ConfigError, StableDataError, cannot_write, one_line, plain_markdown
+from stable_data.errors import ConfigError, StableDataError, cannot_write, failure_line, plain_markdown
 from stable_data.export.formats import ExportFormat, format_named
 from stable_data.export.scene_cache import SceneCache
 from stable_data.mesatask import write_annotations
@@ -153,13 +153,13 @@ def _export(
         except OSError as error:
             if error.errno not in _OF_A_NAME:
                 raise  # a full or lost disk ends the export
-            failures.append(_line(name, f"{error.strerror}: a name in it cannot be the name of a file here; rename it"))
+            failures.append(failure_line(name, f"{error.strerror}: a name in it cannot be the name of a file here; rename it"))
         except StableDataError as error:
             if isinstance(error, ConfigError) and error.code != "uid_path_traversal":
                 raise  # the run or the folder is unusable
-            failures.append(_line(name, str(error)))
+            failures.append(failure_line(name, str(error)))
         except Exception as error:  # noqa: BLE001 - an unexpected error loses one scene only
-            failures.append(_line(name, f"unexpected {type(error).__name__}: {error}; please report it"))
+            failures.append(failure_line(name, f"unexpected {type(error).__name__}: {error}; please report it"))
         if progress is not None:
             progress(written + existing + len(failures), total, len(failures))
     finish: Callable[[Path], str | None] | None = getattr(chosen, "finish", None)
@@ -190,12 +190,6 @@ def _write_scene(
     cache.make(key, scene, export)
     found = cache.place(key, out)
     return False, export(out) if found is None else found.num_boxes
-
-
-def _line(scene_id: str | None, message: str) -> str:
-    """The reason why a scene could not be exported, on one line; a row of others may have no id."""
-    name, message = str(scene_id), " ".join(message.split())
-    return one_line(message if message.startswith(name) else f"{name}: {message}")
 
 
 def _readme(chosen: ExportFormat, num_scenes: int, assets: Sequence[AssetAnnotation]) -> str:

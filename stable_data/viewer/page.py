@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from stable_data.atomic_files import write_file_atomically
-from stable_data.errors import ConfigError, SceneError, StableDataError, cannot_write
+from stable_data.errors import ConfigError, SceneError, StableDataError, cannot_write, failure_line
 from stable_data.export.glb import scene_glb
 from stable_data.metrics.judge_columns import FURTHER, verdict_columns
 from stable_data.simulation.run_reader import RunScenes, SceneSelection
@@ -126,10 +126,10 @@ def run_page(run: RunFolder, choice: SceneSelection) -> tuple[bytes, list[str]]:
         except StableDataError as error:
             if isinstance(error, ConfigError):
                 raise  # the run cannot be read
-            failures.append(f"{row['scene_id']}: {error}")
+            failures.append(failure_line(row["scene_id"], str(error)))
             continue
         except Exception as error:  # noqa: BLE001 - an unexpected error loses one scene only
-            failures.append(f"{row['scene_id']}: unexpected {type(error).__name__}: {error}; please report it")
+            failures.append(failure_line(row["scene_id"], f"unexpected {type(error).__name__}: {error}; please report it"))
             continue
         size += len(shown[-1].glb)
         _check_size(size, len(shown))  # before all of them are in memory

@@ -62,6 +62,21 @@ def test_a_second_export_copies_the_same_files(name: str, run: RunFolder, tmp_pa
     assert files(tmp_path / "alone") == files(tmp_path / "made")
 
 
+def test_a_mesh_that_is_refused_is_no_box_in_exports_of_others(
+    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run states the hashes of meshes of another one with other content, and is exported first."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    plain = export_run(run, tmp_path / "plain", "glb", SceneSelection())
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "another"))
+    hostile = copied(Path(run.root), tmp_path / "hostile", "meshes", lambda row: {**row, "glb": row["glb"] + bytes(4)})
+    refused = export_run(hostile, tmp_path / "refused", "glb", SceneSelection(), is_cached=True)
+    assert refused.num_boxes > plain.num_boxes
+    honest = export_run(run, tmp_path / "honest", "glb", SceneSelection(), is_cached=True)
+    assert honest.num_boxes == plain.num_boxes
+    assert files(tmp_path / "honest") == files(tmp_path / "plain")
+
+
 def test_what_changed_is_made(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     total = export_run(run, tmp_path / "out", "glb", SceneSelection(), is_cached=True).num_written
 

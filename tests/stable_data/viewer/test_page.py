@@ -140,7 +140,7 @@ def test_a_scene_that_cannot_be_shown_is_a_line(viewed_run: RunFolder, monkeypat
 
     monkeypatch.setattr(RunScenes, "geometry", geometry)
     content, failures = run_page(viewed_run, SceneSelection())
-    assert failures == ["falling: falling: broken"]
+    assert failures == ["falling: broken"]
     assert len(Page(content.decode()).articles) == len(SCENES) - 1
 
 
