@@ -232,7 +232,7 @@ class FeatureLimits:
     """
 
     max_bytes: int = 256 * MIB
-    max_operations: int = 1 << 24
+    max_operations: int = 1 << 21
     max_memo: int = 1 << 22
     max_rows: int = 1 << 20
     max_numbers: int = 1 << 26
