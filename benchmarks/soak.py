@@ -83,25 +83,32 @@ class FinishedShard:
         scenes: Its scenes.
         seconds: Seconds of the processor that its worker took.
         kept_mb: Memory that the worker kept from earlier shards, MB; None if it is not told.
-        tokens: Tokens of the model's replies.
-        tokens_squared: Sum of the squares of the tokens of each turn: a long reply attends to more, and is written with few others.
+        tokens: Tokens of the model's replies; None if the engine did not count all of them.
+        tokens_squared: Sum of the squares of the tokens of each turn: a long reply attends to more, and is written with few others. None
+            likewise.
     """
 
     shard_id: str
     scenes: int
     seconds: float
     kept_mb: float | None
-    tokens: int
-    tokens_squared: int
+    tokens: int | None
+    tokens_squared: int | None
 
     @classmethod
     def of_run(cls, run: RunFolder, shard_id: str) -> "FinishedShard":
-        """Reads what a run holds of a shard."""
-        told = json.loads(run.read_bytes(f"{TIMING_FOLDER}/{shard_id}.json") or b"{}")
-        kept = told.get(KEPT)
-        tokens = [n or 0 for n in run.table("turns", ["reply_tokens"], shard_ids={shard_id})["reply_tokens"].to_pylist()]
-        squared = sum(n * n for n in tokens)
-        return cls(shard_id, told["scenes"], told["processor"], None if kept is None else kept / MIB, sum(tokens), squared)
+        """Reads what a run holds of a shard.
+
+        Raises:
+            RuntimeError: It has no timing of the shard.
+        """
+        if (content := run.read_bytes(f"{TIMING_FOLDER}/{shard_id}.json")) is None:
+            raise RuntimeError(f"{run.uri}: the shard {shard_id} has no file in {TIMING_FOLDER}")
+        told = json.loads(content)
+        kept_mb = None if told[KEPT] is None else told[KEPT] / MIB
+        tokens = run.table("turns", ["reply_tokens"], shard_ids={shard_id})["reply_tokens"].to_pylist()
+        counts = (None, None) if None in tokens else (sum(tokens), sum(n * n for n in tokens))
+        return cls(shard_id, told["scenes"], told["processor"], kept_mb, *counts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +216,9 @@ class Trend:
 
 
 KEPT_MEMORY = "memory that a worker keeps, MB"
+WORKER_TIME = "worker seconds a scene, at equal replies"
 MEMORY = ("driver memory, MB", "Ray's memory, MB")
+"""The quantities of each look that may change by an allowance, not by a share of their mean."""
 QUANTITIES: Mapping[str, Callable[[Sample], float]] = {
     "driver memory, MB": lambda s: s.driver.memory_mb,
     "Ray's memory, MB": lambda s: s.ray.memory_mb,
@@ -220,17 +229,17 @@ QUANTITIES: Mapping[str, Callable[[Sample], float]] = {
     "processes": lambda s: (s.driver + s.workers + s.ray).processes,
     "threads": lambda s: (s.driver + s.workers + s.ray).threads,
 }
-"""The quantities that each look gives, and those of them that must not grow by more than an allowance."""
+"""The quantities that each look gives."""
 
 
 def trend(
     name: str,
-    blocks: Sequence[tuple[int, float, float]],
+    blocks: Sequence[tuple[int, float, float | None]],
     num_scenes: int,
     allowed: float | None = None,
-    causes: Sequence[Sequence[float]] = (),
+    causes: Sequence[Sequence[float | None]] = (),
 ) -> Trend:
-    """Fits a line with one slope and an own height for each session.
+    """Fits a line with one slope and an own height for each session; if any of the values is not known, the trend is not.
 
     Args:
         name: The quantity.
@@ -249,10 +258,11 @@ def trend(
         mine = sessions == session
         for row in (values, scenes, *others):
             row[mine] -= row[mine].mean()
-    if len(others) and freedom > 0:  # what follows from the causes alone
+    is_known = bool(np.isfinite([values, *others]).all())  # None has become NaN
+    if len(others) and freedom > 0 and is_known:  # what follows from the causes alone is left out
         values, scenes = (row - others.T @ np.linalg.lstsq(others.T, row, rcond=None)[0] for row in (values, scenes))
     spread = float(scenes @ scenes)
-    if len(blocks) < _FEWEST_BLOCKS or freedom < 1 or spread == 0 or mean == 0:
+    if not is_known or len(blocks) < _FEWEST_BLOCKS or freedom < 1 or spread == 0 or mean == 0:
         return Trend(name, mean, None, None, None, None, len(blocks), "unknown")
     slope = float(scenes @ values) / spread
     rest = values - slope * scenes
@@ -286,12 +296,7 @@ def trends(runs: Sequence[SoakedRun], warm_up: int, warm_up_of_times: int) -> li
     """
     samples, of_times = list(_warm(runs, warm_up)), list(_warm(runs, warm_up_of_times))
     num_scenes = sum(run.num_scenes for run in runs)
-    kept = [
-        (one.session, float(one.scenes), shard.kept_mb)
-        for one in samples
-        for shard in one.finished
-        if shard.kept_mb is not None
-    ]
+    kept = [(one.session, float(one.scenes), shard.kept_mb) for one in samples for shard in one.finished]
     found = [trend(KEPT_MEMORY, kept, num_scenes, _MOST_MB)]
     for name, value in QUANTITIES.items():
         blocks: dict[tuple[int, int], list[float]] = {}
@@ -301,8 +306,9 @@ def trends(runs: Sequence[SoakedRun], warm_up: int, warm_up_of_times: int) -> li
         found.append(trend(name, means, num_scenes, _MOST_MB if name in MEMORY else None))
     shards = [(one, shard) for one in of_times for shard in one.finished]
     times = [(one.session, float(one.scenes), shard.seconds / shard.scenes) for one, shard in shards]
-    replies = [[value(shard) / shard.scenes for _, shard in shards] for value in (_tokens, _tokens_squared)]
-    found.append(trend("worker seconds a scene, at equal replies", times, num_scenes, causes=replies))
+    tokens = [None if shard.tokens is None else shard.tokens / shard.scenes for _, shard in shards]
+    squared = [None if shard.tokens_squared is None else shard.tokens_squared / shard.scenes for _, shard in shards]
+    found.append(trend(WORKER_TIME, times, num_scenes, causes=(tokens, squared)))
     found.append(trend("driver and Ray, seconds a scene", list(_times(of_times, _driver_and_ray)), num_scenes))
     found.append(trend(WALL_TIME, list(_times(of_times, _seconds)), num_scenes))
     return found
@@ -331,14 +337,6 @@ def _times(kept: Sequence[Sample], clock: Callable[[Sample], float]) -> Iterator
 
 def _driver_and_ray(sample: Sample) -> float:
     return (sample.driver + sample.ray).cpu_seconds
-
-
-def _tokens(shard: FinishedShard) -> int:
-    return shard.tokens
-
-
-def _tokens_squared(shard: FinishedShard) -> int:
-    return shard.tokens_squared
 
 
 def _seconds(sample: Sample) -> float:

@@ -15,6 +15,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
 from stable_data.errors import ConfigError, StableDataError
@@ -508,8 +509,7 @@ def release_free_memory() -> None:
 def resident_memory() -> int | None:
     """The resident memory of this process, bytes; None if the system does not tell. Shared memory counts, too."""
     try:
-        with open("/proc/self/statm", "rb") as pages:  # noqa: PTH123 - as below
-            return int(pages.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        return int(Path("/proc/self/statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         return None
 

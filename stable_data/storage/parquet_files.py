@@ -16,7 +16,7 @@ from stable_data.storage.page_headers import check_pages
 
 _CHECKED: set[tuple[str, int, int, int]] = set()
 _MOST_CHECKED = 10_000  # files that a process remembers
-_PARTS = 8  # of the memory that decoded rows may have: who looks at them needs it some times
+_PARTS = 8  # a batch has an eighth of the memory that rows may have: those who look at it make copies
 _Rows = TypeVar("_Rows", pa.RecordBatch, pa.Table)
 
 

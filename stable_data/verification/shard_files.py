@@ -116,17 +116,17 @@ def row_groups(opened: pq.ParquetFile, file: ShardFile, findings: Findings) -> I
     """Yields the rows of a file, a row group or a part of one at a time, each with the number of its first row.
 
     At a row group that cannot be read there is damage, and the end. A small file may hold very many rows, so that they are never in memory
-    together. If they have more bytes than a table may have in memory and hundred times those of the file, that is damage too: no job
+    together. If they have more bytes than a table may have in memory and a hundred times those of the file, that is damage too: no job
     writes such a file, and to look at all of them would take for ever.
     """
     size, most = 0, max(LIMITS.table.max_decoded_bytes, _MOST_TIMES * file.size)
     start, groups = 0, range(opened.num_row_groups)
-    ends = np.cumsum([opened.metadata.row_group(group).num_rows for group in groups])
     batches = bounded_batches(opened, file.name, groups)
     while True:
         try:
             batch = next(batches, None)
         except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
+            ends = np.cumsum([opened.metadata.row_group(group).num_rows for group in groups])
             group = int(np.searchsorted(ends, start, side="right"))
             findings.damage(file.name, f"row group {group} of {len(groups)} cannot be read ({_line(error)})", start)
             return
@@ -134,11 +134,8 @@ def row_groups(opened: pq.ParquetFile, file: ShardFile, findings: Findings) -> I
             break
         size += batch.nbytes
         if size > most:
-            findings.damage(
-                file.name,
-                f"its rows have more than {most:,} bytes, expected at most {_MOST_TIMES} times those of the file",
-                start,
-            )
+            what = f"its rows have more than {most:,} bytes, expected at most {_MOST_TIMES} times those of the file"
+            findings.damage(file.name, what, start)
             return
         yield start, pa.Table.from_batches([batch])
         start += batch.num_rows

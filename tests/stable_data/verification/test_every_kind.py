@@ -90,13 +90,18 @@ NOT_FOUND = {
 """What docs/publish.md names as not computed again: whether rows are there that nothing else mentions."""
 
 
+def run_of(job: str, generated: Path, out: Path) -> Path:
+    """Runs a job on generated scenes, if this machine can."""
+    if job == "views" and not can_render():
+        pytest.skip("this machine cannot render")
+    JOBS[job](generated, out)
+    return out
+
+
 @pytest.mark.sim
 @pytest.mark.parametrize("job", JOBS)
 def test_a_run_of_each_job_is_whole(job: str, generated: Path, tmp_path: Path) -> None:
-    if job == "views" and not can_render():
-        pytest.skip("this machine cannot render")
-    out = tmp_path / "out"
-    JOBS[job](generated, out)
+    out = run_of(job, generated, tmp_path / "out")
     told = list[str]()
     options = VerifyOptions(sample=0, source=RunFolder(str(generated)))
     result = verify_run(RunFolder(str(out)), lambda finding: told.append(str(finding)), options)
@@ -122,10 +127,7 @@ def removed(table: str) -> Damage:
 @pytest.mark.slow
 @pytest.mark.parametrize("job", JOBS)
 def test_damage_of_each_table_of_each_job_is_found(job: str, generated: Path, tmp_path: Path) -> None:
-    if job == "views" and not can_render():
-        pytest.skip("this machine cannot render")
-    out = tmp_path / "out"
-    JOBS[job](generated, out)
+    out = run_of(job, generated, tmp_path / "out")
     folder, source = RunFolder(str(out)), RunFolder(str(generated))
     not_found = set()
     tables = [table for table in folder.tables() if folder.num_rows(table)]
