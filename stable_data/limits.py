@@ -36,11 +36,13 @@ class ItemLimits:
         max_memory_bytes: Memory that a worker allocates for one item, beyond what it has already.
         max_scene_file_seconds: Time for one scene file of another project.
         max_scan_seconds: Time to list what one layer of USD names.
+        max_scan_memory_bytes: Memory for that, beyond 64 bytes for each byte of the file.
     """
 
     max_memory_bytes: int = 8 * GIB
     max_scene_file_seconds: int = 900
     max_scan_seconds: int = 60
+    max_scan_memory_bytes: int = 2 * GIB
 
 
 @dataclass(frozen=True, slots=True)

@@ -504,9 +504,13 @@ class _Run:
             return outcome
 
     def _settled(self, name: str, found: Found) -> Outcome:
-        """How an input ended; it is run again if that may be the work of another process."""
+        """How an input ended; it is run again if that may be the work of another process, or of the reader that is not apart."""
         finding = found.outcome.finding
-        return found.outcome if finding is None or finding.type not in _MAYBE_OF_OTHERS else self._again(name, found.number)
+        if finding is None:
+            return found.outcome
+        # The peak of a process's memory stays: what a reader apart needs is seen in a new process alone.
+        is_of_reader = finding.kind is FindingKind.MEMORY and self._campaign.targets[name].read_apart is not None
+        return self._again(name, found.number) if is_of_reader or finding.type in _MAYBE_OF_OTHERS else found.outcome
 
     def _note(self, name: str, number: int, outcome: Outcome) -> None:
         """Notes how an input ended whose worker did not count it."""

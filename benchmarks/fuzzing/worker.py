@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, TextIO, TypeAlias
 
 from benchmarks.fuzzing.cases import Case, Target
-from benchmarks.fuzzing.watching import Outcome, Places, Watch, memory_size
+from benchmarks.fuzzing.watching import FindingKind, Outcome, Places, Watch, memory_size
 
 NUMBER, DONE, ACCEPTED, REFUSED, BEGAN = range(5)
 """The places of the progress that a worker shares: the input that runs, counts of its block, and its processor time as it began, ns."""
@@ -215,7 +215,10 @@ class _Worker:
         return BlockDone(block.end, codes)
 
     def _outcome(self, target: Target, case: Case, *, is_apart: bool = False) -> Outcome:
-        """Runs one input; a finding of a target with a reader apart counts only if that reader has one too."""
+        """Runs one input; a finding of a target with a reader apart counts only if that reader has one too.
+
+        One of memory is left to the campaign, which runs it in a new process.
+        """
         folder = self._places.folder(target.name, case.base)
         place = folder / case.path
         place.write_bytes(case.content)
@@ -223,7 +226,8 @@ class _Worker:
         try:
             read = (target.read_apart or target.read) if is_apart else target.read
             outcome = self._watch.run(read, folder, case.base, target.starts)
-            if outcome.finding is not None and target.read_apart is not None and not is_apart:
+            known = outcome.finding
+            if known and known.kind is not FindingKind.MEMORY and target.read_apart is not None and not is_apart:
                 outcome = self._watch.run(target.read_apart, folder, case.base, target.starts)
         finally:
             place.write_bytes(target.bases[case.base].files[case.path])

@@ -156,8 +156,8 @@ def _read_in_a_state(folder: Path, base: str) -> bool:
 
 
 def _spared(folder: Path, base: str) -> bool:
-    """As users are protected: a text that crashes the reader is refused by a look at it first."""
-    if b"crash" in (folder / "text.txt").read_bytes():
+    """As users are protected: a text that crashes the reader, or fills its memory, is refused by a look at it first."""
+    if {b"crash", b"eat"} & set((folder / "text.txt").read_bytes().split()):
         raise ConfigError("the text is refused, expected another one", "text_refused")
     return _read(folder, base)
 
@@ -169,6 +169,8 @@ TARGETS = {
         Target("calm", 1, _bases, _read_well, block=40),
         Target("spared", 1, _bases, _read, block=40, read_apart=_spared),
         Target("ending", 1, _bases, _read, ("end",), block=40, read_apart=_spared),
+        Target("eating_alone", 1, _bases, _read, ("eat",), block=40, read_apart=_spared),
+        Target("eating", 1, _bases, _read, ("eat",), block=40, read_apart=_read),
         Target("ending_late", 1, _bases, _read, ("end_late",), block=40),
         Target("hanging", 1, _bases, _read, ("hang",), block=40),
         Target("in_a_state", 1, _bases, _read_in_a_state, block=40),

@@ -91,6 +91,15 @@ def test_a_reader_apart_decides_what_counts(planted: _Pool) -> None:
     assert planted.replay("spared", Case("honest", "text.txt", b"say_nothing")).finding is not None
 
 
+@pytest.mark.parametrize(("name", "found"), [("eating_alone", set()), ("eating", {"memory"})])
+def test_memory_counts_only_if_the_reader_apart_takes_it_in_a_new_process(tmp_path: Path, name: str, found: set[str]) -> None:
+    campaign = Campaign(tmp_path, 0, 1, PLANTED)
+    campaign.plan(40, [name])
+    campaign.run()
+    assert {known.finding.kind.value for known in campaign.state.findings.values()} == found
+    assert campaign.state.targets[name].done == 40
+
+
 def test_an_honest_input_that_is_refused_ends_the_command(planted: _Pool) -> None:
     with pytest.raises(RuntimeError, match="the base honest is refused"):
         planted.replay("dishonest", Case("honest", "text.txt", b"x"))

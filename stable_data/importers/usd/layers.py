@@ -27,6 +27,7 @@ SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 # The exceptions of reading values of other types than the schemas demand.
 _PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+_OUT_OF_MEMORY = "std::bad_alloc"  # what USD says then
 _MEMBER = b"PK\x01\x02"  # what the entry of a member in the list of a package begins with
 
 
@@ -36,6 +37,7 @@ def quiet_usd(path: str) -> Iterator[None]:
 
     Raises:
         MeshError: ``model_unreadable``.
+        MemoryError: USD needs more than there is.
         ConfigError: usd-core is not installed.
     """
     try:
@@ -48,9 +50,10 @@ def quiet_usd(path: str) -> Iterator[None]:
     except StableDataError:
         raise
     except (Tf.ErrorException, Tf.CppException, *_PARSE_ERRORS) as error:
-        message = (
-            f"{quote_value(path)}: USD cannot read it ({reason_of(error)}), expected a layer that it reads; export it again"
-        )
+        reason = reason_of(error)
+        if _OUT_OF_MEMORY in reason:
+            raise MemoryError(reason) from error
+        message = f"{quote_value(path)}: USD cannot read it ({reason}), expected a layer that it reads; export it again"
         raise MeshError(message, "model_unreadable") from error
     finally:
         delegate.TakeUncoalescedDiagnostics()
@@ -63,7 +66,7 @@ def reason_of(error: Exception) -> str:
         text = " ".join(str(error).split())
     except UnicodeDecodeError:  # it quotes the file
         text = "no text"
-    return re.sub(r"(?<=')/\S*/", "", text.rpartition(" : ")[2])[:300]
+    return re.sub(r"(?<=['@])/\S*/", "", text.rpartition(" : ")[2])[:300]
 
 
 @dataclass(frozen=True, slots=True, order=True)

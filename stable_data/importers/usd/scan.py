@@ -17,6 +17,7 @@ from stable_data.json_text import quote_value
 from stable_data.limits import LIMITS, SETTING, FileLimits, at_most, memory_limited
 
 _MOST_ANSWER = 16 * 2**20  # bytes
+_MEMORY_OF_BYTE = 64  # of a file; USD makes room for what a file states before it looks whether the file has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +104,8 @@ class LayerScanner:
             self._stop()
             found = f"was not read in {LIMITS.item.max_scan_seconds} s (item.max_scan_seconds in {SETTING})"
             if line is not None:
-                found = f"ends the process that reads it, perhaps because it needs more memory: it has {_memory()}"
+                _, most = _memory(self._root.root / path)
+                found = f"ends the process that reads it, perhaps because it needs more memory: it has {most}"
             raise MeshError(f"{quote_value(path)} {found}, expected a layer of USD; export it again", "model_unreadable")
         answer: dict[str, Any] = json.loads(line)
         if "error" in answer:
@@ -140,17 +142,28 @@ def answer_paths() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries may print
     import_module("pxr.Sdf")  # its memory is not that of a layer
     for line in sys.stdin.buffer:
+        path = json.loads(line)
+        num_bytes, most = _memory(root / path)
         try:
-            with memory_limited(LIMITS.item.max_memory_bytes):
-                answer = asdict(LayerFacts.of(Boundary(root, limits), json.loads(line)))
+            with memory_limited(num_bytes):
+                answer = asdict(LayerFacts.of(Boundary(root, limits), path))
         except MeshError as error:
             answer = {"error": str(error), "code": error.code}
         except MemoryError:
-            found = f"{quote_value(json.loads(line))} needs more memory, expected {_memory()}; is it hostile?"
+            found = f"{quote_value(path)} needs more memory, expected {most}; is it hostile?"
             answer = {"error": found, "code": "file_too_large"}
         answers.write(json.dumps(answer).encode() + b"\n")
         answers.flush()
 
 
-def _memory() -> str:
-    return at_most(LIMITS.item, "max_memory_bytes", "bytes")
+def _memory(file: Path) -> tuple[int, str]:
+    """The memory that may be used for a layer, bytes, and how an error says it."""
+    try:
+        size = file.stat().st_size
+    except OSError:
+        size = 0
+    of_layer = LIMITS.item.max_scan_memory_bytes + _MEMORY_OF_BYTE * size
+    if of_layer < LIMITS.item.max_memory_bytes:
+        most = at_most(LIMITS.item, "max_scan_memory_bytes", "bytes")
+        return of_layer, f"{most} and {_MEMORY_OF_BYTE} for each byte of the file"
+    return LIMITS.item.max_memory_bytes, at_most(LIMITS.item, "max_memory_bytes", "bytes")

@@ -2,6 +2,7 @@
 
 import io
 import math
+import struct
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -256,8 +257,24 @@ def test_a_layer_that_ends_the_parser_costs_that_layer_alone(tmp_path: Path, mon
     for num_bytes in (2**23, 2**26):  # with so little USD ends the process, with a little more it raises an error
         with monkeypatch.context() as patch, LayerScanner(Boundary(tmp_path)) as scan:
             patch.setenv(SETTING, f"item.max_memory_bytes={num_bytes}")
+            limit(patch, "item", max_memory_bytes=num_bytes)
             with pytest.raises(MeshError, match=r"more memory.*item\.max_memory_bytes in STABLE_DATA_LIMITS"):
                 scan("good.usda")
     limit(monkeypatch, "item", max_scan_seconds=0)
     with LayerScanner(Boundary(tmp_path)) as scan, pytest.raises(MeshError, match="was not read"):
         scan("good.usda")
+
+
+def test_a_small_layer_that_states_many_sections_takes_little_memory(tmp_path: Path) -> None:
+    """USD makes room for all sections, and fills it, before it looks whether the file has them: here 3.7 GB for 116,983,803."""
+    path = tmp_path / "thing.usdc"
+    save(stage_at(path))
+    content = bytearray(path.read_bytes())
+    (contents,) = struct.unpack_from("<Q", content, 16)
+    struct.pack_into("<Q", content, contents, 116_983_803)
+    path.write_bytes(content)
+    with LayerScanner(Boundary(tmp_path)) as scan, pytest.raises(
+        MeshError, match=r"more memory.*item\.max_scan_memory_bytes in STABLE_DATA_LIMITS\) and 64"
+    ) as error:
+        scan("thing.usdc")
+    assert error.value.code == "file_too_large"
