@@ -273,8 +273,9 @@ def test_a_small_layer_that_states_many_sections_takes_little_memory(tmp_path: P
     (contents,) = struct.unpack_from("<Q", content, 16)
     struct.pack_into("<Q", content, contents, 116_983_803)
     path.write_bytes(content)
-    with LayerScanner(Boundary(tmp_path)) as scan, pytest.raises(
-        MeshError, match=r"more memory.*item\.max_scan_memory_bytes in STABLE_DATA_LIMITS\) and 64"
-    ) as error:
+    with (
+        LayerScanner(Boundary(tmp_path)) as scan,
+        pytest.raises(MeshError, match=r"more memory.*item\.max_scan_memory_bytes in STABLE_DATA_LIMITS\) and 64") as error,
+    ):
         scan("thing.usdc")
     assert error.value.code == "file_too_large"
