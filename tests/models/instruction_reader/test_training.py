@@ -63,9 +63,7 @@ def test_a_stopped_training_ends_as_one_that_was_not_stopped(tmp_path: Path, mod
 
 def test_embeddings_stay_and_layers_learn(model: ReaderModel) -> None:
     was = {name: value.clone() for name, value in model.network.named_parameters()}
-    training = trainer(model)
-    for _ in range(2):
-        training.train_step()
+    trainer(model).train_step()
     changed = {name for name, value in model.network.named_parameters() if not torch.equal(value, was[name])}
     assert not any("embeddings" in name for name in changed)
     assert {"tags.weight", "start.weight", "encoder.encoder.layer.0.attention.self.query.weight"} <= changed
@@ -114,9 +112,10 @@ def test_words_beyond_the_longest_sentence_have_no_meaning(model: ReaderModel) -
 
 
 def test_weights_come_back_from_disk(tmp_path: Path, model: ReaderModel) -> None:
-    training = trainer(model)
-    for _ in range(3):
-        training.train_step()
+    with torch.no_grad():
+        for name, value in model.network.named_parameters():  # what a training changes
+            if "embeddings" not in name:
+                value.add_(torch.randn_like(value), alpha=1e-3)
     path = tmp_path / "reader.safetensors"
     save_reader(path, model, {"steps": "3"})
     assert path.stat().st_size < 20e6

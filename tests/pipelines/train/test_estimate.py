@@ -70,8 +70,14 @@ def test_the_plan_of_one_process_is_what_it_holds(case: str, base: Path) -> None
 @pytest.mark.parametrize("precision", [pytest.param("bfloat16", marks=pytest.mark.slow), "float32"])
 @pytest.mark.parametrize(
     "network",
-    [LanguageModelSettings(), LanguageModelSettings(layers=3, heads=8, key_value_heads=8, head=32, intermediate=512)],
-    ids=["embedded", "other"],
+    [
+        pytest.param(LanguageModelSettings(), id="embedded"),
+        pytest.param(
+            LanguageModelSettings(layers=3, heads=8, key_value_heads=8, head=32, intermediate=512),
+            id="other",
+            marks=pytest.mark.slow,
+        ),
+    ],
 )
 def test_the_plan_of_a_network_from_scratch_is_what_it_holds(network: LanguageModelSettings, precision: Any) -> None:
     settings = replace(EMBEDDED, steps=8, network=network, precision=precision, max_tokens=512)
