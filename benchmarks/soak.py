@@ -21,6 +21,8 @@ and differs far more than by 5 MB. So the memory of the workers at work is judge
 
 The time of a scene is that of the worker's processor. Most of it goes into long replies, whose lengths follow from the tasks. So it is
 judged at equal replies: together with the line, its dependence on the tokens of the replies of a shard, and on their squares, is fitted.
+That of the driver and of Ray's processes is a small part of it, and is *flat* if the whole interval predicts a change over all scenes of
+less than 5 % of the worker's time of a scene; the rest is as for memory.
 
 Every other quantity is *flat* if the interval predicts a change of less than 20 % of its mean over all scenes of all runs, and contains 0
 or the slope itself predicts a change of less than 5 %. The rest is as for memory.
@@ -217,6 +219,7 @@ class Trend:
 
 KEPT_MEMORY = "memory that a worker keeps, MB"
 WORKER_TIME = "worker seconds a scene, at equal replies"
+DRIVER_TIME = "driver and Ray, seconds a scene"
 MEMORY = ("driver memory, MB", "Ray's memory, MB")
 """The quantities of each look that may change by an allowance, not by a share of their mean."""
 QUANTITIES: Mapping[str, Callable[[Sample], float]] = {
@@ -309,7 +312,8 @@ def trends(runs: Sequence[SoakedRun], warm_up: int, warm_up_of_times: int) -> li
     tokens = [None if shard.tokens is None else shard.tokens / shard.scenes for _, shard in shards]
     squared = [None if shard.tokens_squared is None else shard.tokens_squared / shard.scenes for _, shard in shards]
     found.append(trend(WORKER_TIME, times, num_scenes, causes=(tokens, squared)))
-    found.append(trend("driver and Ray, seconds a scene", list(_times(of_times, _driver_and_ray)), num_scenes))
+    of_a_scene = 1000 * _FLAT * found[-1].mean / num_scenes
+    found.append(trend(DRIVER_TIME, list(_times(of_times, _driver_and_ray)), num_scenes, of_a_scene))
     found.append(trend(WALL_TIME, list(_times(of_times, _seconds)), num_scenes))
     return found
 

@@ -12,6 +12,7 @@ import pytest
 from benchmarks.chaos import NOT_COMPLETE
 from benchmarks.faults.processes import ROOT, Usage
 from benchmarks.soak import (
+    DRIVER_TIME,
     KEPT_MEMORY,
     WALL_TIME,
     WORKER_TIME,
@@ -142,7 +143,7 @@ def test_growth_after_the_start_is_found_and_growth_at_the_start_is_not() -> Non
     found = {name: one.verdict for name, one in judged(of_shards()).items()}
     assert found["driver memory, MB"] == found["driver open files"] == "grows"
     assert found["memory of workers at work, MB"] == found["Ray's memory, MB"] == found["processes"] == "flat"
-    assert found[KEPT_MEMORY] == found[WORKER_TIME] == found[WALL_TIME] == found["driver and Ray, seconds a scene"] == "flat"
+    assert found[KEPT_MEMORY] == found[WORKER_TIME] == found[WALL_TIME] == found[DRIVER_TIME] == "flat"
     assert len(found) == 12
 
 
@@ -166,6 +167,18 @@ def test_the_time_of_a_scene_is_judged_at_equal_replies(more: float, verdict: st
     assert found.high is not None
     assert found.low is not None
     assert unequal.high - unequal.low > 5 * (found.high - found.low)
+
+
+@pytest.mark.parametrize(("more", "verdict"), [(0.01, "flat"), (0.1, "grows"), (-0.1, "falls")])
+def test_the_time_of_the_driver_is_judged_as_a_part_of_that_of_a_scene(more: float, verdict: str) -> None:
+    """``more`` seconds a scene for each 1,000 scenes; a worker takes some three seconds."""
+    samples = [
+        replace(one, driver=replace(one.driver, cpu_seconds=one.scenes + more * one.scenes**2 / 2000)) for one in of_shards()
+    ]
+    found = judged(samples)
+    assert 2 < found[WORKER_TIME].mean < 5
+    assert found[DRIVER_TIME].slope == pytest.approx(more, abs=0.001)
+    assert found[DRIVER_TIME].verdict == verdict
 
 
 def test_one_shard_that_does_not_tell_makes_a_trend_unknown() -> None:
