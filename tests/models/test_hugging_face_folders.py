@@ -11,10 +11,11 @@ def test_no_folder_of_a_model_may_bring_code() -> None:
     seen, offending = 0, []
     for package in ("models", "pipelines", "stable_data"):
         for path in sorted((ROOT / package).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-                if not (
-                    isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "from_pretrained"
-                ):
+            text = path.read_text("utf-8")
+            if "from_pretrained" not in text:  # parsing takes nearly all the time
+                continue
+            for node in ast.walk(ast.parse(text)):
+                if not (isinstance(node, ast.Call) and ast.unparse(node.func).endswith("from_pretrained")):
                     continue
                 seen += 1
                 given = {word.arg: ast.unparse(word.value) for word in node.keywords}
