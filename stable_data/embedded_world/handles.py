@@ -1,7 +1,7 @@
 """The handles of embedded assets: the parts by which a hand holds a kettle, a mug or a fork."""
 
 from collections.abc import Mapping
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -49,7 +49,7 @@ def is_of_handle(mesh: Mesh, handle: tuple[FloatArray, ...]) -> np.ndarray[tuple
     return found
 
 
-@cache
+@lru_cache(maxsize=1024)
 def _assets(category: str) -> Mapping[str, EmbeddedAsset]:
     """The assets of a category by uid; none if the embedded world does not have it."""
     if category not in BY_CATEGORY:

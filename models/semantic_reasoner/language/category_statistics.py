@@ -7,7 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -213,7 +213,7 @@ def _vec3(values: object) -> Vec3:
     return found[0], found[1], found[2]
 
 
-@cache
+@lru_cache(maxsize=16384)
 def _as_written(category: str) -> str:
     """A category as it appears in the instances of layouts."""
     item = SceneObject("item", category, (0.0, 0.0, 0.0), 0.0, (1.0, 1.0, 1.0))

@@ -208,7 +208,7 @@ def _by_words() -> dict[tuple[str, ...], frozenset[str]]:
     return {words: frozenset(names) for words, names in found.items()}
 
 
-@cache
+@lru_cache(maxsize=16384)
 def classes_of(category: str) -> frozenset[str]:
     """Returns the classes of a category, possibly none."""
     words = category_words(category)
@@ -223,7 +223,7 @@ def known_names() -> tuple[str, ...]:
     return tuple(sorted({*entries, *_CALLED}))
 
 
-@cache
+@lru_cache(maxsize=16384)
 def control_part(category: str) -> str | None:
     """Returns the part of a category that can be pressed, such as ``the pump``; None if there is none."""
     words = type_words(category)
@@ -231,7 +231,7 @@ def control_part(category: str) -> str | None:
     return next((_PRESSED[end] for end in ends if end in _PRESSED), None)
 
 
-@cache
+@lru_cache(maxsize=16384)
 def nouns_of(category: str) -> tuple[str, ...]:
     """Returns the nouns of a category, its own words first; empty if it has no words."""
     noun = " ".join(type_words(category))
@@ -275,6 +275,6 @@ def closeness(found: str, wanted: str) -> int:
     return int(is_name and (bool(found_classes & wanted_classes) or not (found_classes and wanted_classes)))
 
 
-@cache
+@lru_cache(maxsize=16384)
 def _names_of(category: str) -> tuple[tuple[str, ...], ...]:
     return tuple(category_words(noun) for noun in nouns_of(category))
