@@ -268,7 +268,8 @@ class ChaosWork:
         last = 0.0 if course.idle_rounds else LAST  # what did not come in time, comes at the start
         if not job.go(spread(kinds, rng, last)):
             return False
-        found = compared(self.clean, job.run) | verified(job.run.uri)
+        meshes = ["--assets", str(self._data)] if settings.job == "correct" else []  # in a store, nothing else has them
+        found = compared(self.clean, job.run) | verified(job.run.uri, *meshes)
         for key, value in found.items():
             course.rows[key] = value if isinstance(value, bool | list) else course.rows.get(key, 0) + value
         course.idle_rounds = 0 if course.passed > course.begins else course.idle_rounds + 1
@@ -314,13 +315,13 @@ def is_complete(run: RunFolder) -> bool:
     return (read_manifest(run) or {}).get("status") == COMPLETE
 
 
-def verified(uri: str) -> dict[str, Any]:
-    """Verifies a run: ``is_whole``, and the last lines of ``stable-data verify``.
+def verified(uri: str, *more: str) -> dict[str, Any]:
+    """Verifies a run, with further options: ``is_whole``, and the last lines of ``stable-data verify``.
 
     Raises:
         RuntimeError: The command ended without a verdict.
     """
-    command = [sys.executable, "-m", "stable_data", "verify", uri, "--quiet"]
+    command = [sys.executable, "-m", "stable_data", "verify", uri, "--quiet", *more]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     lines = (done.stdout + done.stderr).strip().splitlines()[-3:]
     if done.returncode not in (DONE, SOME_FAILED):

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 _PANEL = "Verify and publish runs"
+_ASSETS = "Folder in the MesaTask-10K format, or run, with the meshes of a run that has none: correct made it of a folder."
 
 
 @app.command(rich_help_panel=_PANEL)
@@ -28,6 +29,7 @@ def verify(
     source: Annotated[
         str | None, typer.Option(metavar="RUN", help="Run whose scenes the rows refer to, for example of demonstrations.")
     ] = None,
+    assets: Annotated[str | None, typer.Option(metavar="PLACE", help=_ASSETS)] = None,
     quiet: Annotated[bool, typer.Option(help="Show no progress bar.")] = False,
 ) -> None:
     """Check whether a run is whole: manifest, checksums, rows, ids, references, and a sample of the verdicts. One line for each finding.
@@ -39,7 +41,7 @@ def verify(
     from stable_data.verification.verifier import VerifyOptions, verify_run
 
     folder = RunFolder(run)
-    options = VerifyOptions(sample, seed, _verdicts(verdicts), None if source is None else RunFolder(source))
+    options = VerifyOptions(sample, seed, _verdicts(verdicts), None if source is None else RunFolder(source), assets)
     with files_bar(quiet=quiet) as show:
         if is_evaluation(folder):
             found = list(verify_evaluation(folder, lambda finding: echo(str(finding)), options, show))
@@ -87,6 +89,7 @@ def publish(
     verdicts: Annotated[
         str, typer.Option(help="Which verdicts are computed again: all, audit (without MuJoCo), or none.")
     ] = "all",
+    assets: Annotated[str | None, typer.Option(metavar="PLACE", help=_ASSETS)] = None,
     quiet: Annotated[bool, typer.Option(help="Show no progress bar.")] = False,
 ) -> None:
     """Write a run as a dataset: card, Parquet by split, pictures, schemas, licences of assets, Croissant metadata. It is verified first.
@@ -98,7 +101,7 @@ def publish(
     from stable_data.storage.run_folder import RunFolder
     from stable_data.verification.verifier import VerifyOptions
 
-    verify_options = VerifyOptions(sample, verdicts=_verdicts(verdicts))
+    verify_options = VerifyOptions(sample, verdicts=_verdicts(verdicts), assets=assets)
     options = PublishOptions(
         title,
         licence,

@@ -66,6 +66,7 @@ class VerdictCheck:
         is_settled: Whether the job asked MuJoCo about every scene: a scene without verdict is then simulated too.
         important_threshold: The setting of preprocess with which it set the stages of scenes; None: they are not set again.
         findings: Where damage is noted.
+        assets: Folder or run with the meshes, for a run that has none.
 
     Raises:
         ConfigError: The run has no meshes (``table_missing``), or they cannot be read.
@@ -79,10 +80,11 @@ class VerdictCheck:
         simulates: bool,
         is_settled: bool,
         important_threshold: float | None = None,
+        assets: str | None = None,
     ) -> None:
         self._findings, self._simulates, self._is_settled = findings, simulates, is_settled
         self._important_threshold = important_threshold
-        self._store, self._containers = _opened(folder)
+        self._store, self._containers = _opened(folder, assets)
         has_reports = bool(folder.files("assets") and folder.files("meshes"))
         self._reports = RowsOfAssets(folder, "assets", set(SCHEMAS["assets"].names) - _REPORTED) if has_reports else None
         self._reported = set[str]()
@@ -243,15 +245,19 @@ def _is_near(value: Any, limit: float) -> bool:
     return value is not None and abs(value - limit) <= _NEAR * limit
 
 
-def _opened(folder: RunFolder) -> tuple[AssetStore, "_Containers"]:
-    """The meshes of a run, and whether its assets are containers."""
-    if folder.files("meshes"):
-        annotations = run_annotations(folder) if folder.files("assets") else {}
-        return run_store(folder.uri), _Containers({name: annotations[name].is_container for name in annotations})
-    root = Path(folder.root) / "dataset"  # what a correction of a folder writes beside the tables
-    if not (folder.is_local and root.is_dir()):
+def _opened(folder: RunFolder, assets: str | None) -> tuple[AssetStore, "_Containers"]:
+    """The meshes of a run, else those of the place that has them, and whether the assets are containers."""
+    run = next((r for r in (folder, *([] if assets is None else [RunFolder(assets)])) if r.files("meshes")), None)
+    if run is not None:
+        annotations = run_annotations(run) if run.files("assets") else {}
+        return run_store(run.uri), _Containers({name: annotations[name].is_container for name in annotations})
+    root = (
+        Path(folder.root) / "dataset" if assets is None else Path(assets)
+    )  # a correction of a folder writes it beside the tables
+    if assets is None and not (folder.is_local and root.is_dir()):
         raise ConfigError(
-            f"{folder.uri}: has no meshes, expected the table meshes; its verdicts cannot be checked, --verdicts none leaves them out",
+            f"{folder.uri}: has no meshes, expected the table meshes; its verdicts cannot be checked; --assets names the folder or run "
+            "that has its meshes, --verdicts none leaves verdicts out",
             "table_missing",
         )
     dataset = MesaTaskDataset(root)

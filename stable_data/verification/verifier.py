@@ -100,12 +100,14 @@ class VerifyOptions:
         seed: Chooses these scenes.
         verdicts: Which verdicts are computed again.
         source: The run that the scene ids of episodes, views, ratings and variants refer to; None: they are not looked up.
+        assets: Folder in the MesaTask-10K format, or run, with the meshes of a run that has none.
     """
 
     sample: int = 20
     seed: int = 0
     verdicts: Verdicts = "all"
     source: RunFolder | None = None
+    assets: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -415,6 +417,7 @@ class _Verifier:
                 simulates=simulates,
                 is_settled=is_settled,
                 important_threshold=threshold,
+                assets=self._options.assets,
             )
         except ConfigError as error:
             findings.cannot_know(f"verdicts: {error}")

@@ -405,6 +405,31 @@ def test_references_to_another_run_are_resolved_in_it(generated: Path, clean_run
     assert [f.what for f in found] == ["variant_of is 'task_2', which is in no row of scenes of the source"]
 
 
+def test_a_run_without_meshes_is_judged_with_those_of_its_folder(
+    dataset: Path, clean_run: Path, real_data: Path, tmp_path: Path
+) -> None:
+    """What correct makes of a folder has none of its own, where no folder can be written beside it: in an object store."""
+    from pipelines.correct.job import correct
+    from pipelines.correct.settings import CorrectSettings
+    from pipelines.execution.ray_executor import WorkerPool
+
+    run = str(tmp_path / "run")
+    correct(str(dataset), run, CorrectSettings(weights="none", num_pictures=0, write_dataset=False), WorkerPool())
+
+    def last_line(*more: str) -> str:
+        done = CliRunner().invoke(app, ["verify", run, "--verdicts", "audit", "--quiet", *more])
+        assert done.exit_code == (DONE if ": whole" in done.stdout else SOME_FAILED)
+        return done.stdout.splitlines()[-1]
+
+    assert "not known to be whole: verdicts" in (unknown := last_line())
+    assert "--assets names" in unknown
+    for place in (dataset, clean_run):
+        assert "verdicts of 4 of 4 scenes by audit" in last_line("--assets", str(place))
+    assert "damaged" in last_line("--assets", str(real_data))
+    missing = str(tmp_path / "none")
+    assert f"not known to be whole: verdicts: {missing} is not a folder" in last_line("--assets", missing)
+
+
 # --- checksums and the manifest -----------------------------------------------------------------------------------------------
 
 
