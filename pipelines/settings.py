@@ -226,7 +226,7 @@ def _section(file: Path, section: str) -> Mapping[str, Any]:
     try:
         with file.open("rb") as stream:
             content = stream.read(LIMITS.text.max_config_bytes + 1)
-        if len(content) > LIMITS.text.max_config_bytes:  # the time of the parser grows with the square of a key's length
+        if len(content) > LIMITS.text.max_config_bytes:  # time and memory of the parser grow with the square of a key's length
             raise ValueError(f"it is larger, expected {at_most(LIMITS.text, 'max_config_bytes', 'bytes')}")
         document = tomllib.loads(content.decode())
     except (OSError, ValueError) as error:  # ValueError: no UTF-8, no TOML, or a number of thousands of digits
@@ -252,6 +252,9 @@ def _hint(name: str, known: Iterable[str]) -> str:
 
 
 def _parse_value(value: str) -> Any:
+    if len(value) > LIMITS.text.max_config_bytes:  # it may have keys too
+        most = at_most(LIMITS.text, "max_config_bytes", "characters")
+        raise ConfigError(f"--set: {_line(value)} has {len(value):,} characters, expected {most}", "config_invalid")
     try:
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:

@@ -2,15 +2,17 @@
 
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stable_data.errors import Notice, SceneError
+from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.limits import LIMITS, at_most
 
 _ENDS = ("\n", "\r")  # of a line
+_NO_UTF8 = re.compile("[\udc80-\udcff]")  # what Python makes of bytes of file names that are not UTF-8
 
 
 class ReadLog:
@@ -148,7 +150,7 @@ def is_cut(line: str) -> bool:
 
 
 def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
-    """Reads a text file line by line; a file may have any number of lines, of limited length.
+    """Reads a text file line by line, up to limits on its lines and on the length of one.
 
     Args:
         path: The file, UTF-8. Bytes that are not UTF-8 become lone surrogates, for which :func:`json_value` refuses a line.
@@ -160,8 +162,9 @@ def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
 
     Raises:
         OSError: The file cannot be read.
+        ConfigError: It has too many lines (``too_many_lines``): each that is invalid is kept with its reason.
     """
-    most = LIMITS.text.max_line
+    most, lines_left = LIMITS.text.max_line, LIMITS.text.max_lines
     with path.open(encoding="utf-8-sig", errors="surrogateescape", newline=newline) as stream:
         while line := stream.readline(most):
             if len(line) == most and not line.endswith(_ENDS):
@@ -170,6 +173,11 @@ def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
                     rest = stream.readline(most)
                     num_quotes += rest.count('"')
                 line += '"' * (num_quotes % 2) + "\0"
+            if not lines_left:
+                raise ConfigError(
+                    f"{path}: has more lines, expected {at_most(LIMITS.text, 'max_lines')}; divide it", "too_many_lines"
+                )
+            lines_left -= 1
             yield line
 
 
@@ -230,6 +238,11 @@ def _has_many_values(text: str) -> bool:
 
 def _refuse_constant(constant: str) -> float:
     raise ValueError(f"{constant} is not a JSON number")
+
+
+def as_text(name: str) -> str:
+    """The name of a file or folder as text that can be written: bytes that are not UTF-8 become ``%FF``."""
+    return _NO_UTF8.sub(lambda found: f"%{ord(found[0]) & 0xFF:02X}", name)
 
 
 def is_unicode(value: object) -> bool:

@@ -251,7 +251,8 @@ class TextLimits:
         max_reply_bytes: Size of the reply of a language model; a layout of 60 objects has about 20,000 bytes.
         max_answer_bytes: Size of what an endpoint sends for one request.
         max_line: Characters of a line of a file of tasks or edits.
-        max_config_bytes: Size of a TOML file of settings.
+        max_lines: Lines of such a file.
+        max_config_bytes: Size of a TOML file of settings, and of a value of --set.
         max_document_bytes: Size of a JSON file of the project, such as a manifest, labels or statistics.
         max_checksum_bytes: Size of the file of checksums of a run; a line of one file has about 120 bytes.
         max_query: Characters of a condition: enough for 10,000 ids of 96 characters each.
@@ -262,7 +263,8 @@ class TextLimits:
     max_reply_bytes: int = 256 * KIB
     max_answer_bytes: int = 16 * MIB
     max_line: int = 1 * MIB
-    max_config_bytes: int = 64 * KIB
+    max_lines: int = 1_000_000
+    max_config_bytes: int = 16 * KIB
     max_document_bytes: int = 256 * MIB
     max_checksum_bytes: int = 64 * MIB
     max_query: int = 1_000_000

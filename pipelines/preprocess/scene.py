@@ -9,6 +9,7 @@ from stable_data.assets.store import AssetStore
 from stable_data.errors import Notice
 from stable_data.instructions.deriving import derive_task, task_rng
 from stable_data.instructions.task_info import TaskWriter, model_task, resolve_task_objects
+from stable_data.json_text import as_text
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.dataset_split import SplitShares, split_of
 from stable_data.mesatask.near_duplicates import duplicate_group
@@ -184,7 +185,7 @@ def origin_of(dataset: MesaTaskDataset, scene: Scene, settings: SceneSettings) -
     return {
         "source": dataset.root.name,
         "split": split_of(group, scene.table.table_type, shares),
-        "layout_path": layout.relative_to(dataset.root).as_posix(),
+        "layout_path": as_text(layout.relative_to(dataset.root).as_posix()),
         "layout_sha256": hashlib.sha256(layout.read_bytes()).hexdigest(),
         "duplicate_group": group,
     }

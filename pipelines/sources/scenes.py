@@ -21,6 +21,7 @@ from stable_data.errors import ConfigError, Notice, SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import MesaTaskDataset, PositionConvention
 from stable_data.mesatask.convention_detection import position_convention
+from stable_data.mesatask.writing import scene_folder
 from stable_data.metrics.audit import audit_scene
 from stable_data.metrics.verdicts import Audit
 from stable_data.scene import Scene
@@ -135,8 +136,13 @@ class FolderSource:
         return [SceneChunk(shard.shard_id, shard.items) for shard in plan.scenes], dict(plan.inputs)
 
     def take(self, scene_id: str, settings: SceneSettings, progress: ItemProgress) -> SourceScene:
-        """Reads and audits one scene and gives it a task and stages, as preprocess does, but without relations."""
+        """Reads and audits one scene and gives it a task and stages, as preprocess does, but without relations.
+
+        Raises:
+            SceneError: It cannot be read, or no folder of the corrected scenes could have its name (``scene_id_invalid``).
+        """
         found = prepare_scene(self.dataset, scene_id, self.store, settings, progress)
+        scene_folder(self.dataset.root, found.scene)
         scene = replace(found.scene, relations=())  # a layout states no relations, and those that hold in it may be errors
         origin = origin_of(self.dataset, scene, settings)
         return SourceScene(scene, found.posed.shapes, found.audit, self.containers(scene), origin, found.notices)

@@ -204,12 +204,18 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
     """
     name = name or run.uri
     table = run.table("assets", [*_COLUMNS, "text_embedding"] if own_features else _COLUMNS)
-    assets, features, slanted = list[Asset](), dict[str, Any](), dict[str, Sequence[tuple[QuatXyzw, int]]]()
+    assets, features, left_out = list[Asset](), dict[str, Any](), dict[str, str]()
+    slanted = dict[str, Sequence[tuple[QuatXyzw, int]]]()
     for batch in table.to_batches(_ROWS):  # few rows at a time, because as Python objects they need much more memory
         for row in batch.to_pylist():
-            uid, extents = row["asset_id"], as_vec3(row["extents"])
-            seen = merge_similar_tilts([(_quat(tuple(t["tilt_quat_xyzw"])), t["count"]) for t in row["resting_tilts"]])
-            tilts = add_leaning_tilts(seen, extents)
+            uid = row["asset_id"]
+            try:
+                extents = as_vec3(row["extents"])
+                seen = merge_similar_tilts([(_quat(tuple(t["tilt_quat_xyzw"])), t["count"]) for t in row["resting_tilts"]])
+                tilts = add_leaning_tilts(seen, extents)
+            except (TypeError, ValueError):  # a null, or a list of another length
+                left_out[str(uid)] = "without extent or resting tilts"
+                continue
             if any(not is_right_angled(quat) for quat, _ in tilts):
                 slanted[uid] = tilts
             assets.append(_asset_of_row(row, extents, resting_tilts(tilts, extents, None)))
@@ -217,7 +223,7 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
                 features[uid] = row["text_embedding"]
     boxes = _slanted_tilts(run, slanted, {asset.asset_id: asset.extents for asset in assets})
     assets = [replace(a, tilts=boxes[a.asset_id]) if a.asset_id in boxes else a for a in assets]
-    library = build_library(name, assets, features if own_features else None, {})
+    library = build_library(name, assets, features if own_features else None, left_out)
     library = library if own_features else _with_stored_features(library, run)
     del table
     pa.default_memory_pool().release_unused()  # of a large table this is much more than what the library needs

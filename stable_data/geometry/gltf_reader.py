@@ -253,6 +253,8 @@ class _GlbReader:
     binary: memoryview = field(default_factory=lambda: memoryview(b""))
     images: dict[int, bytes] = field(default_factory=dict)
     stored_images: dict[str, bytes] = field(default_factory=dict)
+    num_image_bytes: int = 0
+    num_stored_bytes: int = 0
 
     def fail(self, code: str, found: str, expected: str) -> NoReturn:
         raise MeshError(f"asset {self.asset_id}: {found:.300}, expected {expected}", code)
@@ -380,7 +382,8 @@ class _GlbReader:
         index = image["bufferView"]
         if index not in self.images:  # many primitives may share one large texture
             self.images[index] = bytes(self._view(index))
-            if sum(map(len, self.images.values())) > len(self.binary):  # overlapping textures could fill the memory
+            self.num_image_bytes += len(self.images[index])
+            if self.num_image_bytes > len(self.binary):  # overlapping textures could fill the memory
                 self.fail("glb_invalid", "has textures that overlap", "a part of the file for each; export it again")
         return self.images[index]
 
@@ -392,7 +395,8 @@ class _GlbReader:
                 found = f"its look names the image {sha256}, which the table textures does not have"
                 self.fail("texture_missing", found, "a row for it; import the asset again")
             self.stored_images[sha256] = content
-            self.check_limit("max_bytes", sum(map(len, self.stored_images.values())))
+            self.num_stored_bytes += len(content)
+            self.check_limit("max_bytes", self.num_stored_bytes)
         return self.stored_images[sha256]
 
     def _placed_primitives(self) -> Iterator[tuple[dict[str, Any], FloatArray, IntArray]]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from stable_data.assets.annotation import AssetAnnotation
 from stable_data.errors import ConfigError, Notice, SceneError
-from stable_data.json_text import ReadLog, read_bounded
+from stable_data.json_text import ReadLog, as_text, read_bounded
 from stable_data.limits import LIMITS, LayoutLimits
 from stable_data.mesatask.layout import LAYOUT_FILE, read_layout
 from stable_data.mesatask.library import AssetFolder
@@ -161,13 +161,17 @@ def _scene_folders(root: Path, log: ReadLog) -> dict[str, Path]:
     for folder in (folder for folder in every if not (folder / LAYOUT_FILE).is_file()):
         name = _free_name(folder, named)
         named[name] = folder
-        message = (
-            f"{name}: {folder.relative_to(root)} has no {LAYOUT_FILE}; it is not a scene; add the file or remove the folder"
-        )
+        where = as_text(str(folder.relative_to(root)))
+        message = f"{name}: {where} has no {LAYOUT_FILE}; it is not a scene; add the file or remove the folder"
         log.notices.append(Notice(name, "read", "layout_missing", message))
     return folders
 
 
 def _free_name(folder: Path, taken: Mapping[str, Path]) -> str:
     """The id of a scene: its folder's name, with the table type if another scene has that name."""
-    return folder.name if folder.name not in taken else f"{folder.parent.name}/{folder.name}"
+    name = as_text(folder.name)
+    if name in taken and taken[name].parent != folder.parent:
+        name = f"{as_text(folder.parent.name)}/{name}"
+    while name in taken:  # of a name that is not UTF-8, and of one that is written like it
+        name += "_"
+    return name

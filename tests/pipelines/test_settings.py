@@ -287,5 +287,7 @@ def test_a_large_file_is_not_parsed(tmp_path: Path) -> None:
     """The time of the parser grows with the square of a key's length: 100,000 parts took minutes."""
     file = tmp_path / "run.toml"
     file.write_text("[sample]\na" + ".a" * 100_000 + " = 1\n", "utf-8")
-    with soon(2.0), pytest.raises(ConfigError, match=r"at most 65,536 bytes \(text\.max_config_bytes in STABLE_DATA_LIMITS\)"):
+    with soon(2.0), pytest.raises(ConfigError, match=r"at most 16,384 bytes \(text\.max_config_bytes in STABLE_DATA_LIMITS\)"):
         resolve_settings(Sample, "sample", file, [])
+    with soon(2.0), pytest.raises(ConfigError, match="has 100,007 characters, expected at most 16,384 characters"):
+        resolve_settings(Sample, "sample", None, [f"name={{a{'.a' * 50_000} = 1}}"])

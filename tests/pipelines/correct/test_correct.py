@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -199,6 +200,20 @@ def test_an_item_in_a_process_of_its_own_gives_the_same_rows(broken: Path, corre
     write(ShardTask(0, Shard("0" * 16, tuple(ids))), isolated=True)
     whole = rows_of(corrected, "scenes")
     assert rows_of(tmp_path, "scenes") == {scene_id: whole[scene_id] for scene_id in ids}
+
+
+def test_odd_names_of_scene_folders_stop_no_job(bare: Path, tmp_path: Path) -> None:
+    """A name that is not UTF-8 is written in another way; one that other systems cannot have is a failure of its scene."""
+    data = Path(shutil.copytree(bare, tmp_path / "data"))
+    (layout,) = data.glob("Layout_info/*/*/layout.json")
+    for name in (b"s\xff", rb"a\b"):
+        folder = Path(os.fsdecode(os.fsencode(layout.parent.parent) + b"/" + name))
+        folder.mkdir()
+        shutil.copy(layout, folder)
+    counts = correct(str(data), str(tmp_path / "out"), CorrectSettings(weights="none", num_pictures=0), WorkerPool())["counts"]
+    assert (counts["scenes"], counts["failures_by_code"]) == (2, {"scene_id_invalid": 1})
+    assert sorted(rows_of(tmp_path / "out", "scenes")) == [layout.parent.name, "s%FF"]
+    assert {p.name for p in tmp_path.glob("out/dataset/Layout_info/*/*")} == {layout.parent.name, "s%FF"}
 
 
 @pytest.mark.parametrize("table", CorrectWork.TABLES)

@@ -66,6 +66,14 @@ def test_a_run_becomes_a_catalogue_in_the_order_of_its_uids(tmp_path: Path) -> N
     assert found.tilts == (RestingTilt(UPRIGHT, (1.0, 2.0, 4.0), 3),)
 
 
+def test_an_asset_without_an_extent_or_a_tilt_is_left_out(tmp_path: Path) -> None:
+    """Rows of a damaged run, of which ``stable-data verify`` tells."""
+    lost = row("b", extents=None), row("c", extents=[1.0]), row("d", resting_tilts=[{"tilt_quat_xyzw": None, "count": 1}])
+    library = library_of_run(run_of(tmp_path, row("a"), *lost))
+    assert [asset.asset_id for asset in library.assets] == ["a"]
+    assert dict(library.left_out) == dict.fromkeys("bcd", "without extent or resting tilts")
+
+
 def test_a_run_that_kept_no_flags_offers_what_its_scenes_put_on_a_table(tmp_path: Path) -> None:
     library = library_of_run(run_of(tmp_path, row("seen"), row("table", resting_tilts=[])))
     assert {asset.asset_id: asset.is_offered for asset in library.assets} == {"seen": True, "table": False}

@@ -181,6 +181,22 @@ def test_many_textures_are_no_more_than_the_file() -> None:
         load_surfaces(edited(glb_bytes(BOX), edit), "thing")
 
 
+def test_many_textures_take_no_time_of_their_own() -> None:
+    """Each of 19,000 primitives has a texture of one byte of its own; all were counted again for each."""
+
+    def edit(document: dict[str, Any]) -> None:
+        count = 19_000
+        size = document["buffers"][0]["byteLength"]
+        document["bufferViews"] += [{"buffer": 0, "byteOffset": k % size, "byteLength": 0} for k in range(count)]
+        document["images"] = [{"bufferView": 2 + k} for k in range(count)]
+        document["textures"] = [{"source": k} for k in range(count)]
+        document["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": k}}} for k in range(count)]
+        document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 1}, "material": k} for k in range(count)]
+
+    with soon(8.0):
+        assert len(load_surfaces(edited(glb_bytes(BOX), edit), "thing")) == 19_000
+
+
 def test_a_colour_of_a_large_accessor_costs_what_the_primitive_has() -> None:
     """Each of 5,000 primitives names the same million colours, and has one triangle."""
 

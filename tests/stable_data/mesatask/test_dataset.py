@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -215,6 +216,29 @@ def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
     assert write_scene(tmp_path / "copy", scene).relative_to(tmp_path / "copy").parts == ("Layout_info", "x_table", folder.name)
     with pytest.raises(SceneError, match="no such scene"):
         dataset.read("../office_table_0001")
+
+
+def test_a_scene_whose_folder_has_a_name_that_is_not_utf8_is_one_like_others(tmp_path: Path) -> None:
+    folder = make_dataset(tmp_path)
+    layout = (folder / "layout.json").read_bytes()
+    for name in (b"s\xff", b"s%FF", rb"office_table", b"\xff"):
+        other = Path(os.fsdecode(os.fsencode(folder.parent) + b"/" + name))
+        other.mkdir()
+        if name != b"\xff":
+            (other / "layout.json").write_bytes(layout)
+    dataset = MesaTaskDataset(tmp_path)
+    ids = ("office_table", "office_table_0001", "s%FF", "s%FF_")
+    assert dataset.scene_ids == ids
+    assert {dataset.layout_path(name).parent.name for name in ids} == {
+        "office_table",
+        "s%FF",
+        "office_table_0001",
+        "s\udcff",
+    }
+    assert [dataset.read(name)[0].scene_id for name in ids] == [*ids]
+    (lost,) = dataset.notices
+    assert (lost.item_id, lost.code) == ("%FF", "layout_missing")
+    assert lost.message.encode()
 
 
 def test_layouts_alone_are_enough(tmp_path: Path) -> None:

@@ -86,6 +86,7 @@ _ONE = b"\x80\x04}(\x8c\x04uids](\x8c\x01ae\x8c\rtext_features"
 
 _DEEP_LIST = b"]" * 200_000 + b"a" * 199_999
 _DTYPE = b"cnumpy\ndtype\n" + _DEEP_LIST + b"\x85R"
+_LONG = b"\x8b" + (200_000).to_bytes(4, "little") + b"\x01" * 200_000
 _RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
 
 
@@ -113,6 +114,12 @@ _RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
         ),
         (_ONE + _DEEP_LIST + b"u.", "features_invalid", "expected a row of numbers"),
         (_ONE + _RECONSTRUCT + b"(K\x01" + _DEEP_LIST + b"\x85N\x89](K\x01etbu.", "features_invalid", "an invalid shape"),
+        # The product of two lengths of 20 million bytes takes minutes; these are shorter.
+        (
+            _ONE + _RECONSTRUCT + b"(K\x01" + _LONG + b"\x94h\x00\x86N\x89](K\x01etbu.",
+            "features_invalid",
+            "a longer shape, expected at most 1,000,000 numbers",
+        ),
         (_ONE + b"](](\x8a\xc8" + b"\x7f" * 200 + b"eeu.", "features_invalid", "not a table"),
         (
             pickle.dumps({"uids": ["a"] * 5000, "text_features": [[0.5] * 5000] * 5000}),
