@@ -92,8 +92,8 @@ def test_a_corrected_folder_is_whole(corrected: Path) -> None:
     assert check_whole(corrected).num_audited == 4
 
 
-def test_a_corrected_folder_is_published_without_its_meshes(corrected: Path, tmp_path: Path) -> None:
-    """They stay in the dataset, so that nobody can judge the published scenes again; all else is verified."""
+def test_a_corrected_folder_is_published_without_its_meshes(broken: Path, corrected: Path, tmp_path: Path) -> None:
+    """They stay in the dataset, so that only who has it can judge the published scenes again; all else is verified."""
     out = tmp_path / "out"
     done = CliRunner().invoke(stable_data, ["publish", str(corrected), str(out), "--quiet", "--verdicts", "audit"])
     assert done.exit_code == 0, done.output
@@ -104,8 +104,10 @@ def test_a_corrected_folder_is_published_without_its_meshes(corrected: Path, tmp
     done = CliRunner().invoke(stable_data, ["verify", str(out), "--quiet"])
     assert done.exit_code == 1
     assert "not known to be whole" in done.stdout
-    assert "--verdicts none leaves them out" in done.stdout
+    assert "--verdicts none leaves verdicts out" in done.stdout
     check_whole(out, verdicts="none")
+    done = CliRunner().invoke(stable_data, ["verify", str(out), "--quiet", "--verdicts", "audit", "--assets", str(broken)])
+    assert (done.exit_code, "verdicts of 4 of 4 scenes by audit" in done.stdout) == (0, True), done.stdout
 
 
 def test_a_page_shows_a_scene_before_and_after(broken: Path, corrected: Path, tmp_path: Path) -> None:
