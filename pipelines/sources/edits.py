@@ -64,7 +64,7 @@ def read_edits(path: Path, scene_ids: Container[str]) -> EditFile:
         its line, such as ``line 000002``; the space keeps it apart from ids of edits.
 
     Raises:
-        ConfigError: The file cannot be read, or contains no line (``edits_invalid``).
+        ConfigError: The file cannot be read, or contains no line (``edits_invalid``); it has too many lines (``too_many_lines``).
     """
     try:
         lines = list(bounded_lines(path))

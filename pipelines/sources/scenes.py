@@ -142,7 +142,7 @@ class FolderSource:
             SceneError: It cannot be read, or no folder of the corrected scenes could have its name (``scene_id_invalid``).
         """
         found = prepare_scene(self.dataset, scene_id, self.store, settings, progress)
-        scene_folder(self.dataset.root, found.scene)
+        scene_folder(self.dataset.root, found.scene)  # a bad name fails here alone, not the whole job when it writes dataset/
         scene = replace(found.scene, relations=())  # a layout states no relations, and those that hold in it may be errors
         origin = origin_of(self.dataset, scene, settings)
         return SourceScene(scene, found.posed.shapes, found.audit, self.containers(scene), origin, found.notices)

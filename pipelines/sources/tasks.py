@@ -47,7 +47,8 @@ def read_tasks(path: Path) -> Iterator[LayoutTask | Notice]:
         number of the row, ``task_000002``; the id of a notice has a space instead, so that it cannot be the id of a task.
 
     Raises:
-        ConfigError: The file cannot be read, has another format, or contains no row (``tasks_invalid``).
+        ConfigError: The file cannot be read, has another format, or contains no row (``tasks_invalid``); it has too many lines
+            (``too_many_lines``).
     """
     taken: set[str] = set()
     number = 0

@@ -211,11 +211,11 @@ def library_of_run(run: RunFolder, name: str | None = None, *, own_features: boo
             uid = row["asset_id"]
             try:
                 extents = as_vec3(row["extents"])
-                seen = merge_similar_tilts([(_quat(tuple(t["tilt_quat_xyzw"])), t["count"]) for t in row["resting_tilts"]])
-                tilts = add_leaning_tilts(seen, extents)
+                seen = [(_quat(tuple(t["tilt_quat_xyzw"])), int(t["count"])) for t in row["resting_tilts"]]
             except (TypeError, ValueError):  # a null, or a list of another length
                 left_out[str(uid)] = "without extent or resting tilts"
                 continue
+            tilts = add_leaning_tilts(merge_similar_tilts(seen), extents)
             if any(not is_right_angled(quat) for quat, _ in tilts):
                 slanted[uid] = tilts
             assets.append(_asset_of_row(row, extents, resting_tilts(tilts, extents, None)))

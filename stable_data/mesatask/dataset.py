@@ -27,7 +27,8 @@ class MesaTaskDataset:
 
     Attributes:
         root: Its folder.
-        scene_ids: Its scenes, sorted: the names of their folders; a name that occurs again becomes ``<table type>/<name>``.
+        scene_ids: Its scenes, sorted: the names of their folders, of which a byte that is not UTF-8 is written
+            as ``%FF``; a name that occurs again becomes ``<table type>/<name>``.
         notices: Remarks on the folder as a whole.
 
     Raises:

@@ -247,19 +247,19 @@ def _is_near(value: Any, limit: float) -> bool:
 
 def _opened(folder: RunFolder, assets: str | None) -> tuple[AssetStore, "_Containers"]:
     """The meshes of a run, else those of the place that has them, and whether the assets are containers."""
-    run = next((r for r in (folder, *([] if assets is None else [RunFolder(assets)])) if r.files("meshes")), None)
-    if run is not None:
-        annotations = run_annotations(run) if run.files("assets") else {}
-        return run_store(run.uri), _Containers({name: annotations[name].is_container for name in annotations})
-    root = (
-        Path(folder.root) / "dataset" if assets is None else Path(assets)
-    )  # a correction of a folder writes it beside the tables
-    if assets is None and not (folder.is_local and root.is_dir()):
-        raise ConfigError(
-            f"{folder.uri}: has no meshes, expected the table meshes; its verdicts cannot be checked; --assets names the folder or run "
-            "that has its meshes, --verdicts none leaves verdicts out",
-            "table_missing",
-        )
+    place = folder if assets is None or folder.files("meshes") else RunFolder(assets)
+    if place.files("meshes"):
+        annotations = run_annotations(place) if place.files("assets") else {}
+        return run_store(place.uri), _Containers({name: annotations[name].is_container for name in annotations})
+    root = Path(place.root)
+    if place is folder:
+        root /= "dataset"  # what a correction of a folder writes beside the tables
+        if not (folder.is_local and root.is_dir()):
+            raise ConfigError(
+                f"{folder.uri}: has no meshes, expected the table meshes; its verdicts cannot be checked; --assets names the folder "
+                "or run that has its meshes, --verdicts none leaves verdicts out",
+                "table_missing",
+            )
     dataset = MesaTaskDataset(root)
     return AssetStore(dataset), _Containers({name: dataset.annotation(name).is_container for name in dataset.annotations})
 

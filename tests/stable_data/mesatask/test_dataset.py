@@ -221,7 +221,7 @@ def test_scenes_of_one_name_are_told_apart(tmp_path: Path) -> None:
 def test_a_scene_whose_folder_has_a_name_that_is_not_utf8_is_one_like_others(tmp_path: Path) -> None:
     folder = make_dataset(tmp_path)
     layout = (folder / "layout.json").read_bytes()
-    for name in (b"s\xff", b"s%FF", rb"office_table", b"\xff"):
+    for name in (b"s\xff", b"s%FF", b"office_table", b"\xff"):
         other = Path(os.fsdecode(os.fsencode(folder.parent) + b"/" + name))
         other.mkdir()
         if name != b"\xff":
