@@ -174,11 +174,15 @@ def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
                     num_quotes += rest.count('"')
                 line += '"' * (num_quotes % 2) + "\0"
             if not lines_left:
-                raise ConfigError(
-                    f"{path}: has more lines, expected {at_most(LIMITS.text, 'max_lines')}; divide it", "too_many_lines"
-                )
+                raise too_many_lines(path)
             lines_left -= 1
             yield line
+
+
+def too_many_lines(path: Path) -> ConfigError:
+    """The error of a file of tasks or edits that has too many lines or rows."""
+    most = at_most(LIMITS.text, "max_lines")
+    return ConfigError(f"{path}: has more lines, expected {most}; divide it", "too_many_lines")
 
 
 def read_json(path: Path) -> Any:

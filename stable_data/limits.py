@@ -251,7 +251,7 @@ class TextLimits:
         max_reply_bytes: Size of the reply of a language model; a layout of 60 objects has about 20,000 bytes.
         max_answer_bytes: Size of what an endpoint sends for one request.
         max_line: Characters of a line of a file of tasks or edits.
-        max_lines: Lines of such a file.
+        max_lines: Lines of such a file, or rows if it is Parquet.
         max_config_bytes: Size of a TOML file of settings, and of a value of --set.
         max_document_bytes: Size of a JSON file of the project, such as a manifest, labels or statistics.
         max_checksum_bytes: Size of the file of checksums of a run; a line of one file has about 120 bytes.

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from models.semantic_reasoner.staged_layout import LayoutTask
 from stable_data.errors import ConfigError, Notice, SceneError, cannot_write
-from stable_data.json_text import bounded_lines, is_cut, is_unicode, json_value, quote_value
+from stable_data.json_text import bounded_lines, is_cut, is_unicode, json_value, quote_value, too_many_lines
 from stable_data.limits import LIMITS, at_most
 from stable_data.scene import Tabletop
 from stable_data.storage.parquet_files import bounded_batches, open_parquet
@@ -174,6 +174,8 @@ def _rows(path: Path) -> Iterator[tuple[int, Callable[[], Mapping[str, Any]]]]:
         yield from enumerate(_csv_rows(reader, lines), 1)
     elif path.suffix == ".parquet":
         with open_parquet(path) as file:
+            if file.metadata.num_rows > LIMITS.text.max_lines:
+                raise too_many_lines(path)
             _check_columns(path, list(file.schema_arrow.names))
             number = 0
             for batch in bounded_batches(file, str(path), range(file.num_row_groups), most_rows=_ROWS):

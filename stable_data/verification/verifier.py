@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
@@ -14,6 +15,7 @@ import pyarrow.compute as pc
 
 from stable_data.errors import ConfigError
 from stable_data.extras import install_hint
+from stable_data.mesatask import MesaTaskDataset
 from stable_data.storage.checksums import CHECKSUMS
 from stable_data.storage.id_hashes import IdSet, id_hashes
 from stable_data.storage.manifest import COMPLETE, MANIFEST
@@ -189,8 +191,11 @@ def verify_run(
         progress: Called after each file, and after each scene that is judged again.
 
     Raises:
-        ConfigError: There is no run (``not_a_run``), or the folder cannot be read.
+        ConfigError: There is no run (``not_a_run``), the folder cannot be read, or the place of the assets is neither a run with
+            meshes nor a folder in the MesaTask-10K format.
     """
+    if options.assets is not None and not RunFolder(options.assets).files("meshes"):
+        MesaTaskDataset(Path(RunFolder(options.assets).root))
     if not (folder.tables() or folder.has_file(MANIFEST)):
         raise ConfigError(f"{folder.uri}: no tables and no manifest.json, expected the folder of a run", "not_a_run")
     return _Verifier(folder, Findings(tell), options, progress or (lambda *_: None)).run()

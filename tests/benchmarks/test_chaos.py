@@ -1,12 +1,11 @@
 """Jobs to which faults happen end with the rows of an undisturbed run; what is not the same is told."""
 
 import json
-import os
 import re
 import signal
 import time
 from pathlib import Path
-from threading import Thread
+from threading import Thread, main_thread
 from typing import Any
 
 import pytest
@@ -192,7 +191,7 @@ def test_an_interrupted_undisturbed_run_ends_cleanly_and_is_continued(dataset: P
     def interrupt() -> None:
         while not log.exists() or b"correct:" not in log.read_bytes():
             time.sleep(0.05)
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.pthread_kill(main_thread().ident or 0, signal.SIGINT)  # sent to the process, it may not wake this thread
 
     Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):

@@ -236,6 +236,18 @@ def test_a_replaced_mesh_is_read_anew_by_a_process_that_knows_the_old_one(tiny: 
     assert after["extents"] == pytest.approx([1.0, 2.0, 3.0])
 
 
+@pytest.mark.parametrize("wrong", ["--data", "--out"])
+def test_a_folder_whose_name_is_not_utf8_is_told(wrong: str, bare: Path, tmp_path: Path) -> None:
+    odd = tmp_path / os.fsdecode(b"caf\xe9")
+    if wrong == "--data":
+        shutil.copytree(bare, odd)
+    options = {"--data": str(bare), "--out": str(tmp_path / "out"), "--workers": "0"} | {wrong: str(odd)}
+    done = CliRunner().invoke(app, ["preprocess", *(word for pair in options.items() for word in pair)])
+    assert done.exit_code == 2, done.output
+    assert re.search(r"error: '\S*caf\\udce9' is not UTF-8, expected all names of folders .*; rename", done.stderr)
+    assert not (tmp_path / "out").exists()
+
+
 def test_scene_folders_without_a_layout_are_failures(bare: Path, tmp_path: Path) -> None:
     root, out = tmp_path / "data", tmp_path / "out"
     shutil.copytree(bare, root)

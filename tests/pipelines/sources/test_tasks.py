@@ -187,14 +187,21 @@ def test_a_line_without_an_end_is_a_failure_of_its_row(suffix: str, tmp_path: Pa
     assert "at most 1,000 characters (text.max_line in STABLE_DATA_LIMITS)" in lost.message
 
 
-@pytest.mark.parametrize("suffix", ["jsonl", "csv"])
+@pytest.mark.parametrize("suffix", ["jsonl", "csv", "parquet"])
 def test_a_file_of_too_many_lines_is_refused(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of its lines may be a failure, which takes hundreds of times its bytes."""
-    limit(monkeypatch, "text", max_lines=3)
     path = tmp_path / f"tasks.{suffix}"
-    path.write_text("instruction,table_type,table_size_cm\n" * 3)
-    assert len(list(read_tasks(path))) == (3 if suffix == "jsonl" else 2)
-    path.write_text("instruction,table_type,table_size_cm\n" * 4)
+
+    def write(lines: int) -> None:
+        if suffix == "parquet":
+            pq.write_table(pa.table(dict.fromkeys(("instruction", "table_type", "table_size_cm"), [None] * lines)), path)
+        else:
+            path.write_text("instruction,table_type,table_size_cm\n" * lines)
+
+    limit(monkeypatch, "text", max_lines=3)
+    write(3)
+    assert len(list(read_tasks(path))) == (2 if suffix == "csv" else 3)
+    write(4)
     with pytest.raises(
         ConfigError, match=r"has more lines, expected at most 3 \(text\.max_lines in STABLE_DATA_LIMITS\)"
     ) as caught:

@@ -426,8 +426,9 @@ def test_a_run_without_meshes_is_judged_with_those_of_its_folder(
     for place in (dataset, clean_run):
         assert "verdicts of 4 of 4 scenes by audit" in last_line("--assets", str(place))
     assert "damaged" in last_line("--assets", str(real_data))
-    missing = str(tmp_path / "none")
-    assert f"not known to be whole: verdicts: {missing} is not a folder" in last_line("--assets", missing)
+    missing = CliRunner().invoke(app, ["verify", run, "--assets", str(tmp_path / "none")])  # refused before anything is read
+    assert (missing.exit_code, missing.stdout) == (NOT_STARTED, "")
+    assert "none is not a folder" in missing.stderr
 
 
 # --- checksums and the manifest -----------------------------------------------------------------------------------------------
