@@ -73,7 +73,8 @@ _BLOCK, _TIME_BLOCK = 100, 500
 _FEWEST_BLOCKS = 8
 _FLAT, _KNOWN = 0.05, 0.20
 _MOST_ALIKE = 0.95
-_MOST_MB = 5.0  # that memory may change per 1,000 scenes
+MOST_MB = 5.0
+"""Change of memory per 1,000 scenes that counts as none, MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,13 +301,13 @@ def trends(runs: Sequence[SoakedRun], warm_up: int, warm_up_of_times: int) -> li
     samples, of_times = list(_warm(runs, warm_up)), list(_warm(runs, warm_up_of_times))
     num_scenes = sum(run.num_scenes for run in runs)
     kept = [(one.session, float(one.scenes), shard.kept_mb) for one in samples for shard in one.finished]
-    found = [trend(KEPT_MEMORY, kept, num_scenes, _MOST_MB)]
+    found = [trend(KEPT_MEMORY, kept, num_scenes, MOST_MB)]
     for name, value in QUANTITIES.items():
         blocks: dict[tuple[int, int], list[float]] = {}
         for sample in samples:
             blocks.setdefault((sample.session, sample.scenes // _BLOCK), []).append(value(sample))
         means = [(session, (block + 0.5) * _BLOCK, float(np.mean(own))) for (session, block), own in blocks.items()]
-        found.append(trend(name, means, num_scenes, _MOST_MB if name in MEMORY else None))
+        found.append(trend(name, means, num_scenes, MOST_MB if name in MEMORY else None))
     shards = [(one, shard) for one in of_times for shard in one.finished]
     times = [(one.session, float(one.scenes), shard.seconds / shard.scenes) for one, shard in shards]
     tokens = [None if shard.tokens is None else shard.tokens / shard.scenes for _, shard in shards]
@@ -444,6 +445,11 @@ def show(found: Sequence[Trend], runs: Sequence[SoakedRun]) -> None:
         print(f"failed through the toolkit itself: {', '.join(f'{code} {failures[code]}' for code in own)}")
     versions = dict.fromkeys(version for run in runs for version in run.code_versions)
     print(f"code: {', '.join(versions) or 'unknown'}")
+    print_trends(found)
+
+
+def print_trends(found: Sequence[Trend]) -> None:
+    """Prints a line for each trend."""
     print(f"{'':40} {'mean':>10} {'per 1,000 scenes, 95 %':>34} {'all scenes':>11} {'blocks':>7}")
     for one in found:
         if one.slope is None:

@@ -8,6 +8,7 @@ for all its workers::
 """
 
 import ctypes
+import gc
 import os
 import re
 import resource
@@ -16,6 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from stable_data.errors import ConfigError, StableDataError
@@ -501,8 +503,14 @@ def map_large_arrays() -> None:
 def release_free_memory() -> None:
     """Returns to the system what libraries have freed and keep, as far as they can; their addresses stay reserved.
 
-    A long process calls it between its batches, when little is in use: small arrays of many sizes leave gaps in a heap, too.
+    A long process calls it between its batches, when little is in use: small arrays of many sizes leave gaps in a heap, too. Objects that
+    refer to each other in a circle are freed with it, once a minute at most: Python itself looks for them less and less often as a process
+    grows, but looking takes up to half a second.
     """
+    global _next_collection
+    if (now := monotonic()) >= _next_collection:
+        gc.collect()
+        _next_collection = now + _COLLECTION_SECONDS
     arrow = sys.modules.get("pyarrow")
     if arrow is not None:
         arrow.default_memory_pool().release_unused()
@@ -548,6 +556,9 @@ class _MallocState(ctypes.Structure):
         for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost")
     ]
 
+
+_COLLECTION_SECONDS = 60.0
+_next_collection = 0.0  # a moment of monotonic()
 
 _MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of mallopt(3)
 _C: Any = ctypes.CDLL(None) if sys.platform.startswith("linux") else None

@@ -57,6 +57,7 @@ def test_every_benchmark_runs_although_some_items_failed(status: int, tmp_path: 
         "paper_tables",
         "policy",
         "replay",
+        "same_shard",
         "soak",
     }  # the first ones measure nothing; the others take hours, or need episodes
     assert {command[2] for command in rest} == modules - {f"benchmarks.{name}" for name in aside}

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 from benchmarks.chaos import NOT_COMPLETE
 from benchmarks.faults.processes import ROOT, Usage
+from benchmarks.same_shard import Pass, is_steady, make_passes, trends_of
 from benchmarks.soak import (
     DRIVER_TIME,
     KEPT_MEMORY,
@@ -26,6 +28,9 @@ from benchmarks.soak import (
     trend,
     trends,
 )
+from pipelines.generate.job import GenerateJob
+from pipelines.generate.settings import GenerateSettings
+from pipelines.sources.generation_tasks import sample_tasks
 from stable_data.errors import ConfigError
 from stable_data.storage.manifest import write_manifest
 from stable_data.storage.run_folder import RunFolder
@@ -240,9 +245,49 @@ def test_a_soak_goes_on_and_sixteen_scenes_say_nothing(dataset: Path, tmp_path: 
     assert run.command[:3] == ["generate", "--count", "16"]
     assert 0 < max(sample.scenes for sample in run.samples) <= 16  # the last look is up to ten seconds before the end
     assert {sample.driver.processes for sample in run.samples} == {1}
-    assert run.samples[-1].ray.memory_mb > 0
+    assert any(sample.ray.memory_mb > 0 for sample in run.samples)  # Ray ends before the command
     assert any(sample.workers.cpu_seconds > 1 for sample in run.samples)
     shards = [shard for sample in run.samples for shard in sample.finished]
     assert len(shards) == len({shard.shard_id for shard in shards}) > 1  # of four; the last look is before the end
     assert all(shard.scenes == 4 and shard.seconds > 0 and (shard.tokens or 0) > 100 for shard in shards)
     assert max(shard.kept_mb or 0.0 for shard in shards) > 100
+
+
+# --- the same scenes again ----------------------------------------------------------------------------------------------------
+
+
+def passes(more_mb: float = 0.0, more_seconds: float = 0.0, files: Mapping[int, str] | None = None) -> list[Pass]:
+    """Thirty passes of 32 scenes, each with a little more than the one before."""
+    rng, found = np.random.default_rng(0), list[Pass]()
+    for k in range(30):
+        kept, seconds = (
+            float(mean + k * more + rng.normal(0, 0.05)) for mean, more in ((1000.0, more_mb), (40.0, more_seconds))
+        )
+        found.append(Pass(kept, seconds, 32, {"scenes/part-0.parquet": (files or {}).get(k, "same")}))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("made", "verdicts", "expected"),
+    [
+        (passes(), ["flat", "flat"], True),
+        (passes(more_mb=0.3), ["grows", "flat"], False),  # 9 MB per 1,000 scenes
+        (passes(more_seconds=1.0), ["flat", "grows"], False),
+        (passes(files={7: "other"}), ["flat", "flat"], False),
+    ],
+)
+def test_what_grows_while_nothing_is_new_is_lost(made: list[Pass], verdicts: list[str], expected: bool) -> None:
+    found = trends_of(made, 32, 5)
+    assert [one.verdict for one in found] == verdicts
+    assert is_steady(made, found) is expected
+
+
+@pytest.mark.slow
+def test_passes_of_a_shard_give_the_same_files(dataset: Path) -> None:
+    settings = GenerateSettings(num_pictures=0, schedule="task", settle=False, judges="", accept="clean", scenes_per_shard=1)
+    first, second = make_passes(GenerateJob(sample_tasks(1), settings, [str(dataset)]), 2)
+    assert first.files == second.files
+    assert "scenes" in {name.partition("/")[0] for name in first.files}
+    assert first.accepted == 1
+    assert min(first.seconds, second.seconds) > 0
+    assert (second.kept_mb or 0.0) > 100

@@ -1,5 +1,6 @@
 """The limits: their names and values, how they are changed, what a message says, and the bound on memory."""
 
+import gc
 import os
 import re
 import subprocess
@@ -9,12 +10,14 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NoReturn
+from weakref import ref
 
 import mujoco
 import numpy as np
 import pyarrow as pa
 import pytest
 
+from stable_data import limits
 from stable_data.errors import ConfigError, MeshError, cannot_read
 from stable_data.importers.mjcf.reader import _compile
 from stable_data.judges.registry import judge
@@ -320,3 +323,25 @@ def test_torch_has_no_error_of_its_own_for_memory() -> None:
 def test_a_bound_that_is_far_away_changes_nothing() -> None:
     with memory_limited(2**34), memory_limited(2**33):
         assert np.ones(2**20).sum() == 2**20
+
+
+class Ring:
+    """Refers to itself, so that only a collection frees it."""
+
+    def __init__(self) -> None:
+        self.ring = self
+
+
+def test_rings_are_freed_between_batches_but_not_at_each_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, is_freed = [1000.0, 1059.0, 1061.0], []
+    monkeypatch.setattr(limits, "monotonic", lambda: clock.pop(0))
+    monkeypatch.setattr(limits, "_next_collection", 0.0)
+    gc.disable()
+    try:
+        while clock:
+            ring = ref(Ring())
+            limits.release_free_memory()
+            is_freed.append(ring() is None)
+    finally:
+        gc.enable()
+    assert is_freed == [True, False, True]
