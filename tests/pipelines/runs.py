@@ -9,6 +9,8 @@ from pathlib import Path
 from typer.testing import CliRunner, Result
 
 from pipelines.__main__ import app
+from pipelines.correct.settings import CorrectSettings
+from pipelines.edit.settings import EditSettings
 from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.config_diff import flatten_config
 
@@ -27,6 +29,12 @@ def arguments_of(dataset: Path, out: Path, *more: str) -> list[str]:
     settings = [f"--set={k}={json.dumps(v)}" for k, v in flatten_config(SMALL.shaping()).items()]
     where = ["--data", str(dataset), "--out", str(out)]
     return ["preprocess", *where, "--set=num_pictures=0", f"--set=features={SMALL.features}", *settings, *more]
+
+
+def set_options(settings: CorrectSettings | EditSettings) -> list[str]:
+    """The options of a command that give it these settings, without pictures; what only tells that correctors are shared is no setting."""
+    shaping = settings.shaping() | {"num_pictures": 0}
+    return [f"--set={name}={json.dumps(value)}" for name, value in shaping.items() if hasattr(settings, name)]
 
 
 def command_of(dataset: Path, out: Path, *more: str) -> list[str]:

@@ -31,7 +31,7 @@ from stable_data.simulation.collision_bodies import bodies_of
 from stable_data.simulation.settling import settle
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.table_rows import scene_from_row
-from tests.pipelines.runs import content
+from tests.pipelines.runs import content, set_options
 from tests.stable_data.viewer.pages import Page
 from tests.whole import check_whole
 
@@ -186,9 +186,8 @@ def test_what_the_engine_moves_is_put_where_it_stays_or_named(broken: Path, tmp_
 @pytest.mark.ray
 @pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(broken: Path, corrected: Path, tmp_path: Path) -> None:
-    settings = [f"--set={k}={json.dumps(v)}" for k, v in (SMALL.shaping() | {"num_pictures": 0}).items()]
     where = ["--scenes", str(broken), "--out", str(tmp_path / "out"), "--workers", "2"]
-    done = CliRunner().invoke(app, ["correct", *where, *settings])
+    done = CliRunner().invoke(app, ["correct", *where, *set_options(SMALL)])
     assert done.exit_code == 0, done.output
     assert "4 of 4 scenes (4 certified)" in done.stdout
     assert content(tmp_path / "out") == content(corrected)

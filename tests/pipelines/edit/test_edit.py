@@ -37,7 +37,7 @@ from stable_data.storage.schemas import Row
 from stable_data.storage.table_rows import object_from_row, scene_from_row
 from tests.bounds import limit
 from tests.pipelines.edit.edit_runs import ALONE, SMALL, file_of, rows_of
-from tests.pipelines.runs import ROOT, content
+from tests.pipelines.runs import ROOT, content, set_options
 
 
 def poses(objects: Sequence[SceneObject]) -> dict[str, tuple[Any, ...]]:
@@ -217,9 +217,8 @@ def test_a_run_that_was_broken_off_goes_on(
 
 
 def arguments(dataset: Path, edits: Path, out: Path, workers: int) -> list[str]:
-    settings = [f"--set={k}={json.dumps(v)}" for k, v in (SMALL.shaping() | {"num_pictures": 0}).items()]
     where = ["--scenes", str(dataset), "--edits", str(edits), "--out", str(out), "--engine", "scripted:not_opened"]
-    return ["edit", *where, "--assets", "none", "--workers", str(workers), *settings]
+    return ["edit", *where, "--assets", "none", "--workers", str(workers), *set_options(SMALL)]
 
 
 @pytest.mark.slow
