@@ -78,11 +78,11 @@ preprocess: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA
 correct: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> OUT=<folder> to scenes that are exactly clean
 	$(BIN)/python -m pipelines correct --scenes $(DATA) --out $(if $(filter runs/preprocess,$(OUT)),runs/correct,$(OUT))
 
-edit: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> EDITS=<file of edits> ASSETS=<further library> OUT=<folder> ENGINE=<embedded, transformers:FOLDER, openai:MODEL, …> to changed scenes
-	$(BIN)/python -m pipelines edit --scenes $(DATA) --edits $(EDITS) --out $(if $(filter runs/preprocess,$(OUT)),runs/edit,$(OUT)) $(if $(ASSETS),--assets $(ASSETS)) $(if $(ENGINE),--engine $(ENGINE))
+edit: $(READY) $(if $(filter data/embedded,$(DATA)),data/embedded) ## DATA=<folder of scenes, or a run> EDITS=<file of edits> ASSETS=<further libraries> OUT=<folder> ENGINE=<embedded, transformers:FOLDER, openai:MODEL, …> to changed scenes
+	$(BIN)/python -m pipelines edit --scenes $(DATA) --edits $(EDITS) --out $(if $(filter runs/preprocess,$(OUT)),runs/edit,$(OUT)) $(foreach library,$(ASSETS),--assets $(library)) $(if $(ENGINE),--engine $(ENGINE))
 
-generate: $(READY) ## COUNT=<how many, drawn> or TASKS=<file of instructions and tables>, ASSETS=<library> ENGINE=<as for edit> OUT=<folder> to simulation-ready scenes
-	$(BIN)/python -m pipelines generate $(if $(TASKS),--tasks $(TASKS),--count $(COUNT)) --out $(if $(filter runs/preprocess,$(OUT)),runs/generate,$(OUT)) $(if $(ASSETS),--assets $(ASSETS)) $(if $(ENGINE),--engine $(ENGINE)) || [ $$? -eq 1 ]
+generate: $(READY) ## COUNT=<how many, drawn> or TASKS=<file of instructions and tables>, ASSETS=<libraries> ENGINE=<as for edit> OUT=<folder> to simulation-ready scenes
+	$(BIN)/python -m pipelines generate $(if $(TASKS),--tasks $(TASKS),--count $(COUNT)) --out $(if $(filter runs/preprocess,$(OUT)),runs/generate,$(OUT)) $(foreach library,$(ASSETS),--assets $(library)) $(if $(ENGINE),--engine $(ENGINE)) || [ $$? -eq 1 ]
 
 train: preprocess ## Point encoder, corrector and reasoner on the tables in OUT (hours on a CPU): runs/encoder, runs/corrector, runs/reasoner
 	$(BIN)/python -m models.point_encoder.pretrain --out runs/encoder

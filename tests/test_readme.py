@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from models.semantic_reasoner.engines.registry import EMBEDDED
+from stable_data.cli import app as stable_data
 from stable_data.embedded_world import EmbeddedWorld, write_world
 from tests.stable_data.export.runs import write_run
 from tests.stable_data.robot.tables import asked_table
@@ -45,6 +47,16 @@ def test_there_are_commands_to_run() -> None:
     assert {command.split()[0] for command in COMMANDS} == {"make", "python", "stable-data"}
 
 
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the README imports as a library."""
+    out = tmp_path_factory.mktemp("gazebo") / "library"
+    models = ROOT / "tests" / "data" / "import" / "gazebo"
+    done = CliRunner().invoke(stable_data, ["import", "sdformat", str(models), "--out", str(out), "--workers", "0"])
+    assert done.exit_code == 0, done.output
+    return out
+
+
 LONG = (" generate ", " correct ", " import sdformat ", " synth ")
 """Words of commands that take long, which the default tests of their jobs run too; what generate would do is planned here."""
 
@@ -57,7 +69,9 @@ LONG = (" generate ", " correct ", " import sdformat ", " synth ")
         *((c, " --dry-run") for c in COMMANDS if c.startswith("python -m pipelines generate")),
     ],
 )
-def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tmp_path: Path) -> None:
+def test_every_command_runs_as_written(
+    command: str, more: str, scenes: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     if "generate" in command and not (EMBEDDED / "config.json").is_file():
         pytest.skip("the weights of the embedded reasoner are not in this checkout")
     places = {"/data/MesaTask-10K": scenes, "/data/mesatask-tables": tmp_path / "run", "s3://bucket/mesatask": tmp_path / "run"}
@@ -71,6 +85,8 @@ def test_every_command_runs_as_written(command: str, more: str, scenes: Path, tm
         "/data/real-scenes": tmp_path / "real-scenes",
     }
     places |= {"audit.parquet": tmp_path / "audit.parquet", "/data/world": tmp_path / "world"}
+    if "ASSETS=" in command:
+        places["/data/gazebo-library"] = request.getfixturevalue("library")
     few = {"--scenes 1000": "--scenes 3", "COUNT=1000": "COUNT=3", "COUNT=200": "COUNT=3"}  # as many as a test has time for
     few["--workers 2"] = "--workers 0"  # `make preprocess` is the command that starts a Ray here
     if "demonstrate" in command:
