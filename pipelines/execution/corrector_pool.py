@@ -19,7 +19,7 @@ import ray
 from models.physics_corrector.certify.correction import Fixed
 from models.physics_corrector.corrector import PhysicsCorrector, SceneMover
 from models.physics_corrector.refinement.layouts import LayoutToRefine, RefinedLayout
-from pipelines.execution.engine_pool import check_gpus, first_answer
+from pipelines.execution.engine_pool import ActorPool, check_gpus, first_answer
 from pipelines.execution.ray_executor import ACTOR
 from stable_data.assets.store import AssetStore
 from stable_data.errors import ConfigError
@@ -116,31 +116,17 @@ class _CorrectorActor:
 
 
 @dataclass(slots=True, eq=False)
-class PooledCorrector:
-    """The flow and the refinement of some actors; sent to the workers. It is itself the refinement. Equal ones have the same actors.
+class PooledCorrector(ActorPool):
+    """The flow and the refinement of some actors; sent to the workers. It is itself the refinement.
 
     Attributes:
-        actors: The actors.
         flows: Whether they have a flow.
         refines: Whether they have a refinement.
     """
 
-    actors: tuple[Any, ...]
     flows: bool = False
     refines: bool = False
     _calls: Counter[_Step] = field(default_factory=Counter)
-
-    def __eq__(self, other: object) -> bool:
-        """Whether the actors are the same: what a process caches must not outlive them."""
-        return isinstance(other, PooledCorrector) and self._ids == other._ids
-
-    def __hash__(self) -> int:
-        """A hash of the actors."""
-        return hash(self._ids)
-
-    @property
-    def _ids(self) -> tuple[str, ...]:
-        return tuple(actor._actor_id.hex() for actor in self.actors)
 
     @property
     def flow(self) -> SceneMover | None:

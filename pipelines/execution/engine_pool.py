@@ -96,16 +96,37 @@ class _EngineActor:
 
 
 @dataclass(slots=True, eq=False)
-class PooledEngine:
-    """An engine that sends each request to one of several actors; sent to the workers.
+class ActorPool:
+    """Actors that workers share.
 
     Attributes:
         actors: The actors.
+    """
+
+    actors: tuple[Any, ...]
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the actors are the same: what a process caches must not outlive them."""
+        return isinstance(other, ActorPool) and self._ids == other._ids
+
+    def __hash__(self) -> int:
+        """A hash of the actors."""
+        return hash(self._ids)
+
+    @property
+    def _ids(self) -> tuple[str, ...]:
+        return tuple(actor._actor_id.hex() for actor in self.actors)
+
+
+@dataclass(slots=True, eq=False)
+class PooledEngine(ActorPool):
+    """An engine that sends each request to one of several actors; sent to the workers.
+
+    Attributes:
         name: The name of the engine.
         repeats: Whether equal requests get equal completions.
     """
 
-    actors: tuple[Any, ...]
     name: str
     repeats: bool
 

@@ -157,7 +157,7 @@ class GenerateWork(ShardStep[Task]):
     settings: GenerateSettings
     fingerprint: str = ""
     supports: str | None = None
-    pool: PooledEngine | None = field(default=None, compare=False)
+    pool: PooledEngine | None = None
     correctors: PooledCorrector | None = None
     tally: ProgressTally | None = field(default=None, compare=False)
 

@@ -167,7 +167,7 @@ def test_the_reports_of_a_long_run_leave_nothing_in_rays_head(local_ray: None) -
     def memory_of_head() -> float:
         for _ in range(5000):
             tally.note("a", {"propose": 3})
-        tally.total()
+        ray.get(tally.actor.total.remote())  # after all notes; a busy machine needs longer than the patience of tally.total
         time.sleep(2)  # the head is told of calls once a second
         return usage_of([head]).memory_mb
 
