@@ -29,6 +29,9 @@ for _name, _examples in (("repeatable", 40), ("thorough", 200)):
     settings.register_profile(_name, derandomize=True, deadline=None, max_examples=_examples)
 settings.load_profile("repeatable")
 
+_SLOW_SECONDS = 1800
+"""The time limit of a slow test on a busy machine; that of all others is in pyproject.toml."""
+
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 
 
@@ -214,10 +217,13 @@ def local_ray() -> None:
 
 
 def pytest_collection_modifyitems(session: pytest.Session, items: list[pytest.Item]) -> None:
-    """Puts the files first that take the longest, so that no worker of pytest-xdist is left with one at the end.
+    """Gives slow tests their time limit, and puts the files first that take the longest.
 
-    These are the files that use Ray, and then those with at least a hundred tests, slow ones counted.
+    So no worker of pytest-xdist is left with one at the end. They are the files that use Ray, and then those with at least a hundred tests, slow ones counted.
     """
+    for item in items:
+        if item.get_closest_marker("slow") is not None and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(_SLOW_SECONDS))
     ray_files, num_tests = {item.path for item in items if item.get_closest_marker("ray")}, Counter(item.path for item in items)
     items.sort(key=lambda item: (item.path not in ray_files, -(num_tests[item.path] // 100)))
     session.stash[_RAY_FILES] = {item.path for item in items if _uses_local_ray(item)}

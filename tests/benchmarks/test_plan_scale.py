@@ -6,7 +6,6 @@ from benchmarks.plan_scale import figures_of
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)
 def test_a_run_is_planned_resumed_ended_and_listed() -> None:
     found = {figure.part: figure for figure in figures_of(20000, 0.0)}
     assert list(found) == ["plan", "resume", "end", "list"]

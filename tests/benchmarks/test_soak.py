@@ -222,7 +222,6 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.ray
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_a_soak_goes_on_and_sixteen_scenes_say_nothing(dataset: Path, tmp_path: Path) -> None:
     settings = [f"--set={s}" for s in ("schedule=task", "settle=false", "judges=", "accept=clean")]
     out = ["--out", str(tmp_path / "work"), "--json", str(tmp_path / "soak.json")]

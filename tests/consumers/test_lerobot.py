@@ -11,7 +11,7 @@ from benchmarks.consumers.environment import CONSUMERS
 from stable_data.robot.lerobot.videos import encoder_names
 from tests.stable_data.robot.synthetic_episodes import episode, write_run
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.slow]
 
 CONSUMER = CONSUMERS["lerobot_dataset"]
 

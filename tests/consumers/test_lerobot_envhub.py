@@ -13,7 +13,7 @@ from stable_data.scene import TaskInfo
 from tests.stable_data.export.runs import write_run
 from tests.stable_data.robot.tables import CAN, laid_table
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.slow]
 
 CONSUMER = CONSUMERS["lerobot_envhub"]
 

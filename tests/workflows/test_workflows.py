@@ -207,7 +207,6 @@ def slurm(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
 @pytest.mark.ray
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_the_batch_script_runs_puts_itself_in_the_queue_again_and_goes_on(
     slurm: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:

@@ -182,7 +182,6 @@ def test_a_report_that_fails_leaves_a_complete_run(bare: Path, tmp_path: Path, m
 
 @pytest.mark.ray
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.parametrize("victim", ["driver", "worker"])
 def test_ten_kills_at_random_moments_lose_nothing(dataset: Path, clean_run: Path, tmp_path: Path, victim: str) -> None:
     out, moments, killed = tmp_path / "out", random.Random(victim), 0  # noqa: S311 - moments, not secrets

@@ -301,7 +301,6 @@ def test_a_run_is_a_library_that_leaves_out_what_the_annotators_did(tiny: Path, 
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1800)
 def test_real_scenes_are_all_accounted_for(measured_data: Path, tmp_path: Path) -> None:
     num_scenes = len(MesaTaskDataset(measured_data).scene_ids)
     manifest = preprocess(str(measured_data), str(tmp_path / "out"), PreprocessSettings(num_pictures=0), WorkerPool())

@@ -89,7 +89,6 @@ def measured_in_all(place: ProcessContext, base: Path) -> dict[str, dict[str, in
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.parametrize("world", [2, 4])
 def test_the_plan_of_several_processes_is_what_the_first_holds(world: int, base: Path) -> None:
     found = in_processes(world, measured_in_all, base)

@@ -265,7 +265,6 @@ def kill_a_worker(out: Path, killed: list[int]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.ray
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
 def test_after_the_loss_of_a_process_the_run_ends_with_the_weights_of_one_without(
@@ -307,7 +306,6 @@ class FailingWork:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 @pytest.mark.ray
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:ray.*")  # of Ray about itself
 @pytest.mark.parametrize(("way", "code", "starts"), [("killed", "ray_failed", 4), ("raises", "config_invalid", 1)])

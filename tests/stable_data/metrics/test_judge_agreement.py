@@ -107,7 +107,6 @@ def ours(dataset: MesaTaskDataset, scene_ids: tuple[str, ...]) -> set[Difference
 
 
 @pytest.mark.parametrize("how_many", [pytest.param(FEW, id="few"), pytest.param((), id="all", marks=pytest.mark.slow)])
-@pytest.mark.timeout(1200)
 def test_the_audit_differs_from_the_reference_only_where_it_is_explained(shared_data: Path, how_many: tuple[str, ...]) -> None:
     dataset = MesaTaskDataset(shared_data / "mesa_real")
     scene_ids = how_many or dataset.scene_ids

@@ -137,7 +137,6 @@ def resume_cases(place: ProcessContext, base: Path, folder: Path, out: Path) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_one_two_and_four_processes_train_alike_and_go_on_from_four(base: Path, tmp_path: Path) -> None:
     folders = {world: tmp_path / str(world) for world in (1, 2, 4, 12, 11)}
     for folder in folders.values():
@@ -163,7 +162,6 @@ def test_one_two_and_four_processes_train_alike_and_go_on_from_four(base: Path, 
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_each_process_writes_a_part(base: Path, tmp_path: Path) -> None:
     in_processes(4, run_one_and_save, base, tmp_path / "kept")
     (folder,) = (tmp_path / "kept").iterdir()
