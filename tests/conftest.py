@@ -219,7 +219,8 @@ def local_ray() -> None:
 def pytest_collection_modifyitems(session: pytest.Session, items: list[pytest.Item]) -> None:
     """Gives slow tests their time limit, and puts the files first that take the longest.
 
-    So no worker of pytest-xdist is left with one at the end. They are the files that use Ray, and then those with at least a hundred tests, slow ones counted.
+    So no worker of pytest-xdist is left with one at the end. They are the files that use Ray, and then those with at least a hundred
+    tests, slow ones counted.
     """
     for item in items:
         if item.get_closest_marker("slow") is not None and item.get_closest_marker("timeout") is None:
