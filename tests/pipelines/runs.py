@@ -5,14 +5,17 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from typer.testing import CliRunner, Result
 
 from pipelines.__main__ import app
-from pipelines.correct.settings import CorrectSettings
-from pipelines.edit.settings import EditSettings
 from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.config_diff import flatten_config
+
+if TYPE_CHECKING:
+    from pipelines.correct.settings import CorrectSettings  # which loads torch
+    from pipelines.edit.settings import EditSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = PreprocessSettings(
@@ -31,7 +34,7 @@ def arguments_of(dataset: Path, out: Path, *more: str) -> list[str]:
     return ["preprocess", *where, "--set=num_pictures=0", f"--set=features={SMALL.features}", *settings, *more]
 
 
-def set_options(settings: CorrectSettings | EditSettings) -> list[str]:
+def set_options(settings: "CorrectSettings | EditSettings") -> list[str]:
     """The options of a command that give it these settings, without pictures; what only tells that correctors are shared is no setting."""
     shaping = settings.shaping() | {"num_pictures": 0}
     return [f"--set={name}={json.dumps(value)}" for name, value in shaping.items() if hasattr(settings, name)]
