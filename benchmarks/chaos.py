@@ -449,7 +449,7 @@ def status_of(campaign: Callable[[], int]) -> int:
     except ConfigError as error:
         print(f"error: {error}", file=sys.stderr)
     except KeyboardInterrupt:
-        print("interrupted; run the same command again to continue", file=sys.stderr)
+        print("interrupted; run the same command again", file=sys.stderr)
         return INTERRUPTED
     except Exception:  # noqa: BLE001 - Ray's errors have no type in common
         traceback.print_exc()

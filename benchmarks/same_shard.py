@@ -12,7 +12,8 @@ Two quantities are judged by the criterion of ``benchmarks.soak``, without the f
 begins, and the seconds of the processor that a pass takes. The files of all passes must be the same, byte for byte, save those of the
 timing.
 
-Status 0: both are flat or fall, and all passes gave the same files. 1: not so. 2: the benchmark could not start. 130: Ctrl-C.
+Status 0: both are flat or fall, and all passes gave the same files, with accepted scenes. 1: not so. 2: the benchmark could not start.
+130: Ctrl-C.
 """
 
 import argparse
@@ -25,15 +26,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks.chaos import status_of
-from benchmarks.soak import LIBRARIES, MOST_MB, Trend, print_trends, trend
+from benchmarks.soak import LIBRARIES, MOST_MB, FinishedShard, Trend, print_trends, trend
 from pipelines.execution.shard_step import ShardTask, ShardWriter
 from pipelines.generate.job import GenerateJob
 from pipelines.generate.settings import GenerateSettings
-from pipelines.generate.shard import KEPT, TIMING_FOLDER
+from pipelines.generate.shard import TIMING_FOLDER
 from pipelines.settings import resolve_settings
 from pipelines.sources.generation_tasks import sample_tasks
 from stable_data.commands.command_line import DONE
-from stable_data.limits import MIB
 from stable_data.storage.run_folder import RunFolder
 
 MEMORY, TIME = "memory that the process keeps, MB", "processor seconds a scene"
@@ -68,11 +68,10 @@ def make_passes(job: GenerateJob, count: int) -> list[Pass]:
         with TemporaryDirectory() as folder:
             written = ShardWriter(folder, (step.step,))(shard)
             run = RunFolder(folder)
-            told = json.loads(run.read_bytes(f"{TIMING_FOLDER}/{shard.shard.shard_id}.json") or b"")
-            kept_mb = None if told[KEPT] is None else told[KEPT] / MIB
+            told = FinishedShard.of_run(run, shard.shard.shard_id)
             files = {name: checksum for name, checksum in written.checksums.items() if not name.startswith(TIMING_FOLDER)}
-            found.append(Pass(kept_mb, told["processor"], run.num_rows("scenes"), files))
-        kept = "unknown" if kept_mb is None else f"{kept_mb:,.1f} MB"
+            found.append(Pass(told.kept_mb, told.seconds, run.num_rows("scenes"), files))
+        kept = "unknown" if told.kept_mb is None else f"{told.kept_mb:,.1f} MB"
         print(f"pass {number}: {kept} at its begin, {found[-1].seconds:.1f} s, {found[-1].accepted} scenes", flush=True)
     return found
 
@@ -93,8 +92,9 @@ def trends_of(passes: Sequence[Pass], scenes: int, warm_up: int) -> list[Trend]:
 
 
 def is_steady(passes: Sequence[Pass], found: Sequence[Trend]) -> bool:
-    """Whether nothing grows or is unknown, and all passes gave the same files."""
-    return all(one.verdict in ("flat", "falls") for one in found) and all(one.files == passes[0].files for one in passes)
+    """Whether nothing grows or is unknown, and all passes gave the same files, with accepted scenes."""
+    is_same = passes[0].accepted > 0 and all(one.files == passes[0].files for one in passes)
+    return is_same and all(one.verdict in ("flat", "falls") for one in found)
 
 
 def run_campaign() -> int:

@@ -505,7 +505,7 @@ def release_free_memory() -> None:
 
     A long process calls it between its batches, when little is in use: small arrays of many sizes leave gaps in a heap, too. Objects that
     refer to each other in a circle are freed with it, once a minute at most: Python itself looks for them less and less often as a process
-    grows, but looking takes up to half a second.
+    grows, but looking takes about a second in a worker of ``generate``.
     """
     global _next_collection
     if (now := monotonic()) >= _next_collection:

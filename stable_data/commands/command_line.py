@@ -74,8 +74,8 @@ def _error_line(error: Exception) -> str:
         return str(error)
     if isinstance(error, ModuleNotFoundError) and (hint := install_hint(error)):
         return f"this command {hint}"
-    if isinstance(error, UnicodeEncodeError) and "surrogates" in error.reason:
-        # The system gives bytes of a name that are not UTF-8 as surrogates, which no id and no file of a run can have.
+    if isinstance(error, UnicodeEncodeError) and "\udc80" <= error.object[error.start] <= "\udcff":
+        # As such halves of pairs the system gives bytes of a name that are not UTF-8; no id and no file of a run can have them.
         name = error.object[: error.start].rpartition('"')[2][-200:] + error.object[error.start :].partition('"')[0][:200]
         return f"{name!r} is not UTF-8, expected all names of folders and all options in UTF-8; rename the folder"
     found = str(error).strip().partition("\n")[0]

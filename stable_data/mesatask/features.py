@@ -288,7 +288,7 @@ def _size(shape: Any) -> int:
     """The number of items of an array of a shape."""
     if not isinstance(shape, tuple) or len(shape) > 2 or not all(isinstance(n, int) and n >= 0 for n in shape):
         raise ValueError("an invalid shape, expected one or two lengths")
-    if max(shape, default=0) > LIMITS.features.max_numbers:  # the product of lengths with millions of digits take minutes
+    if max(shape, default=0) > LIMITS.features.max_numbers:  # the product of lengths with millions of digits takes minutes
         raise ValueError(f"a longer shape, expected {at_most(LIMITS.features, 'max_numbers', 'numbers')}")
     return math.prod(shape)
 

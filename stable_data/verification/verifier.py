@@ -194,8 +194,8 @@ def verify_run(
         ConfigError: There is no run (``not_a_run``), the folder cannot be read, or the place of the assets is neither a run with
             meshes nor a folder in the MesaTask-10K format.
     """
-    if options.assets is not None and not RunFolder(options.assets).files("meshes"):
-        MesaTaskDataset(Path(RunFolder(options.assets).root))
+    if options.assets is not None and not (place := RunFolder(options.assets)).files("meshes"):
+        MesaTaskDataset(Path(place.root))  # opened again for the verdicts; here a wrong place is told before anything is read
     if not (folder.tables() or folder.has_file(MANIFEST)):
         raise ConfigError(f"{folder.uri}: no tables and no manifest.json, expected the folder of a run", "not_a_run")
     return _Verifier(folder, Findings(tell), options, progress or (lambda *_: None)).run()

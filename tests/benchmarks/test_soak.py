@@ -255,14 +255,16 @@ def test_a_soak_goes_on_and_sixteen_scenes_say_nothing(dataset: Path, tmp_path: 
 # --- the same scenes again ----------------------------------------------------------------------------------------------------
 
 
-def passes(more_mb: float = 0.0, more_seconds: float = 0.0, files: Mapping[int, str] | None = None) -> list[Pass]:
+def passes(
+    more_mb: float = 0.0, more_seconds: float = 0.0, files: Mapping[int, str] | None = None, accepted: int = 32
+) -> list[Pass]:
     """Thirty passes of 32 scenes, each with a little more than the one before."""
     rng, found = np.random.default_rng(0), list[Pass]()
     for k in range(30):
         kept, seconds = (
             float(mean + k * more + rng.normal(0, 0.05)) for mean, more in ((1000.0, more_mb), (40.0, more_seconds))
         )
-        found.append(Pass(kept, seconds, 32, {"scenes/part-0.parquet": (files or {}).get(k, "same")}))
+        found.append(Pass(kept, seconds, accepted, {"scenes/part-0.parquet": (files or {}).get(k, "same")}))
     return found
 
 
@@ -273,6 +275,7 @@ def passes(more_mb: float = 0.0, more_seconds: float = 0.0, files: Mapping[int, 
         (passes(more_mb=0.3), ["grows", "flat"], False),  # 9 MB per 1,000 scenes
         (passes(more_seconds=1.0), ["flat", "grows"], False),
         (passes(files={7: "other"}), ["flat", "flat"], False),
+        (passes(accepted=0), ["flat", "flat"], False),
     ],
 )
 def test_what_grows_while_nothing_is_new_is_lost(made: list[Pass], verdicts: list[str], expected: bool) -> None:

@@ -4,18 +4,15 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from typer.testing import CliRunner, Result
 
 from pipelines.__main__ import app
 from pipelines.preprocess.settings import PreprocessSettings
 from stable_data.config_diff import flatten_config
-
-if TYPE_CHECKING:
-    from pipelines.correct.settings import CorrectSettings  # which loads torch
-    from pipelines.edit.settings import EditSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = PreprocessSettings(
@@ -29,15 +26,14 @@ def content(out: Path) -> dict[str, bytes]:
 
 
 def arguments_of(dataset: Path, out: Path, *more: str) -> list[str]:
-    settings = [f"--set={k}={json.dumps(v)}" for k, v in flatten_config(SMALL.shaping()).items()]
     where = ["--data", str(dataset), "--out", str(out)]
-    return ["preprocess", *where, "--set=num_pictures=0", f"--set=features={SMALL.features}", *settings, *more]
+    return ["preprocess", *where, f"--set=features={SMALL.features}", *set_options(SMALL.shaping()), *more]
 
 
-def set_options(settings: "CorrectSettings | EditSettings") -> list[str]:
-    """The options of a command that give it these settings, without pictures; what only tells that correctors are shared is no setting."""
-    shaping = settings.shaping() | {"num_pictures": 0}
-    return [f"--set={name}={json.dumps(value)}" for name, value in shaping.items() if hasattr(settings, name)]
+def set_options(shaping: Mapping[str, Any]) -> list[str]:
+    """The options of a command that give it the settings that shape rows, and no pictures."""
+    own = {name: value for name, value in shaping.items() if name != "shares_correctors"}  # which is derived from correctors
+    return ["--set=num_pictures=0", *(f"--set={name}={json.dumps(value)}" for name, value in flatten_config(own).items())]
 
 
 def command_of(dataset: Path, out: Path, *more: str) -> list[str]:

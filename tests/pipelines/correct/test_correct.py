@@ -187,7 +187,7 @@ def test_what_the_engine_moves_is_put_where_it_stays_or_named(broken: Path, tmp_
 @pytest.mark.usefixtures("local_ray")
 def test_ray_gives_the_same_bytes_as_this_process(broken: Path, corrected: Path, tmp_path: Path) -> None:
     where = ["--scenes", str(broken), "--out", str(tmp_path / "out"), "--workers", "2"]
-    done = CliRunner().invoke(app, ["correct", *where, *set_options(SMALL)])
+    done = CliRunner().invoke(app, ["correct", *where, *set_options(SMALL.shaping())])
     assert done.exit_code == 0, done.output
     assert "4 of 4 scenes (4 certified)" in done.stdout
     assert content(tmp_path / "out") == content(corrected)

@@ -218,7 +218,7 @@ def test_a_run_that_was_broken_off_goes_on(
 
 def arguments(dataset: Path, edits: Path, out: Path, workers: int) -> list[str]:
     where = ["--scenes", str(dataset), "--edits", str(edits), "--out", str(out), "--engine", "scripted:not_opened"]
-    return ["edit", *where, "--assets", "none", "--workers", str(workers), *set_options(SMALL)]
+    return ["edit", *where, "--assets", "none", "--workers", str(workers), *set_options(SMALL.shaping())]
 
 
 @pytest.mark.slow
