@@ -27,6 +27,7 @@ from typing import Any
 
 from benchmarks.chaos import status_of
 from benchmarks.soak import LIBRARIES, MOST_MB, FinishedShard, Trend, print_trends, trend
+from pipelines.execution.ray_executor import WorkerPool
 from pipelines.execution.shard_step import ShardTask, ShardWriter
 from pipelines.generate.job import GenerateJob
 from pipelines.generate.settings import GenerateSettings
@@ -62,6 +63,7 @@ def make_passes(job: GenerateJob, count: int) -> list[Pass]:
     Raises:
         ConfigError: The job cannot start.
     """
+    job.check_workers(WorkerPool())
     step = job.plan()[0]
     shard, found = ShardTask(0, step.shards[0]), list[Pass]()
     for number in range(count):

@@ -182,7 +182,7 @@ def bounded_lines(path: Path, newline: str | None = None) -> Iterator[str]:
 def too_many_lines(path: Path) -> ConfigError:
     """The error of a file of tasks or edits that has too many lines or rows."""
     most = at_most(LIMITS.text, "max_lines")
-    return ConfigError(f"{path}: has more lines, expected {most}; divide it", "too_many_lines")
+    return ConfigError(f"{path}: has more lines or rows, expected {most}; divide it", "too_many_lines")
 
 
 def read_json(path: Path) -> Any:

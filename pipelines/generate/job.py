@@ -52,8 +52,7 @@ def run_generation(job: "GenerateJob", out: str, workers: WorkerPool, *, report:
     Raises:
         ConfigError: The run cannot start or continue; finished shards are kept.
     """
-    for name in ("engines", "correctors"):
-        refuse_without_workers(name, getattr(job.settings, name), workers)
+    job.check_workers(workers)
     for notice in job.odd():
         sys.stderr.write(f"{notice.message}\n")
     return run_job(job, out, workers, report=report)
@@ -89,6 +88,15 @@ class GenerateJob(ShardJob):
         if tasks.varies and tasks.supports is not None:  # whose assets serve first, as in edits
             places = tuple(dict.fromkeys((tasks.supports, *places)))
         self.dataset, self.settings, self.places, self._asked = tasks.name, settings, places, tasks
+
+    def check_workers(self, workers: WorkerPool) -> None:
+        """Refuses engines and correctors that nobody could share.
+
+        Raises:
+            ConfigError: There are some, but this process does the work (``config_invalid``).
+        """
+        for name in ("engines", "correctors"):
+            refuse_without_workers(name, getattr(self.settings, name), workers)
 
     @cached_property
     def tasks(self) -> TaskSource:

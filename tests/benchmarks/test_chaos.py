@@ -4,6 +4,7 @@ import json
 import re
 import signal
 import time
+from functools import partial
 from pathlib import Path
 from threading import Thread, main_thread
 from typing import Any
@@ -183,7 +184,11 @@ def test_figures_without_an_output_of_verify_are_shown(
 
 
 @pytest.mark.slow
-def test_an_interrupted_undisturbed_run_ends_cleanly_and_is_continued(dataset: Path, tmp_path: Path) -> None:
+def test_an_interrupted_undisturbed_run_ends_cleanly_and_is_continued(
+    dataset: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    request.addfinalizer(partial(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT)))
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background ignores it
     settings = chaos.ChaosSettings("correct", 4, 0, 0, (FaultKind.CLOCK,), None, False, 1, 1, ("--set", "weights=none"))
     log = tmp_path / "work" / "clean.log"
     work = chaos.ChaosWork(dataset, tmp_path / "work", settings)

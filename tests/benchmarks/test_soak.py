@@ -284,6 +284,12 @@ def test_what_grows_while_nothing_is_new_is_lost(made: list[Pass], verdicts: lis
     assert is_steady(made, found) is expected
 
 
+def test_passes_share_no_engines(dataset: Path) -> None:
+    job = GenerateJob(sample_tasks(1), GenerateSettings(engines=1), [str(dataset)])
+    with pytest.raises(ConfigError, match="engines is 1, but a single process"):
+        make_passes(job, 1)
+
+
 @pytest.mark.slow
 def test_passes_of_a_shard_give_the_same_files(dataset: Path) -> None:
     settings = GenerateSettings(num_pictures=0, schedule="task", settle=False, judges="", accept="clean", scenes_per_shard=1)

@@ -203,7 +203,7 @@ def test_a_file_of_too_many_lines_is_refused(suffix: str, tmp_path: Path, monkey
     assert len(list(read_tasks(path))) == (2 if suffix == "csv" else 3)
     write(4)
     with pytest.raises(
-        ConfigError, match=r"has more lines, expected at most 3 \(text\.max_lines in STABLE_DATA_LIMITS\)"
+        ConfigError, match=r"has more lines or rows, expected at most 3 \(text\.max_lines in STABLE_DATA_LIMITS\)"
     ) as caught:
         list(read_tasks(path))
     assert caught.value.code == "too_many_lines"
