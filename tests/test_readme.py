@@ -57,7 +57,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-LONG = (" generate ", " correct ", " import sdformat ", " synth ")
+LONG = (" preprocess ", " generate ", " correct ", " demonstrate ", " import sdformat ", " synth ")
 """Words of commands that take long, which the default tests of their jobs run too; what generate would do is planned here."""
 
 

@@ -293,7 +293,15 @@ def test_folders_of_killed_commands_are_removed(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.slow
 def test_a_killed_command_loses_no_input_and_counts_none_twice(tmp_path: Path) -> None:
-    code = f"from benchmarks.fuzz import main; main([{str(tmp_path / 'killed')!r}, '--count', '4000', '--target', 'planted'], {PLANTED!r})"
+    options = [
+        "--count",
+        "4000",
+        "--target",
+        "planted",
+        "--workers",
+        "1",
+    ]  # with two, which input shows a fault first is chance
+    code = f"from benchmarks.fuzz import main; main([{str(tmp_path / 'killed')!r}, *{options!r}], {PLANTED!r})"
     process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, start_new_session=True, stdout=subprocess.DEVNULL)
     state = tmp_path / "killed" / "state.json"
     while not state.exists() or not any(c.done for c in State.of_json(state.read_text()).targets.values()):
@@ -301,7 +309,7 @@ def test_a_killed_command_loses_no_input_and_counts_none_twice(tmp_path: Path) -
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     for out in ("killed", "whole"):
-        main([str(tmp_path / out), "--count", "4000", "--target", "planted", "--workers", "1"], PLANTED)
+        main([str(tmp_path / out), *options], PLANTED)
     assert figures_of(tmp_path / "killed") == figures_of(tmp_path / "whole")
 
 
