@@ -293,14 +293,8 @@ def test_folders_of_killed_commands_are_removed(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.slow
 def test_a_killed_command_loses_no_input_and_counts_none_twice(tmp_path: Path) -> None:
-    options = [
-        "--count",
-        "4000",
-        "--target",
-        "planted",
-        "--workers",
-        "1",
-    ]  # with two, which input shows a fault first is chance
+    # With two workers, which input shows a fault first is chance.
+    options = ["--count", "4000", "--target", "planted", "--workers", "1"]
     code = f"from benchmarks.fuzz import main; main([{str(tmp_path / 'killed')!r}, *{options!r}], {PLANTED!r})"
     process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, start_new_session=True, stdout=subprocess.DEVNULL)
     state = tmp_path / "killed" / "state.json"
