@@ -228,10 +228,10 @@ class FeatureLimits:
     """A pickle of text features.
 
     Attributes:
-        max_bytes: Size of the file, also after it is unpacked.
+        max_bytes: Size of the file, also after it is unpacked, and of all its arrays together.
         max_operations: Operations; one makes an object of up to 100 bytes.
         max_memo: Largest index of its memory, up to which the reader reserves memory.
-        max_rows: Rows of features.
+        max_rows: Rows of features, and texts in arrays.
         max_numbers: Numbers in all rows together.
         max_levels: Tuples within one another.
     """
@@ -259,6 +259,7 @@ class TextLimits:
         max_checksum_bytes: Size of the file of checksums of a run; a line of one file has about 120 bytes.
         max_query: Characters of a condition: enough for 10,000 ids of 96 characters each.
         max_query_levels: Levels of a condition's syntax tree.
+        max_query_terms: Comparisons of a condition, and operands of its `and` and `or`, together.
     """
 
     max_instruction: int = 2_000
@@ -271,6 +272,7 @@ class TextLimits:
     max_checksum_bytes: int = 64 * MIB
     max_query: int = 1_000_000
     max_query_levels: int = 30
+    max_query_terms: int = 40_000
 
 
 @dataclass(frozen=True, slots=True)

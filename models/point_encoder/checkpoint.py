@@ -7,7 +7,7 @@ Pointcept's tools; the names and shapes of their tensors determine the variant. 
 import json
 import pickle
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
@@ -33,6 +33,7 @@ _PREFIXES = ("module.student.backbone.", "student.backbone.", "module.backbone."
 _NOT_ENCODING = re.compile(r"(seg_head|cls_head)\.|embedding\.mask_token$")  # task heads, and the token of masked pre-training
 _HEAD_CHANNELS = 16  # channels of an attention head, in all published models
 _WRONG_VALUES = (ValueError, LookupError, AttributeError, TypeError)  # what reading raises for content that is none
+_ARCHIVE = b"PK\x03\x04"
 _MAX_LISTED = 12  # names that a message lists
 
 
@@ -57,17 +58,7 @@ def load(path: Path) -> PointEncoder:
             f"{path} has format {metadata.get('format')!r}, expected {FORMAT!r}; for published weights, use load_published"
         )
         raise ConfigError(message, "weights_invalid")
-    try:
-        config, preprocessing = (json.loads(metadata[name]) for name in ("config", "preprocessing"))
-        shape = TransformerConfig(**_tuples(config)), Preprocessing(**_tuples(preprocessing))
-        encoder = build_no_larger_than(path, lambda: PointEncoder(*shape))
-    except ConfigError:
-        raise
-    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        message = (
-            f"{path}: its configuration cannot be read ({error}), expected that of this version; train or convert it again"
-        )
-        raise ConfigError(message, "weights_invalid") from error
+    encoder = _build(path, lambda: _stated_shape(metadata))
     _fill(encoder, tensors, str(path))
     if encoder.fingerprint() != metadata.get("fingerprint"):
         found, expected = encoder.fingerprint(), metadata.get("fingerprint")
@@ -89,7 +80,7 @@ def load_published(path: Path, preprocessing: Preprocessing) -> PointEncoder:
     """Reads a published checkpoint of Point Transformer V3: Pointcept's training files, Sonata, Concerto, or a plain state dict.
 
     Args:
-        path: A ``.pth`` or ``.safetensors`` file.
+        path: A ``.pth`` file in the format that torch writes since version 1.6, or a ``.safetensors`` file.
         preprocessing: The preprocessing of its training, which the file does not contain, such as
             :data:`models.point_encoder.cloud.SCANNET`.
 
@@ -105,15 +96,36 @@ def load_published(path: Path, preprocessing: Preprocessing) -> PointEncoder:
     if not (isinstance(inner, Mapping) and isinstance(stated, Mapping)):
         raise ConfigError(f"{path} holds no state dict, expected one of Point Transformer V3", "weights_invalid")
     tensors = _encoder_part({str(name): value for name, value in inner.items()}, str(path))
-    encoder = PointEncoder(_detect_config(tensors, stated, str(path)), preprocessing)
+    encoder = _build(path, lambda: (_detect_config(tensors, stated, str(path)), preprocessing))
     _fill(encoder.backbone, tensors, str(path))
     return encoder
 
 
+def _build(path: Path, read_shape: Callable[[], tuple[TransformerConfig, Preprocessing]]) -> PointEncoder:
+    """Builds the encoder that a file describes, if it is no larger than the file.
+
+    Raises:
+        ConfigError: The encoder is larger, or what the file says of it has a wrong form (``weights_invalid``).
+    """
+    try:
+        shape = read_shape()
+        return build_no_larger_than(path, lambda: PointEncoder(*shape))
+    except ConfigError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        message = f"{path}: its configuration cannot be read ({error!s:.300}), expected that of this version; train or convert it again"
+        raise ConfigError(message, "weights_invalid") from error
+
+
+def _stated_shape(metadata: Mapping[str, str]) -> tuple[TransformerConfig, Preprocessing]:
+    config, preprocessing = (_tuples(json.loads(metadata[name])) for name in ("config", "preprocessing"))
+    return TransformerConfig(**config), Preprocessing(**preprocessing)
+
+
 def _read(path: Path) -> Mapping[str, Any]:
     try:
-        if path.suffix != ".safetensors" and _is_archive(path):
-            _refuse_packed(path)
+        if path.suffix != ".safetensors":
+            _check_archive(path)
         content = load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
     except (
         OSError,
@@ -134,19 +146,16 @@ def _read(path: Path) -> Mapping[str, Any]:
     return content
 
 
-def _is_archive(path: Path) -> bool:
-    """Whether torch would read a file as an archive: it looks at the first bytes alone."""
-    with path.open("rb") as file:
-        return file.read(4) == b"PK\x03\x04"
-
-
-def _refuse_packed(path: Path) -> None:
-    """Refuses an archive that unpacks to more than its size; torch would unpack it, and torch itself writes none.
+def _check_archive(path: Path) -> None:
+    """Refuses a file of a format that torch no longer writes, and an archive that unpacks to more than its size.
 
     Raises:
         ConfigError: A member is packed, or members share their bytes (``weights_invalid``).
         BadZipFile: It is no archive.
     """
+    with path.open("rb") as file:
+        if file.read(4) != _ARCHIVE:  # what torch decides by
+            raise BadZipFile("no archive as torch.save writes it since version 1.6")
     with ZipFile(path) as archive:
         members = archive.infolist()
     if packed := next((member for member in members if member.compress_type != ZIP_STORED), None):
@@ -203,7 +212,7 @@ def _detect_config(tensors: Mapping[str, Tensor], stated: Mapping[str, Any], ori
         norm="bn" if "embedding.stem.norm.running_mean" in tensors else "ln",
         pool="code" if is_conv else "grid",
         enc_mode=not depths["dec"],
-        layer_scale=float(scales[0].flatten()[0]) if scales else None,
+        layer_scale=float(scales[0][(0,) * scales[0].ndim]) if scales else None,
         legacy_stale_cpe=is_conv,
         curves=(order,) if isinstance(order, str) else tuple(order),
         patch_size=int(patch_sizes.pop()),

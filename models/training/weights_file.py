@@ -106,10 +106,10 @@ def fill_network(path: Path, network: nn.Module) -> None:
 
 
 def build_no_larger_than(path: Path, build: Callable[[], T]) -> T:
-    """Builds a network from the notes of a file, which must not describe more numbers than the file has bytes.
+    """Builds the network that a file describes, which must not have more numbers than the file has bytes.
 
-    The notes of a file from elsewhere may describe a network of any size, and its tensors are compared only when it is built. It is
-    first built without memory for its numbers.
+    The notes of a file from elsewhere, or the shapes of its tensors, may describe a network of any size, and its tensors are
+    compared only when it is built. It is first built without memory for its numbers.
 
     Args:
         path: The file.
@@ -128,7 +128,7 @@ def build_no_larger_than(path: Path, build: Callable[[], T]) -> T:
         left -= 0 if tensor is None else tensor.numel()
         if left < 0:
             raise ConfigError(
-                f"{path}: its notes describe a network with more numbers than the file has bytes, expected the network of its tensors; "
+                f"{path}: it describes a network with more numbers than the file has bytes, expected the network of its tensors; "
                 "do not trust it",
                 "weights_invalid",
             )

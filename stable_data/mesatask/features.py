@@ -9,6 +9,7 @@ import io
 import math
 import pickle
 import pickletools
+import re
 import sys
 import zlib
 from collections.abc import Sequence
@@ -37,7 +38,7 @@ _PARSE_ERRORS = (
 )
 _TUPLES = ("TUPLE", "TUPLE1", "TUPLE2", "TUPLE3")
 _SETS = ("EMPTY_SET", "FROZENSET", "ADDITEMS")  # their items are hashed, which may recurse without limit
-_FLOATS = ("f2", "f4", "f8")
+_DTYPE = re.compile(r"[<>=|]?(f[248]|U\d{1,9})")  # floats or strings
 _MULTIARRAY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
 
@@ -224,16 +225,15 @@ def _tuple_depth(data: bytes) -> int:
 
 def _check_content(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
     """Checks and converts the two values of the document."""
-    names = _to_plain(uids, path)
-    rows = _to_plain(described, path)
+    converter = _Converter(path)
+    names = converter.to_plain(uids)
+    rows = converter.to_plain(described)
     if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
         raise _invalid(path, f"has a {type(names).__name__} of uids")
     try:
         if len(rows) != len(names):
             raise ValueError(f"{len(rows)} rows for {len(names)} uids")
-        if not isinstance(rows, np.ndarray):
-            _check_rows(rows)
-        features = np.asarray(rows, np.float32) if len(rows) else np.zeros((0, 0), np.float32)
+        features = np.asarray(rows, np.float32) if isinstance(rows, np.ndarray) else _stack_rows(rows)
     except _PARSE_ERRORS as error:
         raise _invalid(path, f"has features that are not a table ({quote_value(str(error))})") from error
     if features.ndim != 2 or not np.isfinite(features).all():
@@ -241,14 +241,22 @@ def _check_content(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ..
     return tuple(names), features
 
 
-def _check_rows(rows: list[Any]) -> None:
-    """Refuses rows that are not rows of numbers, or too many: a pickle may refer to one list or array many times."""
+def _stack_rows(rows: list[Any]) -> npt.NDArray[np.float32]:
+    """Makes a table of rows, each a list or an array of numbers; (N, D).
+
+    A pickle may refer to one row many times: each is converted once, and the size of the table is limited.
+    """
     num_numbers = sum(len(row) for row in rows)
     if num_numbers > LIMITS.features.max_numbers:
         raise ValueError(f"{num_numbers:,} numbers, expected {at_most(LIMITS.features, 'max_numbers')}")
+    converted = dict[int, npt.NDArray[np.float32]]()
     for row in rows:
+        if id(row) in converted:
+            continue
         if row.ndim != 1 if isinstance(row, np.ndarray) else not all(isinstance(x, int | float) for x in row):
             raise ValueError(f"a row of type {type(row).__name__}, expected a row of numbers")
+        converted[id(row)] = np.asarray(row, np.float32)
+    return np.stack([converted[id(row)] for row in rows]) if rows else np.zeros((0, 0), np.float32)
 
 
 def _invalid(path: Path, what: str) -> ConfigError:
@@ -256,32 +264,74 @@ def _invalid(path: Path, what: str) -> ConfigError:
     return ConfigError(f"{path} {what}, {expected}; fetch it again", "features_invalid")
 
 
-def _to_plain(value: Any, path: Path) -> Any:
-    """Converts described arrays to lists or arrays, one level of nesting down."""
-    if isinstance(value, (list, tuple)):
-        if len(value) > LIMITS.features.max_rows:
-            raise _invalid(path, f"has a list of {len(value):,}, expected {at_most(LIMITS.features, 'max_rows')}")
-        return [_to_plain_array(item, path) if isinstance(item, _Described) else item for item in value]
-    return _to_plain_array(value, path) if isinstance(value, _Described) else value
+class _Converter:
+    """Converts the described values of a pickle.
 
+    A pickle may refer to the same bytes many times, and each array that is made of them may be a copy. Arrays of an honest file
+    have their own bytes: together they are not larger than a file may be.
+    """
 
-def _to_plain_array(value: _Described, path: Path) -> Any:
-    """Converts a description to the array: floats to an array, strings and objects to a list."""
-    try:
-        if isinstance(value, _Scalar):
-            dtype, data = value.arguments
-            return _from_bytes(data, dtype, (1,), False)[0]
-        if isinstance(value, _Buffer):
-            data, dtype, shape, order = value.arguments
-            return _from_bytes(data, dtype, shape, order == "F")
-        _, shape, dtype, is_fortran, data = value.state
-        if isinstance(data, list):
-            if len(data) != _size(shape) or any(isinstance(item, _Described) for item in data):
-                raise ValueError(f"{len(data)} plain items for shape {shape}")
-            return data
-        return _from_bytes(data, dtype, shape, is_fortran)
-    except _PARSE_ERRORS as error:
-        raise _invalid(path, f"describes an invalid array ({quote_value(str(error))})") from error
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._num_bytes, self._num_strings = 0, 0  # of all values so far
+        self._plain_lists = set[int]()  # ids of lists without described values
+
+    def to_plain(self, value: Any) -> Any:
+        """Converts described arrays to lists or arrays, one level of nesting down."""
+        if isinstance(value, (list, tuple)):
+            if len(value) > LIMITS.features.max_rows:
+                raise _invalid(self._path, f"has a list of {len(value):,}, expected {at_most(LIMITS.features, 'max_rows')}")
+            return [self._to_array(item) if isinstance(item, _Described) else item for item in value]
+        return self._to_array(value) if isinstance(value, _Described) else value
+
+    def _to_array(self, value: _Described) -> Any:
+        """Converts a description to the array: floats to an array, strings and objects to a list."""
+        try:
+            if isinstance(value, _Scalar):
+                dtype, data = value.arguments
+                return self._from_bytes(data, dtype, (1,), False)[0]
+            if isinstance(value, _Buffer):
+                data, dtype, shape, order = value.arguments
+                return self._from_bytes(data, dtype, shape, order == "F")
+            _, shape, dtype, is_fortran, data = value.state
+            if isinstance(data, list):
+                if len(data) != _size(shape) or not self._is_plain(data):
+                    raise ValueError(f"{len(data)} plain items for shape {shape}")
+                return data
+            return self._from_bytes(data, dtype, shape, is_fortran)
+        except _PARSE_ERRORS as error:
+            raise _invalid(self._path, f"describes an invalid array ({quote_value(str(error))})") from error
+
+    def _is_plain(self, items: list[Any]) -> bool:
+        """Whether a list has no described values; each list is looked at once."""
+        if id(items) not in self._plain_lists and not any(isinstance(item, _Described) for item in items):
+            self._plain_lists.add(id(items))
+        return id(items) in self._plain_lists
+
+    def _from_bytes(self, data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_fortran: bool) -> Any:
+        """Makes an array of floats, or a list of strings, from its bytes."""
+        raw = data.arguments[0] if isinstance(data, _Bytes) else data
+        name, size = dtype.arguments[0], _size(shape)
+        if not isinstance(name, str):
+            raise ValueError(f"a dtype that is {type(name).__name__}, expected its name")
+        found = _DTYPE.fullmatch(name)
+        if found is None:
+            raise ValueError(f"dtype {quote_value(name)}, expected floats or strings")
+        kind = found[1]
+        is_big = bool(dtype.state) and dtype.state[1] == ">"  # the byte order is part of the state
+        self._num_bytes += len(raw)
+        if self._num_bytes > LIMITS.features.max_bytes:
+            raise ValueError(f"more bytes of arrays, expected {at_most(LIMITS.features, 'max_bytes')}")
+        self._num_strings += size if kind[0] == "U" else 0
+        if self._num_strings > LIMITS.features.max_rows:
+            raise ValueError(f"{self._num_strings:,} strings, expected {at_most(LIMITS.features, 'max_rows')}")
+        content: bytes = raw.encode("latin-1") if isinstance(raw, str) else raw
+        order = ">" if is_big else "<"
+        array = np.frombuffer(content, np.dtype(order + kind))
+        if kind[0] == "U" and (np.frombuffer(content, f"{order}u4") > sys.maxunicode).any():
+            raise ValueError("a character that Unicode does not have, expected text")
+        array = array.reshape(shape, order="F" if is_fortran else "C")
+        return array.tolist() if kind[0] == "U" else array
 
 
 def _size(shape: Any) -> int:
@@ -291,23 +341,3 @@ def _size(shape: Any) -> int:
     if max(shape, default=0) > LIMITS.features.max_numbers:  # the product of lengths with millions of digits takes minutes
         raise ValueError(f"a longer shape, expected {at_most(LIMITS.features, 'max_numbers', 'numbers')}")
     return math.prod(shape)
-
-
-def _from_bytes(data: bytes | _Bytes, dtype: _Dtype, shape: tuple[int, ...], is_fortran: bool) -> Any:
-    """Makes an array of floats, or a list of strings, from its bytes."""
-    content = data.arguments[0].encode("latin-1") if isinstance(data, _Bytes) else data
-    name, size = dtype.arguments[0], _size(shape)
-    if not isinstance(name, str):
-        raise ValueError(f"a dtype that is {type(name).__name__}, expected its name")
-    kind = name.lstrip("<>=|")
-    is_big = bool(dtype.state) and dtype.state[1] == ">"  # the byte order is part of the state
-    if kind not in _FLOATS and not (kind[:1] == "U" and kind[1:].isdigit()):
-        raise ValueError(f"dtype {quote_value(kind)}, expected floats or strings")
-    if kind[0] == "U" and size > LIMITS.features.max_rows:
-        raise ValueError(f"{size:,} strings, expected {at_most(LIMITS.features, 'max_rows')}")
-    order = ">" if is_big else "<"
-    array = np.frombuffer(content, np.dtype(order + kind))
-    if kind[0] == "U" and (np.frombuffer(content, f"{order}u4") > sys.maxunicode).any():
-        raise ValueError("a character that Unicode does not have, expected text")
-    array = array.reshape(shape, order="F" if is_fortran else "C")
-    return array.tolist() if kind[0] == "U" else array

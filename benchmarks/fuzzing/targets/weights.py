@@ -1,8 +1,6 @@
 """Targets: files of weights of others, and the documents beside them."""
 
 import io
-import json
-from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,8 +8,6 @@ import torch
 
 from benchmarks.fuzzing.cases import Base, Target
 from benchmarks.fuzzing.targets.results import check_finite
-from models.instruction_reader.weights import DEFAULT_WEIGHTS as READER
-from models.instruction_reader.weights import load_reader
 from models.physics_corrector.flow.checkpoint import load_corrector, save_corrector
 from models.physics_corrector.flow.presets import CorrectorSettings
 from models.physics_corrector.flow.velocity_network import VelocityNetworkSettings
@@ -25,7 +21,6 @@ from models.rearrangement.settings import RearrangerSettings
 from models.rearrangement.weights import build_network, load_rearranger, save_rearranger
 from models.text_encoder.folder import packaged_folder, read_folder
 from models.training.checkpoint import load_checkpoint, save_checkpoint
-from stable_data.errors import ConfigError
 from stable_data.robot.episodes import EpisodeFeatures
 
 _SMALL = VelocityNetworkSettings(
@@ -85,7 +80,9 @@ def _published() -> list[Base]:
     torch.manual_seed(0)
     state = PointTransformer(_TINY).state_dict()
     sink = io.BytesIO()
-    torch.save({"state_dict": {f"module.backbone.{name}": value for name, value in state.items()}, "epoch": 3}, sink)
+    stated = {"enc_num_head": _TINY.enc_heads, "enc_patch_size": (16, 16), "order": tuple(map(str, _TINY.curves))}
+    tensors = {f"module.backbone.{name}": value for name, value in state.items()}
+    torch.save({"state_dict": tensors, "config": stated, "epoch": 3}, sink)
     with TemporaryDirectory() as folder:
         place = Path(folder, "state.pt")
         save_checkpoint(place, {"step": 3, "tensors": {"a": torch.zeros(4)}, "words": ["a"]}, _ABOUT)
@@ -98,13 +95,6 @@ def _read_published(folder: Path, base: str) -> bool:
         load_published(folder / "model.pth", MODELNET)
         return True
     return load_checkpoint(folder / "state.pth", _ABOUT, "step", "tensors") is not None
-
-
-@lru_cache(maxsize=1)
-def _reader_file() -> bytes:
-    """The weights of the reader of this repository with one small tensor: the header is what is changed."""
-    content = READER.read_bytes()
-    return content[: 8 + int.from_bytes(content[:8], "little")]
 
 
 def _readers() -> list[Base]:
@@ -127,10 +117,6 @@ def _read_folder(folder: Path, base: str) -> bool:
     return True
 
 
-def _reader() -> list[Base]:
-    return [Base("reader", {_FILE: READER.read_bytes()}, {})]
-
-
 TARGETS = (
     Target(
         "weights",
@@ -145,4 +131,3 @@ TARGETS = (
     ),
 )
 """The targets of this module."""
-_ = (json, load_reader, ConfigError)

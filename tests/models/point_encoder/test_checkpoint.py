@@ -239,6 +239,43 @@ def test_a_file_cannot_describe_a_network_that_is_larger_than_it(tmp_path: Path)
         assert caught.value.code == "weights_invalid"
 
 
+def test_a_published_checkpoint_cannot_describe_a_network_that_is_larger_than_it(tmp_path: Path) -> None:
+    """A tensor in a file may have any shape: steps of zero repeat its numbers."""
+    wide = {"enc.enc0.block0.norm1.0.weight": torch.zeros(1).expand(10**6)}
+    path = written(tmp_path, weights(FIRST) | wide)
+    with memory_limited(300 * MIB), pytest.raises(ConfigError, match="more numbers than the file has bytes") as caught:
+        load_published(path, MODELNET)
+    assert caught.value.code == "weights_invalid"
+    scale = {"enc.enc0.block0.ls1.0.gamma": torch.zeros(1).expand(10**10)}
+    path = written(tmp_path, weights(SECOND) | scale)
+    with memory_limited(300 * MIB), pytest.raises(ConfigError, match=r"1 shape: enc\.enc0\.block0\.ls1"):
+        load_published(path, SONATA)
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"enc_num_head": 3},
+        {"enc_patch_size": (None,)},
+        {"enc_patch_size": ([],)},
+        {"order": 5},
+        {"order": ({},)},
+        {"enc_num_head": "ab"},
+    ],
+)
+def test_a_published_checkpoint_with_settings_of_another_form_is_refused(tmp_path: Path, stated: Any) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_published(written(tmp_path, {"config": stated, "state_dict": weights(SECOND)}), SONATA)
+    assert caught.value.code in ("weights_invalid", "encoder_config")
+
+
+def test_a_checkpoint_in_the_old_format_of_torch_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.pth"
+    torch.save(weights(FIRST), path, _use_new_zipfile_serialization=False)
+    with pytest.raises(ConfigError, match=r"no archive as torch\.save writes it since version 1\.6"):
+        load_published(path, MODELNET)
+
+
 def test_notes_that_are_no_settings_are_refused(tmp_path: Path) -> None:
     tensors, notes = read_weights(DEFAULT_WEIGHTS)
     for wrong in ({"preprocessing": '"8"'}, {"config": "[1]"}, {"config": "null"}):

@@ -3,10 +3,13 @@
 import gzip
 import math
 import pickle
+import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from stable_data.errors import ConfigError
@@ -144,6 +147,57 @@ def test_pickles_that_take_much_more_than_their_bytes_are_refused(
     with pytest.raises(ConfigError, match=words) as caught:
         read_text_features(path)
     assert caught.value.code == code
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize(
+    ("row", "protocol", "words"),
+    [
+        (
+            np.zeros(200_000, np.float32),
+            2,
+            "more bytes of arrays, expected at most 4,000,000",
+        ),  # bytes as text, copied for each array
+        (np.array(["é"] * 2000), 4, "102,000 strings, expected at most 100,000"),
+    ],
+)
+def test_rows_that_refer_to_the_same_bytes_are_refused_before_they_are_made(
+    row: npt.NDArray[Any], protocol: int, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file has one megabyte; as many copies as it has rows would fill the memory."""
+    limit(monkeypatch, "features", max_bytes=4_000_000, max_rows=100_000)
+    path = tmp_path / "f.pkl"
+    path.write_bytes(pickle.dumps({"uids": ["a"] * 50_000, "text_features": [row] * 50_000}, protocol))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ConfigError, match=words):
+            read_text_features(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 60e6
+
+
+@pytest.mark.parametrize("is_array", [False, True])
+def test_a_row_that_is_referred_to_many_times_is_looked_at_once(is_array: bool, tmp_path: Path) -> None:
+    """Looking at 65 million numbers takes ten seconds and more, at those of one row a millisecond."""
+    row: Any = [0.5] * 2000
+    path, num = tmp_path / "f.pkl", 30_000
+    rows = [np.array(row, object) if is_array else row] * num
+    path.write_bytes(pickle.dumps({"uids": ["a"] * num, "text_features": rows}, 4))
+    before = time.process_time()
+    _, features = read_text_features(path)
+    assert time.process_time() - before < 5.0
+    assert features.shape == (num, 2000)
+    assert (features == 0.5).all()
+
+
+def test_a_name_of_a_type_of_any_length_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "f.pkl"
+    dtype = b"cnumpy\ndtype\nX\xa0\x86\x01\x00" + b"<" * 99_998 + b"f4\x85R"
+    path.write_bytes(_ONE + _RECONSTRUCT + b"(K\x01K\x01K\x01\x86" + dtype + b"\x89C\x04\x00\x00\x00\x00tbu.")
+    with pytest.raises(ConfigError, match="expected floats or strings") as caught:
+        read_text_features(path)
     assert len(str(caught.value)) < 500
 
 

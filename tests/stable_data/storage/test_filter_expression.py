@@ -150,6 +150,8 @@ def test_a_file_is_opened_where_its_statistics_leave_it_open(
         ("kind in [1]", "values of different types"),
         ("ok in [1]", "values of different types"),
         ("ok" + " or ok" * LIMITS.text.max_query, "expected at most"),
+        ("n" + " == 1" * 150_000, "has 150,000, expected at most 40,000 comparisons"),
+        ("ok" + " or ok" * 100_000, "has 100,001, expected at most 40,000 comparisons"),
         ("not " * LIMITS.text.max_query_levels + "ok", "nests deeper"),
         ("not " * 900 + "ok", "nests deeper"),
         ("not " * 90_000 + "ok", "nests deeper"),
