@@ -233,7 +233,6 @@ class FeatureLimits:
         max_memo: Largest index of its memory, up to which the reader reserves memory.
         max_rows: Rows of features, and texts in arrays.
         max_numbers: Numbers in all rows together.
-        max_levels: Tuples within one another.
     """
 
     max_bytes: int = 256 * MIB
@@ -241,7 +240,6 @@ class FeatureLimits:
     max_memo: int = 1 << 22
     max_rows: int = 1 << 20
     max_numbers: int = 1 << 26
-    max_levels: int = 64
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,8 +36,9 @@ _PARSE_ERRORS = (
     TypeError,
     ValueError,
 )
-_TUPLES = ("TUPLE", "TUPLE1", "TUPLE2", "TUPLE3")
-_SETS = ("EMPTY_SET", "FROZENSET", "ADDITEMS")  # their items are hashed, which may recurse without limit
+_TEXTS = ("STRING", "BINSTRING", "SHORT_BINSTRING", "UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8")
+_SETS = ("EMPTY_SET", "FROZENSET", "ADDITEMS")  # their items are hashed, as keys are
+_PUTS, _GETS = ("PUT", "BINPUT", "LONG_BINPUT"), ("GET", "BINGET", "LONG_BINGET")
 _DTYPE = re.compile(r"[<>=|]?(f[248]|U\d{1,9})")  # floats or strings
 _MULTIARRAY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
@@ -179,48 +180,39 @@ def _read_unpacked(path: Path) -> bytes:
 
 
 def _check_operations(data: bytes, path: Path) -> None:
-    """Refuses a pickle that needs much more memory than its bytes, or nests so deep that it would crash the process."""
-    limits, num_tuples, found = LIMITS.features, 0, ""
-    for number, (operation, argument, _) in enumerate(pickletools.genops(data), 1):
-        if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument is not None and argument > limits.max_memo:
-            found = f"contains memo index {argument}, expected {at_most(limits, 'max_memo')}"
-        elif operation.name in _SETS:
-            found = "contains a set"
-        elif number > limits.max_operations:
-            found = f"contains more operations, expected {at_most(limits, 'max_operations')} and features as one array"
-        if found:
-            break
-        num_tuples += operation.name in _TUPLES
-    if not found and num_tuples > limits.max_levels and _tuple_depth(data) > limits.max_levels:
-        found = f"nests tuples deeper, expected {at_most(limits, 'max_levels', 'levels')}"
-    if found:
-        message = f"{path} {found}; expected numpy arrays in plain containers; it was not read, do not trust it"
-        raise ConfigError(message, "pickle_refused")
+    """Refuses a pickle that needs much more memory or time than its bytes.
 
-
-def _tuple_depth(data: bytes) -> int:
-    """How deep tuples nest: Python hashes a tuple that is a key by unlimited recursion in C.
-
-    The function follows the operations of the pickle with the depth of each value instead of the value.
+    The check follows the operations with one value for each object: whether it is a text. The keys of a dictionary must be, since Python
+    hashes a key each time that it is named: a tuple as often as tuples within it refer to others, which may never end.
     """
-    stack, marks, memo, deepest = list[int](), list[int](), dict[int, int](), 0
-    for operation, argument, _ in pickletools.genops(data):
+    limits = LIMITS.features
+    stack, marks, memo = list[bool](), list[int](), dict[int, bool]()
+    for number, (operation, argument, _) in enumerate(pickletools.genops(data), 1):
         name, before, after = operation.name, operation.stack_before, operation.stack_after
+        if name in _PUTS and argument is not None and argument > limits.max_memo:
+            raise _refused(path, f"contains memo index {argument}, expected {at_most(limits, 'max_memo')}")
+        if name in _SETS:
+            raise _refused(path, "contains a set")
+        if number > limits.max_operations:
+            raise _refused(
+                path, f"contains more operations, expected {at_most(limits, 'max_operations')} and features as one array"
+            )
         if name == "MARK":
             marks.append(len(stack))
-        elif name in ("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"):
+        elif name in _PUTS or name == "MEMOIZE":
             memo[len(memo) if name == "MEMOIZE" else int(argument or 0)] = stack[-1]
-        elif name in ("GET", "BINGET", "LONG_BINGET"):
+        elif name in _GETS:
             stack.append(memo[int(argument or 0)])
         elif name == "POP" and marks and marks[-1] == len(stack):
             marks.pop()
         else:
             has_mark = pickletools.markobject in before
-            start = (marks.pop() - before.index(pickletools.markobject)) if has_mark else len(stack) - len(before)
-            depth = max(stack[start:], default=0) + (name in _TUPLES)
-            stack[start:] = [depth] * len(after)
-            deepest = max(deepest, depth)
-    return deepest
+            mark = marks.pop() if has_mark else len(stack)
+            start = mark - before.index(pickletools.markobject) if has_mark else mark - len(before)
+            if not all(stack[-2:-1] if name == "SETITEM" else stack[mark::2] if name in ("SETITEMS", "DICT") else ()):
+                raise _refused(path, "contains a key that is no text")
+            is_text = stack[-1] if name == "DUP" else name in _TEXTS
+            stack[start:] = [is_text] * len(after)
 
 
 def _check_content(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ...], npt.NDArray[np.float32]]:
@@ -233,6 +225,8 @@ def _check_content(uids: Any, described: Any, path: Path) -> tuple[tuple[str, ..
     try:
         if len(rows) != len(names):
             raise ValueError(f"{len(rows)} rows for {len(names)} uids")
+        if not len(rows):
+            return (), np.zeros((0, 0), np.float32)
         features = np.asarray(rows, np.float32) if isinstance(rows, np.ndarray) else _stack_rows(rows)
     except _PARSE_ERRORS as error:
         raise _invalid(path, f"has features that are not a table ({quote_value(str(error))})") from error
@@ -256,7 +250,12 @@ def _stack_rows(rows: list[Any]) -> npt.NDArray[np.float32]:
         if row.ndim != 1 if isinstance(row, np.ndarray) else not all(isinstance(x, int | float) for x in row):
             raise ValueError(f"a row of type {type(row).__name__}, expected a row of numbers")
         converted[id(row)] = np.asarray(row, np.float32)
-    return np.stack([converted[id(row)] for row in rows]) if rows else np.zeros((0, 0), np.float32)
+    return np.stack([converted[id(row)] for row in rows])
+
+
+def _refused(path: Path, what: str) -> ConfigError:
+    message = f"{path} {what}; expected numpy arrays in plain containers; it was not read, do not trust it"
+    return ConfigError(message, "pickle_refused")
 
 
 def _invalid(path: Path, what: str) -> ConfigError:

@@ -90,6 +90,7 @@ _ONE = b"\x80\x04}(\x8c\x04uids](\x8c\x01ae\x8c\rtext_features"
 _DEEP_LIST = b"]" * 200_000 + b"a" * 199_999
 _DTYPE = b"cnumpy\ndtype\n" + _DEEP_LIST + b"\x85R"
 _LONG = b"\x8b" + (200_000).to_bytes(4, "little") + b"\x01" * 200_000
+_NO_TEXT = "contains a key that is no text"
 _RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
 
 
@@ -97,17 +98,19 @@ _RECONSTRUCT = b"cnumpy.core.multiarray\n_reconstruct\n)R"
     ("data", "code", "words"),
     [
         # A tuple in tuples, as a key: hashing it would end the process with a fault of the machine.
-        (
-            b"\x80\x04}" + b")" + b"\x85" * 300_000 + b"K\x01s.",
-            "pickle_refused",
-            "nests tuples deeper, expected at most 64 levels",
-        ),
-        (b"\x80\x04}" + b")\x94" + b"h\x00\x86" * 90 + b"K\x01s.", "pickle_refused", "nests tuples"),
+        (b"\x80\x04}" + b")" + b"\x85" * 300_000 + b"K\x01s.", "pickle_refused", _NO_TEXT),
+        # Each tuple has the one before twice: hashing the last one takes 2^62 steps.
+        (b"\x80\x04}" + b")" + b"2\x86" * 62 + b"K\x01s.", "pickle_refused", _NO_TEXT),
+        (b"\x80\x04}" + b"(" + b")" + b"2\x86" * 62 + b"K\x01u.", "pickle_refused", _NO_TEXT),
+        (b"\x80\x04(" + b")" + b"2\x86" * 62 + b"K\x01d.", "pickle_refused", _NO_TEXT),
         (
             b"\x80\x04})\x940" + b"".join(b"h" + bytes([k]) + b"\x85\x940" for k in range(90)) + b"hZK\x01s.",
             "pickle_refused",
-            "nests tuples",
+            _NO_TEXT,
         ),
+        # A long number is hashed again wherever it is a key.
+        (b"\x80\x04}" + _LONG + b"K\x01s.", "pickle_refused", _NO_TEXT),
+        (b"\x80\x04}(\x8c\x01aK\x01" + _LONG + b"K\x01u.", "pickle_refused", _NO_TEXT),
         (b"\x80\x04\x8f.", "pickle_refused", "contains a set"),
         (b"\x80\x04" + b"]" * 30_000 + b".", "pickle_refused", "expected at most 20,000"),
         (
@@ -201,8 +204,16 @@ def test_a_name_of_a_type_of_any_length_is_refused(tmp_path: Path) -> None:
     assert len(str(caught.value)) < 500
 
 
-def test_rows_with_their_own_tuples_are_not_deep(tmp_path: Path) -> None:
-    """Each row of a list of arrays has some tuples, beside each other."""
+def test_a_library_without_assets_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "f.pkl"
+    for rows in ([], np.array([]), np.zeros((0, 5), np.float32)):
+        path.write_bytes(pickle.dumps({"uids": [], "text_features": rows}))
+        uids, features = read_text_features(path)
+        assert uids == ()
+        assert features.shape == (0, 0)
+
+
+def test_rows_that_are_arrays_of_their_own_are_read(tmp_path: Path) -> None:
     path, rows = tmp_path / "f.pkl", [np.full(3, k, np.float32) for k in range(500)]
     for protocol in range(2, 6):
         path.write_bytes(pickle.dumps({"uids": list(map(str, range(500))), "text_features": rows}, protocol))
