@@ -2,13 +2,17 @@
 
 A file of a few kilobytes can state 2 GiB for each column, and hold pages that decompress to as many. The footer states the bytes of each
 row group too, and limits hold for these; so the columns of a row group must not state more than it, nor the pages of a column more than
-the column. The footer is read here a second time, since ``RowGroupMetaData.column`` of pyarrow ends the process for some broken ones. The
-format is Parquet's, ``FileMetaData`` and ``PageHeader``, in the compact protocol of Thrift.
+the column. Equal values take no bytes: of a column of lists, a few bytes can be a billion numbers of one row, or one long text as many
+times. So a column has no more values than rows, and the values of lists are counted with the bytes that they take when they are read.
+
+The footer is read here a second time, since ``RowGroupMetaData.column`` of pyarrow ends the process for some broken ones. The format is
+Parquet's, ``FileMetaData`` and ``PageHeader``, in the compact protocol of Thrift.
 """
 
 import mmap
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
@@ -22,49 +26,129 @@ _MOST_PAGE_VALUES = 100  # of the header of a page, which has about twenty
 _TAIL = 8  # the length of the footer and a mark, after the footer
 
 # Numbers of the fields that are read.
-_ROW_GROUPS = 4  # of FileMetaData
-_COLUMNS, _BYTES = 1, 2  # of RowGroup
+_SCHEMA, _ROW_GROUPS = 2, 4  # of FileMetaData
+_TYPE, _TYPE_LENGTH, _REPETITION, _NUM_CHILDREN = 1, 2, 3, 5  # of SchemaElement
+_COLUMNS, _BYTES, _NUM_ROWS = 1, 2, 3  # of RowGroup
 _METADATA = 3  # of ColumnChunk
-_PATH, _COLUMN_BYTES, _COMPRESSED_BYTES, _DATA_START, _DICTIONARY_START = 3, 6, 7, 9, 11  # of ColumnMetaData
-_PAGE_BYTES, _COMPRESSED_PAGE_BYTES = 2, 3  # of PageHeader
+_PATH, _CODEC, _NUM_VALUES, _COLUMN_BYTES, _COMPRESSED_BYTES, _DATA_START, _DICTIONARY_START = (
+    3,
+    4,
+    5,
+    6,
+    7,
+    9,
+    11,
+)  # of ColumnMetaData
+_PAGE_BYTES, _COMPRESSED_PAGE_BYTES, _DATA_PAGE, _DICTIONARY_PAGE, _DATA_PAGE_2 = 2, 3, 5, 7, 8  # of PageHeader
+_PAGE_VALUES = 1  # of the headers of all kinds of pages
+_ENCODING = {_DATA_PAGE: 2, _DATA_PAGE_2: 4}  # of those with values
 
+_REPEATED = 2  # a kind of repetition
+_TEXT, _FIXED = 6, 7  # types of values of any length, and of one length
+_WIDTHS = {1: 4, 2: 8, 3: 12, 4: 4, 5: 8, _TEXT: 4}  # bytes of a value of the other types, of a text those of its offset
+_LEVELS = 4  # bytes of the levels of a value
+_DICTIONARIES, _PREFIXES = (
+    (2, 8),
+    7,
+)  # encodings: numbers of values of a dictionary; the letters of a text after those of the one before
+_LARGEST_DICTIONARY = 1 << 24  # bytes of one that is looked at; writers end one at a megabyte
+_CODECS = {1: "snappy", 2: "gzip", 4: "brotli", 6: "zstd", 7: "lz4_raw"}
+
+_Content = mmap.mmap | bytes
 _Struct = dict[int, Any]
 
 
-def check_pages(path: Path) -> None:
-    """Refuses a file in which a column states more bytes than its row group, or pages more than their column.
+@dataclass(frozen=True, slots=True)
+class _Leaf:
+    """A column.
+
+    Attributes:
+        is_repeated: Whether a row may have several values.
+        type: Number of the type of its values.
+        width: Bytes of a value when it is read; for texts, without its letters.
+    """
+
+    is_repeated: bool
+    type: int
+    width: int
+
+
+def check_pages(file: Path | bytes) -> None:
+    """Refuses a file in which a column states more bytes than its row group, pages more than their column, or values are too many.
 
     Args:
-        path: The file, which Arrow has opened.
+        file: The file, or its content, which Arrow has opened.
 
     Raises:
-        pyarrow.ArrowInvalid: A column or a page states too many bytes, or the footer or the header of a page cannot be read.
+        pyarrow.ArrowInvalid: A column or a page states too many bytes, values are too many, or the footer or the header of a page
+            cannot be read.
         OSError: The file cannot be read.
     """
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        end, num_pages = len(data) - _TAIL, 0
-        try:
-            start = end - int.from_bytes(data[end : end + 4], "little")
-            footer = _Reader(data, start, LIMITS.table.max_footer_values, at_most(LIMITS.table, "max_footer_values")).struct()
-            for group in footer[_ROW_GROUPS]:
-                columns = [column[_METADATA] for column in group[_COLUMNS]]
-                if (of_columns := sum(column[_COLUMN_BYTES] for column in columns)) > group[_BYTES]:
-                    raise pa.ArrowInvalid(f"a row group states {group[_BYTES]:,} bytes, but its columns state {of_columns:,}")
-                for column in columns:
-                    num_pages += _check_column(data, column, LIMITS.table.max_pages - num_pages)
-        except pa.ArrowInvalid:
-            raise
-        except (AttributeError, LookupError, TypeError, ValueError) as error:
-            raise pa.ArrowInvalid(f"its metadata cannot be read: {error!r}") from error
+    if isinstance(file, bytes):
+        _check_content(file)
+    else:
+        with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            _check_content(data)
 
 
-def _check_column(data: mmap.mmap, column: _Struct, most_pages: int) -> int:
-    """Checks the pages of a column of a row group, and returns their number."""
+def _check_content(data: _Content) -> None:
+    end, num_pages = len(data) - _TAIL, 0
+    try:
+        start = end - int.from_bytes(data[end : end + 4], "little")
+        footer = _Reader(data, start, LIMITS.table.max_footer_values, at_most(LIMITS.table, "max_footer_values")).struct()
+        leaves = _leaves(footer[_SCHEMA])
+        for group in footer[_ROW_GROUPS]:
+            columns = [column[_METADATA] for column in group[_COLUMNS]]
+            if (of_columns := sum(column[_COLUMN_BYTES] for column in columns)) > group[_BYTES]:
+                raise pa.ArrowInvalid(f"a row group states {group[_BYTES]:,} bytes, but its columns state {of_columns:,}")
+            pages = list[list[_Page]]()
+            for column in columns:
+                pages.append(_read_pages(data, column, LIMITS.table.max_pages - num_pages))
+                num_pages += len(pages[-1])
+            _check_values(data, group[_NUM_ROWS], list(zip(leaves, columns, pages, strict=True)))
+    except pa.ArrowInvalid:
+        raise
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise pa.ArrowInvalid(f"its metadata cannot be read: {error!r}") from error
+
+
+def _leaves(schema: list[_Struct]) -> list[_Leaf]:
+    """The columns of a file, whose schema lists each group before what is within it."""
+    leaves, groups = (
+        list[_Leaf](),
+        list[list[int]](),
+    )  # of each group that is open, its children to come and whether it is repeated
+    for element in schema:
+        while groups and not groups[-1][0]:
+            groups.pop()
+        is_repeated = element.get(_REPETITION) == _REPEATED or bool(groups and groups[-1][1])
+        if groups:
+            groups[-1][0] -= 1
+        if not groups or element.get(_NUM_CHILDREN):  # the first one is the group of all columns
+            groups.append([element.get(_NUM_CHILDREN, 0), is_repeated])
+        else:
+            kind = element[_TYPE]
+            width = element[_TYPE_LENGTH] if kind == _FIXED else _WIDTHS.get(kind, 4)
+            leaves.append(_Leaf(is_repeated, kind, width + _LEVELS))
+    return leaves
+
+
+class _Page(NamedTuple):
+    """A page: the number of its values, their encoding (None for the dictionary), its bytes, and where they are in the file."""
+
+    num_values: int
+    encoding: int | None
+    size: int
+    start: int
+    end: int
+
+
+def _read_pages(data: _Content, column: _Struct, most_pages: int) -> list[_Page]:
+    """Reads the headers of the pages of a column of a row group, which must not state more bytes than the column."""
     at = min((start for start in (column[_DATA_START], column.get(_DICTIONARY_START)) if start), default=0)
-    end, left, num_pages = at + column[_COMPRESSED_BYTES], column[_COLUMN_BYTES], 0
+    end, left, pages = at + column[_COMPRESSED_BYTES], column[_COLUMN_BYTES], list[_Page]()
     while at < end:
-        num_pages += 1
-        if num_pages > most_pages:
+        if len(pages) >= most_pages:
             raise pa.ArrowInvalid(f"it has more pages, expected {at_most(LIMITS.table, 'max_pages')}")
         reader = _Reader(data, at, _MOST_PAGE_VALUES, f"at most {_MOST_PAGE_VALUES}")
         page = reader.struct()
@@ -75,8 +159,63 @@ def _check_column(data: mmap.mmap, column: _Struct, most_pages: int) -> int:
                 f"column {_name(column)}: a page states {size:,} bytes, expected at most what is left of those of its column, "
                 f"{left + size:,}"
             )
-        at = reader.at + compressed
-    return num_pages
+        start, at = reader.at, reader.at + compressed
+        kind = next((kind for kind in (_DATA_PAGE, _DATA_PAGE_2, _DICTIONARY_PAGE) if kind in page), None)
+        if kind is not None:
+            encoding = page[kind][_ENCODING[kind]] if kind in _ENCODING else None
+            pages.append(_Page(page[kind][_PAGE_VALUES], encoding, size, start, at))
+    return pages
+
+
+def _check_values(data: _Content, num_rows: int, columns: list[tuple[_Leaf, _Struct, list[_Page]]]) -> None:
+    """Refuses a row group with more values than rows in a column without lists, or whose lists take too many bytes."""
+    for leaf, column, pages in columns:
+        num_values = max(column[_NUM_VALUES], sum(page.num_values for page in pages if page.encoding is not None))
+        if num_values > num_rows and not leaf.is_repeated:
+            raise pa.ArrowInvalid(
+                f"column {_name(column)}: has {num_values:,} values, expected one for each of {num_rows:,} rows"
+            )
+    lists = [each for each in columns if each[0].is_repeated]
+    limit = LIMITS.table.max_decoded_bytes
+    # That each text may be as long as the dictionary needs no look at it, and is mostly little enough.
+    if sum(_num_bytes(data, *each, is_quick=True) for each in lists) <= limit:
+        return
+    if (most := sum(_num_bytes(data, *each, is_quick=False) for each in lists)) > limit:
+        raise pa.ArrowInvalid(
+            f"the lists of a row group may need {most:,} bytes, expected {at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')}; "
+            "the file may be malicious; if you trust it, write its rows to several row groups"
+        )
+
+
+def _num_bytes(data: _Content, leaf: _Leaf, column: _Struct, pages: list[_Page], *, is_quick: bool) -> int:
+    """The most bytes that the values of a column take when they are read."""
+    values = [page for page in pages if page.encoding is not None]
+    found = leaf.width * max(column[_NUM_VALUES], sum(page.num_values for page in values))
+    if leaf.type == _TEXT:
+        dictionary = next((page for page in pages if page.encoding is None), None)
+        longest = 0 if dictionary is None else dictionary.size if is_quick else _longest_text(data, column, dictionary)
+        for page in values:
+            if page.encoding in _DICTIONARIES:
+                found += page.num_values * longest
+            else:
+                found += page.num_values * column[_COLUMN_BYTES] if page.encoding == _PREFIXES else page.size
+    return found
+
+
+def _longest_text(data: _Content, column: _Struct, page: _Page) -> int:
+    """The bytes of the longest text of a dictionary; of one that is large or cannot be read, its own."""
+    if page.size > _LARGEST_DICTIONARY:
+        return page.size
+    content, codec = data[page.start : page.end], column[_CODEC]
+    if codec:
+        if codec not in _CODECS or not pa.Codec.is_available(_CODECS[codec]):
+            return page.size
+        content = pa.Codec(_CODECS[codec]).decompress(content, page.size, asbytes=True)
+    at, longest = 0, 0
+    while at + 4 <= len(content):
+        length = int.from_bytes(content[at : at + 4], "little")
+        at, longest = at + 4 + length, max(longest, length)
+    return min(longest, page.size)
 
 
 def _name(column: _Struct) -> str:
@@ -96,7 +235,7 @@ class _Reader:
         at: Where what was read ends.
     """
 
-    def __init__(self, data: mmap.mmap, at: int, most_values: int, told: str) -> None:
+    def __init__(self, data: _Content, at: int, most_values: int, told: str) -> None:
         self._data, self.at, self._left, self._told = data, at, most_values, told
 
     def struct(self, depth: int = 0) -> _Struct:

@@ -29,7 +29,7 @@ def open_parquet(source: Any, **options: Any) -> pq.ParquetFile:
 
     Raises:
         pyarrow.ArrowException: It is no Parquet file, the name of a column is not UTF-8, or pages of a local file state more bytes than
-            their column or row group (:mod:`stable_data.storage.page_headers`).
+            their column or row group, or too many values (:mod:`stable_data.storage.page_headers`).
         OSError: It cannot be read.
     """
     try:
@@ -105,7 +105,9 @@ def bounded_batches(
         footer = file.metadata.row_group(group)
         if (stated := footer.total_byte_size) > limit:
             raise _too_big(path, "one row group")
-        rows = limit // max(stated, 1)  # no value is larger than the bytes of its row group
+        rows = limit // max(
+            stated, 1
+        )  # no value is larger than the bytes of its row group, and the values of lists are counted
         if most_rows is None and footer.num_rows <= rows:
             batches = iter(file.read_row_group(group, columns, use_threads=use_threads).to_batches())  # faster than in steps
         else:
@@ -125,7 +127,7 @@ def checked(rows: _Rows) -> _Rows:
 
 
 def is_small(fragment: ds.ParquetFileFragment) -> bool:
-    """Returns whether a file cannot need too much memory; no value is larger than the bytes of its row group.
+    """Returns whether a file cannot need too much memory; see :func:`bounded_batches`.
 
     Raises:
         pyarrow.ArrowException: As :func:`open_parquet`.

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -12,6 +13,7 @@ import pyarrow.parquet as pq
 from stable_data.errors import ConfigError
 from stable_data.limits import LIMITS
 from stable_data.storage.checksums import CHECKSUMS, checksum_of, is_shard_file
+from stable_data.storage.page_headers import check_pages
 from stable_data.storage.parquet_files import bounded_batches, open_parquet
 from stable_data.storage.run_folder import PART, RunFolder
 from stable_data.verification.findings import Findings
@@ -99,14 +101,18 @@ def open_file(folder: RunFolder, file: ShardFile, checksum: str | None, findings
             if content is None:
                 findings.damage(file.name, "was removed while it was read")
                 return None
-            found, source = checksum_of(content), pa.BufferReader(content)
+            found, source, at_hand = checksum_of(content), pa.BufferReader(content), content
         else:
             found, source = checksum_in_chunks(folder, file.path), folder.filesystem.open_input_file(file.path)
+            at_hand = Path(file.path) if folder.is_local else None
         if checksum is not None and found != checksum:
             findings.damage(
                 file.name, f"has the SHA-256 {found[:16]}…, expected {checksum[:16]}… as {CHECKSUMS} says; it was changed"
             )
-        return open_parquet(source)
+        opened = open_parquet(source)
+        if at_hand is not None:
+            check_pages(at_hand)
+        return opened
     except (pa.ArrowException, OSError, ConfigError, ValueError) as error:
         findings.damage(file.name, f"is no readable Parquet file ({_line(error)})")
         return None

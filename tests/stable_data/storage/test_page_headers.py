@@ -10,6 +10,7 @@ import pytest
 
 from stable_data.storage.page_headers import check_pages
 from stable_data.storage.parquet_files import open_parquet, read_row_groups
+from tests.bounds import limit
 
 ROWS = 5000
 TABLE = pa.table(
@@ -82,6 +83,51 @@ def test_a_header_of_endless_or_unknown_values_is_refused(values: bytes, tmp_pat
     content[start : start + len(values)] = values
     path.write_bytes(content)
     with pytest.raises(pa.ArrowInvalid, match="its metadata cannot be read"):
+        open_parquet(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "values"),
+    [
+        ({}, [0.0] * 2_000_000),
+        ({}, ["x" * 10_000] * 5000),
+        ({"compression": "none"}, [b"x" * 10_000] * 5000),
+        ({"use_dictionary": False, "column_encoding": "DELTA_BYTE_ARRAY"}, ["x" * 10_000] * 5000),
+        ({"data_page_version": "2.0"}, [{"a": [k % 2 == 0] * 1000} for k in range(3000)]),
+    ],
+)
+def test_equal_values_of_lists_take_their_bytes(
+    options: dict[str, Any], values: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file of some kilobytes, whose only row takes many megabytes."""
+    path = tmp_path / "file.parquet"
+    pq.write_table(pa.table({"list": [values]}), path, **options)
+    assert path.stat().st_size < 200_000
+    limit(monkeypatch, "table", max_decoded_bytes=10_000_000)
+    with pytest.raises(
+        pa.ArrowInvalid, match=r"the lists of a row group may need \d\d,\d{3},\d{3} bytes, expected at most 10,000,000"
+    ):
+        open_parquet(path)
+    limit(monkeypatch, "table", max_decoded_bytes=100_000_000)
+    assert open_parquet(path).metadata.num_rows == 1
+
+
+@pytest.mark.parametrize("codec", ["none", "snappy", "gzip", "brotli", "zstd", "lz4"])
+def test_lists_of_different_texts_pass(codec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each text could be as long as all that are different together; the longest one is looked for then."""
+    limit(monkeypatch, "table", max_decoded_bytes=2_000_000)
+    lists = [[f"{(20 * row + k) % 999:050}" for k in range(20)] for row in range(1000)]
+    pq.write_table(pa.table({"list": lists}), tmp_path / "file.parquet", compression=codec)
+    assert open_parquet(tmp_path / "file.parquet").read()["list"].to_pylist() == lists
+
+
+def test_more_values_than_rows_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "file.parquet"
+    pq.write_table(TABLE.select(["number"]), path)
+    content, rows = path.read_bytes(), b"\x16\x90\x4e"  # 5000, twice as numbers are written, after the columns of the row group
+    at = content.rindex(rows)
+    path.write_bytes(content[:at] + b"\x16\x82\x00" + content[at + len(rows) :])
+    with pytest.raises(pa.ArrowInvalid, match="number: has 5,000 values, expected one for each of 1 rows"):
         open_parquet(path)
 
 
