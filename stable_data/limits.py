@@ -282,12 +282,14 @@ class TableLimits:
         max_pages: Pages of all columns, which may name the same ones again and again.
         max_footer_values: Values of its footer; each takes up to 100 bytes in memory.
         max_picture_side: Pixels of a side of a picture of an episode.
+        max_objects: Objects of a scene.
     """
 
     max_decoded_bytes: int = 1 * GIB
     max_pages: int = 300_000
     max_footer_values: int = 5_000_000
     max_picture_side: int = 4_096
+    max_objects: int = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,6 +298,7 @@ class WorkLimits:
 
     Attributes:
         max_audit_triangles: Work of the exact tests of one scene, in triangles: about 25 s. The fullest of 120 real ones needs 7 million.
+            A scene with more triangles than this is refused.
         max_repair_parts: Parts of a mesh that is repaired, and its holes.
         max_repair_pairs: Pairs of parts whose boxes overlap, and pairs of a face and a hole.
         max_repair_sums: Faces that are summed for winding numbers over all points.

@@ -10,6 +10,7 @@ Dimension letters used in shapes: S scenes, N objects, P points, V vertices, F f
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -29,6 +30,8 @@ Rectangle: TypeAlias = tuple[float, float, float, float]  # x_min, x_max, y_min,
 
 TABLE = "table"
 """The name of the table top where an instance is expected (``SceneObject.support``)."""
+
+_MAX_LISTED = 6  # names that a message lists
 
 UPRIGHT: QuatXyzw = (0.0, 0.0, 0.0, 1.0)
 
@@ -270,8 +273,9 @@ class Scene:
         """Refuses two objects with the same name, and an object with the name of the table."""
         names = [o.instance for o in self.objects]
         if len(set(names)) < len(names) or TABLE in names:
-            twice = sorted({n for n in names if names.count(n) > 1 or n == TABLE})
-            message = f"{self.scene_id}: instances {twice} are not unique, expected one name per object"
+            twice = sorted(name for name, count in Counter(names).items() if count > 1 or name == TABLE)
+            more = f" and {len(twice) - _MAX_LISTED} more" if len(twice) > _MAX_LISTED else ""
+            message = f"{self.scene_id}: instances {twice[:_MAX_LISTED]}{more} are not unique, expected one name per object"
             raise SceneError(message, "duplicate_instance")
 
     def __getitem__(self, instance: str) -> SceneObject:

@@ -92,8 +92,10 @@ def parse_filter(text: str, schema: pa.Schema) -> FilterExpression:
         levels = at_most(LIMITS.text, "max_query_levels", "levels")
         raise _invalid(text, f"nests deeper, expected {levels}; use fewer parentheses")
     if (terms := _num_terms(tree)) > LIMITS.text.max_query_terms:
-        most = at_most(LIMITS.text, "max_query_terms", "comparisons and operands of and, or")
-        raise _invalid(text, f"has {terms:,}, expected {most}; use a list, such as: scene_id in [...]")
+        most = at_most(LIMITS.text, "max_query_terms")
+        raise _invalid(
+            text, f"has {terms:,} comparisons and operands of and, or, expected {most}; use a list: scene_id in [...]"
+        )
     reader = _Reader(text, schema)
     try:
         expression = reader.truth(tree)

@@ -10,6 +10,7 @@ import pyarrow as pa
 from stable_data.condition import condition_document, condition_of
 from stable_data.errors import Notice, SceneError
 from stable_data.json_text import json_text, json_value, quote_value
+from stable_data.limits import LIMITS, at_most
 from stable_data.metrics.card import MetricCard
 from stable_data.metrics.judge_columns import FURTHER_COLUMNS
 from stable_data.metrics.reach_columns import REACH_COLUMNS
@@ -141,6 +142,7 @@ def scene_from_row(row: Mapping[str, Any]) -> Scene:
         SceneError: ``row_invalid``: a value is missing or none of a scene. A run may come from anywhere.
     """
     try:
+        _check_size(row)
         scene = _scene_of(row)
         _check_scene(scene)
     except ROW_ERRORS as error:
@@ -148,6 +150,21 @@ def scene_from_row(row: Mapping[str, Any]) -> Scene:
         message = f"{quote_value(row.get('scene_id'))}: the row of its scene cannot be used ({reason:.200})"
         raise SceneError(f"{message}, expected what a job writes; make the run again", "row_invalid") from error
     return scene
+
+
+def _check_size(row: Mapping[str, Any]) -> None:
+    """Refuses a row of too many objects, or of more JSON than a layout file may have: rows of a small file may share the same text.
+
+    Raises:
+        ValueError: See above.
+    """
+    objects = row["objects"]
+    if len(objects) > LIMITS.table.max_objects:
+        raise ValueError(f"{len(objects):,} objects, expected {at_most(LIMITS.table, 'max_objects')}")
+    if (
+        size := sum(len(part.get("source_json") or "") for part in (row, row["task"] or {}, *objects))
+    ) > LIMITS.layout.max_bytes:
+        raise ValueError(f"source_json of {size:,} characters, expected {at_most(LIMITS.layout, 'max_bytes')}")
 
 
 def _check_scene(scene: Scene) -> None:

@@ -1,5 +1,6 @@
 """Rows of a run that no job has written: nulls, lists of other lengths, numbers that are none, versions that are no text."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from stable_data.storage.scene_arrays import SceneArrays, scenes_from_table
 from stable_data.storage.schema_checks import check_schema
 from stable_data.storage.schemas import SCHEMAS, Row
 from stable_data.storage.table_rows import card_row, scene_from_row, scene_row, task_row
+from tests.bounds import soon
 from tests.scenes import box
 
 OBJECT = SceneObject("0_mug_0", "mug", (0.2, 0.3, 0.05), 0.1, (0.1, 0.1, 0.1), "mug", (1.0, 1.0, 1.0))
@@ -97,6 +99,18 @@ def test_a_scene_of_a_hostile_row_is_an_error_of_this_scene(path: str, value: An
         scene_from_row(changed(path, value))
     assert caught.value.code == "row_invalid"
     assert len(str(caught.value)) < 500
+
+
+def test_a_scene_of_very_many_objects_is_refused_at_once() -> None:
+    """They may all have one name, or share a text: a file of some kilobytes has a million of them."""
+    row = good_row()
+    with soon(5.0), pytest.raises(SceneError, match="1,000,000 objects, expected at most 10,000"):
+        scene_from_row(row | {"objects": row["objects"][:1] * 1_000_000})
+    many = row["objects"][0] | {"source_json": json.dumps({"x": [[]] * 250_000})}
+    with soon(5.0), pytest.raises(SceneError, match="source_json of 100,000,700 characters, expected at most"):
+        scene_from_row(row | {"objects": [many] * 100})
+    with soon(5.0), pytest.raises(SceneError, match=r"instances \['0_mug_0'\] are not unique"):
+        scene_from_row(row | {"objects": row["objects"][:1] * 10_000})
 
 
 def test_a_row_that_a_job_wrote_is_read() -> None:
