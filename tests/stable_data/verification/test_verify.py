@@ -194,6 +194,17 @@ def test_rows_that_are_far_larger_than_their_file_are_damage(tmp_path: Path, mon
     assert result.rows["failures"] < 2_000
 
 
+def test_lists_that_are_far_larger_than_their_file_are_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = small_run(tmp_path)
+    [path] = files_of(run, "scenes")
+    rows = pq.read_table(path)
+    names = pa.array([["x" * 10_000] * 5000] * len(rows), rows.schema.field("fixed").type)
+    pq.write_table(rows.set_column(rows.schema.get_field_index("fixed"), rows.schema.field("fixed"), names), path)
+    limit(monkeypatch, "table", max_decoded_bytes=20 * 10**6)
+    _, found = verified(run)
+    assert any("the lists of a row group may need" in each.what for each in found), found
+
+
 def test_there_are_many_ways_to_damage_a_run() -> None:
     of_preprocess = (OF_SAMPLES, TOGETHER, OF_FEATURES, OF_STAGES)
     assert sum(map(len, (BY_CHECKSUM, BY_CONTENT, BY_VERDICT, OF_TEXTURES, OF_CORRECTIONS, *of_preprocess))) >= 180
