@@ -39,9 +39,10 @@ _PATH, _CODEC, _NUM_VALUES, _COLUMN_BYTES, _COMPRESSED_BYTES, _DATA_START, _DICT
     9,
     11,
 )  # of ColumnMetaData
-_PAGE_BYTES, _COMPRESSED_PAGE_BYTES, _DATA_PAGE, _DICTIONARY_PAGE, _DATA_PAGE_2 = 2, 3, 5, 7, 8  # of PageHeader
-_PAGE_VALUES = 1  # of the headers of all kinds of pages
-_ENCODING = {_DATA_PAGE: 2, _DATA_PAGE_2: 4}  # of those with values
+_PAGE_KIND, _PAGE_BYTES, _COMPRESSED_PAGE_BYTES = 1, 2, 3  # of PageHeader
+_DATA, _DICTIONARY, _DATA_2 = 0, 2, 3  # kinds of pages
+_ABOUT = {_DATA: 5, _DICTIONARY: 7, _DATA_2: 8}  # of PageHeader, by its kind
+_PAGE_VALUES, _ENCODING = 1, {_DATA: 2, _DATA_2: 4}  # of these
 
 _REPEATED = 2  # a kind of repetition
 _TEXT, _FIXED = 6, 7  # types of values of any length, and of one length
@@ -114,10 +115,8 @@ def _check_content(data: _Content) -> None:
 
 def _leaves(schema: list[_Struct]) -> list[_Leaf]:
     """The columns of a file, whose schema lists each group before what is within it."""
-    leaves, groups = (
-        list[_Leaf](),
-        list[list[int]](),
-    )  # of each group that is open, its children to come and whether it is repeated
+    leaves = list[_Leaf]()
+    groups = list[list[int]]()  # of each group that is open, its children to come and whether it is repeated
     for element in schema:
         while groups and not groups[-1][0]:
             groups.pop()
@@ -128,14 +127,15 @@ def _leaves(schema: list[_Struct]) -> list[_Leaf]:
             groups.append([element.get(_NUM_CHILDREN, 0), is_repeated])
         else:
             kind = element[_TYPE]
-            width = element[_TYPE_LENGTH] if kind == _FIXED else _WIDTHS.get(kind, 4)
+            width = max(element[_TYPE_LENGTH], 1) if kind == _FIXED else _WIDTHS.get(kind, 1)
             leaves.append(_Leaf(is_repeated, kind, width + _LEVELS))
     return leaves
 
 
 class _Page(NamedTuple):
-    """A page: the number of its values, their encoding (None for the dictionary), its bytes, and where they are in the file."""
+    """A page: its kind, the number of its values and their encoding, its bytes, and where they are in the file."""
 
+    kind: int
     num_values: int
     encoding: int | None
     size: int
@@ -160,17 +160,18 @@ def _read_pages(data: _Content, column: _Struct, most_pages: int) -> list[_Page]
                 f"{left + size:,}"
             )
         start, at = reader.at, reader.at + compressed
-        kind = next((kind for kind in (_DATA_PAGE, _DATA_PAGE_2, _DICTIONARY_PAGE) if kind in page), None)
-        if kind is not None:
-            encoding = page[kind][_ENCODING[kind]] if kind in _ENCODING else None
-            pages.append(_Page(page[kind][_PAGE_VALUES], encoding, size, start, at))
+        kind = page[_PAGE_KIND]
+        about = page[_ABOUT[kind]] if kind in _ABOUT else {_PAGE_VALUES: 0}
+        if (num_values := about[_PAGE_VALUES]) < 0:
+            raise pa.ArrowInvalid(f"column {_name(column)}: a page states {num_values:,} values, expected a number from 0")
+        pages.append(_Page(kind, num_values, about[_ENCODING[kind]] if kind in _ENCODING else None, size, start, at))
     return pages
 
 
 def _check_values(data: _Content, num_rows: int, columns: list[tuple[_Leaf, _Struct, list[_Page]]]) -> None:
     """Refuses a row group with more values than rows in a column without lists, or whose lists take too many bytes."""
     for leaf, column, pages in columns:
-        num_values = max(column[_NUM_VALUES], sum(page.num_values for page in pages if page.encoding is not None))
+        num_values = _num_values(column, pages)
         if num_values > num_rows and not leaf.is_repeated:
             raise pa.ArrowInvalid(
                 f"column {_name(column)}: has {num_values:,} values, expected one for each of {num_rows:,} rows"
@@ -187,14 +188,20 @@ def _check_values(data: _Content, num_rows: int, columns: list[tuple[_Leaf, _Str
         )
 
 
+def _num_values(column: _Struct, pages: list[_Page]) -> int:
+    """The values of a column, by itself or by its pages, whichever are more."""
+    return int(max(column[_NUM_VALUES], sum(page.num_values for page in pages if page.kind != _DICTIONARY)))
+
+
 def _num_bytes(data: _Content, leaf: _Leaf, column: _Struct, pages: list[_Page], *, is_quick: bool) -> int:
     """The most bytes that the values of a column take when they are read."""
-    values = [page for page in pages if page.encoding is not None]
-    found = leaf.width * max(column[_NUM_VALUES], sum(page.num_values for page in values))
+    found = leaf.width * _num_values(column, pages)
     if leaf.type == _TEXT:
-        dictionary = next((page for page in pages if page.encoding is None), None)
+        dictionary = next((page for page in pages if page.kind == _DICTIONARY), None)
         longest = 0 if dictionary is None else dictionary.size if is_quick else _longest_text(data, column, dictionary)
-        for page in values:
+        for page in pages:
+            if page.kind not in _ENCODING:
+                continue
             if page.encoding in _DICTIONARIES:
                 found += page.num_values * longest
             else:

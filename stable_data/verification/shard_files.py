@@ -95,13 +95,14 @@ def open_file(folder: RunFolder, file: ShardFile, checksum: str | None, findings
         checksum: Its checksum; None if the run has none.
         findings: Where damage is noted.
     """
+    at_hand: Path | bytes | None
     try:
         if file.size <= _WHOLE:
-            content = folder.read_bytes(file.name)
+            content = at_hand = folder.read_bytes(file.name)
             if content is None:
                 findings.damage(file.name, "was removed while it was read")
                 return None
-            found, source, at_hand = checksum_of(content), pa.BufferReader(content), content
+            found, source = checksum_of(content), pa.BufferReader(content)
         else:
             found, source = checksum_in_chunks(folder, file.path), folder.filesystem.open_input_file(file.path)
             at_hand = Path(file.path) if folder.is_local else None

@@ -197,7 +197,8 @@ def test_a_name_of_a_type_of_any_length_is_refused(tmp_path: Path) -> None:
 
 def test_a_library_without_assets_is_read(tmp_path: Path) -> None:
     path = tmp_path / "f.pkl"
-    for rows in ([], np.array([]), np.zeros((0, 5), np.float32)):
+    empty: tuple[Any, ...] = ([], np.array([]), np.zeros((0, 5), np.float32))
+    for rows in empty:
         path.write_bytes(pickle.dumps({"uids": [], "text_features": rows}))
         uids, features = read_text_features(path)
         assert uids == ()
