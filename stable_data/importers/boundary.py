@@ -17,6 +17,9 @@ _SCHEME = re.compile(r"^[a-zA-Z][a-zA-Z0-9+.-]+:")  # at least two letters: one 
 _DRIVE = re.compile(r"^(?:[a-zA-Z]:|\\\\)")
 _NOT_OF_AN_ID = re.compile(r"[^A-Za-z0-9._-]+")
 
+LONGEST_PATH = 4_096
+"""Characters of a path, as many as systems take. A path is looked up folder by folder, which takes long for one of very many."""
+
 
 class Boundary:
     """A folder whose files may be read. Links are followed only where they stay inside.
@@ -80,8 +83,9 @@ class Boundary:
             raise self._error(
                 reference, "leaves the folder", "a path relative to the file; copy the file into the folder", "path_outside"
             )
-        if "\0" in text or not text:
-            raise self._error(reference, "is no path", "the name of a file", "file_missing")
+        if "\0" in text or not text or len(text) > LONGEST_PATH:
+            expected = f"the name of a file, at most {LONGEST_PATH:,} characters"
+            raise self._error(reference, "is no path", expected, "file_missing")
         for place in self._places(PurePosixPath(base), *(named.groups() if named else ("", text))):
             path = self._inside(reference, place)
             if path is not None:

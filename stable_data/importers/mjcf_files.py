@@ -5,7 +5,7 @@ in the source folder. The model is then compiled from copies of these files in a
 """
 
 import posixpath
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
 from stable_data.errors import MeshError
-from stable_data.importers.boundary import Boundary
+from stable_data.importers.boundary import LONGEST_PATH, Boundary
 from stable_data.json_text import quote_value
-from stable_data.limits import LIMITS, at_most, is_out_of_memory, memory_limited
+from stable_data.limits import LIMITS, FileLimits, at_most, is_out_of_memory, memory_limited
 
 if TYPE_CHECKING:
     import mujoco  # takes long to import
@@ -48,6 +48,27 @@ def file_reference(element: str, file: str, compiler: Mapping[str, str]) -> str:
         name = PurePosixPath(name).name
     folder = next((compiler[key] for key in _FOLDERS_OF.get(element, ()) if compiler.get(key)), "")
     return f"{folder}/{name}" if folder and not name.startswith("/") else name
+
+
+def check_names(path: str, names: Collection[tuple[str, str]], compiler: Mapping[str, str], limits: FileLimits) -> None:
+    """Refuses a model that names very many files, each of which is looked for, or that puts a very long directory before each name.
+
+    Args:
+        path: The model.
+        names: Elements, such as ``mesh``, with the names of files in them, each once.
+        compiler: The attributes of ``compiler``.
+        limits: The limit on the number of files.
+
+    Raises:
+        MeshError: ``file_too_large`` or ``model_unreadable``.
+    """
+    if len(names) > limits.max_files:
+        found = f"{quote_value(path)} names {len(names):,} files"
+        raise MeshError(f"{found}, expected {at_most(limits, 'max_files')}; simplify it", "file_too_large")
+    for key in sorted({key for keys in _FOLDERS_OF.values() for key in keys}):
+        if len(compiler.get(key, "")) > LONGEST_PATH:
+            found = f"{quote_value(path)} has a {key} of {len(compiler[key]):,} characters"
+            raise MeshError(f"{found}, expected a path of at most {LONGEST_PATH:,}; correct it", "model_unreadable")
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,16 +306,19 @@ def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> tuple[list
         if tag.name == "compiler":
             compiler |= tag.attributes
     folder, attached_elements = posixpath.dirname(path), 1
-    for tag in tags:
-        names = [value for key, value in tag.attributes.items() if key in FILE_ATTRIBUTES and value.strip()]
-        for name in names:
-            if tag.name == "model":
-                attached = _place(scan, path, folder, name)
-                if attached in (path, *above):
-                    raise _read_twice(path, attached)
-                attached_elements = max(attached_elements, _collect_model(scan, attached, (*above, path))[1])
-                continue
-            _place(scan, path, folder, file_reference(tag.name, name, compiler))
+    files = (
+        (tag.name, name) for tag in tags for key, name in tag.attributes.items() if key in FILE_ATTRIBUTES and name.strip()
+    )
+    names = dict.fromkeys(files)
+    check_names(path, names, compiler, scan.boundary.limits)
+    for kind, name in names:
+        if kind == "model":
+            attached = _place(scan, path, folder, name)
+            if attached in (path, *above):
+                raise _read_twice(path, attached)
+            attached_elements = max(attached_elements, _collect_model(scan, attached, (*above, path))[1])
+            continue
+        _place(scan, path, folder, file_reference(kind, name, compiler))
     for element in elements:
         _check_size(element)
     return elements, _num_copied(path, elements, attached_elements)

@@ -103,7 +103,7 @@ class MjcfReader:
 
 def _existing(model: MjcfText, boundary: Boundary) -> Iterator[str]:
     """The files of a model's meshes and textures that can be read; what reading finds amiss with the others is said there."""
-    for reference in model.references():
+    for reference in model.references().values():
         try:
             yield boundary.resolve(reference, model.base)
         except MeshError:
@@ -120,6 +120,7 @@ class _ModelReader:
     text: MjcfText
     notices: list[Notice] = field(default_factory=list)
     images: dict[str, bytes | None] = field(default_factory=dict)
+    contents: dict[str, bytes] = field(default_factory=dict)
 
     def asset(self) -> SourceAsset:
         name = name_of_path(self.ref.path, self.root.root.name)
@@ -188,7 +189,9 @@ class _ModelReader:
         if reference not in self.images:
             try:
                 path = self.root.resolve(reference, self.text.base)
-                self.images[reference] = self.root.read_bytes(path, "max_bytes", LIMITS.image)
+                if path not in self.contents:  # several names may mean one file
+                    self.contents[path] = self.root.read_bytes(path, "max_bytes", LIMITS.image)
+                self.images[reference] = self.contents[path]
             except MeshError as error:
                 self.images[reference] = None
                 self._note(_TEXTURE_CODES.get(error.code, "texture_invalid"), f"{error}; the surface keeps its colour alone")

@@ -3,7 +3,7 @@
 import copy
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import NoReturn
@@ -13,7 +13,7 @@ from stable_data.errors import MeshError
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.mesh_file import check_face_count
 from stable_data.importers.formats.xml_text import parse_xml
-from stable_data.importers.mjcf_files import FILE_ATTRIBUTES, file_reference
+from stable_data.importers.mjcf_files import FILE_ATTRIBUTES, check_names, file_reference
 from stable_data.json_text import quote_value
 from stable_data.limits import LIMITS, at_most
 
@@ -84,7 +84,7 @@ class MjcfText:
             The model; None if the file is no model, but other XML or a fragment that models include.
 
         Raises:
-            MeshError: ``model_unreadable``, ``cyclic_reference``, or a code of the boundary.
+            MeshError: ``model_unreadable``, ``cyclic_reference``, ``file_too_large``: it names too many files; or a code of the boundary.
         """
         content = boundary.read_bytes(path, "max_xml_bytes")
         if _MODEL.search(content) is None:
@@ -94,7 +94,9 @@ class MjcfText:
             return None
         included: list[str] = []
         _put_includes_in_place(boundary, root, (path,), included)
-        return cls(path, root, tuple(included))
+        model = cls(path, root, tuple(included))
+        check_names(path, model._names(), model._compiler, boundary.limits)
+        return model
 
     @property
     def base(self) -> str:
@@ -124,11 +126,10 @@ class MjcfText:
         texts = (text for custom in self.root.iter("custom") for text in custom.iter("text"))
         return next((t.get("data", "").strip()[:1000] for t in texts if t.get("name", "").lower() in names), "")
 
-    def references(self) -> Iterator[str]:
-        """The names of files of meshes and textures as they stand in the model, with their directories."""
+    def references(self) -> Mapping[tuple[str, str], str]:
+        """Kind of a mesh or texture and name of a file as it stands in the model -> the name with its directory."""
         compiler = self._compiler
-        for element in self._assets():
-            yield from (_reference(element, name, compiler) for name in FILE_ATTRIBUTES if name in element.attrib)
+        return {(kind, name): file_reference(kind, name, compiler) for kind, name in self._names()}
 
     def isolated(self, boundary: Boundary, max_faces: int) -> IsolatedModel:
         """Reads the meshes and returns the model with all names of files replaced.
@@ -151,12 +152,12 @@ class MjcfText:
         model = MjcfText(self.path, copy.deepcopy(self.root), self.includes)
         meshes = _Meshes(boundary, max_faces)
         textures: dict[str, Texture] = {}
-        assets, compiler = list(model._assets()), self._compiler
+        assets, references = list(model._assets()), self.references()
         for element in assets:
             if element.tag == "mesh":
-                model._replace_mesh(element, meshes, compiler)
+                model._replace_mesh(element, meshes, references)
             else:
-                model._replace_texture(element, textures, compiler)
+                model._replace_texture(element, textures, references)
         known = set(map(id, assets))
         if any(name in element.attrib for element in model.root.iter() if id(element) not in known for name in FILE_ATTRIBUTES):
             self._fail("names a file outside of its assets", "files of meshes and textures alone", "model_unsupported")
@@ -171,21 +172,28 @@ class MjcfText:
         for asset in self.root.iter("asset"):
             yield from (element for element in asset if element.tag in _ASSETS)
 
+    def _names(self) -> Collection[tuple[str, str]]:
+        """Kinds of meshes and textures with the names of files that stand in them, each once."""
+        named = ((element, name) for element in self._assets() for name in FILE_ATTRIBUTES if name in element.attrib)
+        return dict.fromkeys((element.tag, element.attrib[name]) for element, name in named)
+
     @property
     def _compiler(self) -> Mapping[str, str]:
         return {name: value for compiler in self.root.iter("compiler") for name, value in compiler.attrib.items()}
 
-    def _replace_mesh(self, element: Element, meshes: "_Meshes", compiler: Mapping[str, str]) -> None:
+    def _replace_mesh(self, element: Element, meshes: "_Meshes", references: Mapping[tuple[str, str], str]) -> None:
         if "file" not in element.attrib:
             return
-        name = meshes.name_of(_reference(element, "file", compiler), self.base)
+        name = meshes.name_of(references[element.tag, element.attrib["file"]], self.base)
         element.attrib.setdefault("name", PurePosixPath(element.attrib["file"].replace("\\", "/")).stem)
         element.attrib.pop("content_type", None)
         element.attrib["file"] = name
 
-    def _replace_texture(self, element: Element, textures: dict[str, Texture], compiler: Mapping[str, str]) -> None:
+    def _replace_texture(
+        self, element: Element, textures: dict[str, Texture], references: Mapping[tuple[str, str], str]
+    ) -> None:
         """Records a texture and replaces it by a pixel: MuJoCo would decode images of any size, and PNG alone."""
-        files = [_reference(element, name, compiler) for name in FILE_ATTRIBUTES if name in element.attrib]
+        files = [references[element.tag, element.attrib[name]] for name in FILE_ATTRIBUTES if name in element.attrib]
         if "file" in element.attrib:
             element.attrib.setdefault("name", PurePosixPath(element.attrib["file"].replace("\\", "/")).stem)
         mirrored = element.get("hflip", "").lower() == "true", element.get("vflip", "").lower() == "true"
@@ -205,13 +213,16 @@ class _Meshes:
     def __init__(self, boundary: Boundary, max_faces: int) -> None:
         self.contents: dict[str, bytes] = {}
         self._boundary, self._max_faces = boundary, max_faces
+        self._paths: dict[str, str] = {}
         self._names: dict[str, str] = {}
         self._faces: dict[str, int] = {}
         self._num_faces = 0
 
     def name_of(self, reference: str, base: str) -> str:
         """Reads a file and returns its name in ``contents``."""
-        path = self._boundary.resolve(reference, base)
+        if reference not in self._paths:
+            self._paths[reference] = self._boundary.resolve(reference, base)
+        path = self._paths[reference]
         if path not in self._names:
             name = f"{len(self.contents)}{PurePosixPath(path).suffix.lower()}"
             self._names[path], self.contents[name] = name, self._boundary.read_bytes(path)
@@ -230,10 +241,6 @@ def _num_faces(name: str, content: bytes) -> int:
     if suffix == ".msh":
         return int.from_bytes(content[12:16], "little")
     return max(len(content) - 84, 0) // 50  # a binary STL, the only other format that MuJoCo reads
-
-
-def _reference(element: Element, attribute: str, compiler: Mapping[str, str]) -> str:
-    return file_reference(element.tag, element.attrib[attribute], compiler)
 
 
 def _is_not_finite(value: str) -> bool:

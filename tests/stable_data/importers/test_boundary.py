@@ -79,6 +79,22 @@ def test_what_is_not_there_is_missing(folder: Path, reference: str) -> None:
     assert code_of(folder, reference) == "file_missing"
 
 
+@pytest.mark.parametrize("reference", ["a/" * 2_049, "./" * 2_046 + "a.obj", "model://other/" + "a/" * 2_049, "%2e/" * 1_025])
+def test_a_path_longer_than_any_file_has_is_not_looked_up(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, reference: str
+) -> None:
+    """The time grew with the square of the length: 1 MB took a minute."""
+    assert Boundary(folder).resolve("./" * 2_045 + "a.obj", "model/meshes") == "model/meshes/a.obj"
+
+    def look_up(*_: object) -> None:
+        raise AssertionError("it was looked up")
+
+    monkeypatch.setattr(Boundary, "_inside", look_up)
+    with pytest.raises(MeshError, match="is no path, expected the name of a file, at most 4,096 characters") as caught:
+        Boundary(folder).resolve(reference, "model/meshes")
+    assert caught.value.code == "file_missing"
+
+
 def test_absolute_paths_are_refused_even_into_the_folder(folder: Path) -> None:
     assert code_of(folder, str(folder / "model" / "meshes" / "a.obj")) == "path_outside"
 

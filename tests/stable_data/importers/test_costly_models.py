@@ -1,10 +1,11 @@
 """Models of a few bytes that ask for much time or memory: each is refused soon, and the limit is named."""
 
 import io
+import itertools
 import json
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from stable_data.errors import MeshError
+from stable_data.errors import MeshError, Notice
 from stable_data.importers import sdformat, urdf
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.xml_text import parse_xml
@@ -249,7 +250,56 @@ def test_names_of_files_are_found_in_time_that_grows_with_their_number(tmp_path:
     model = MjcfText.load(Boundary(tmp_path), "thing.xml")
     assert model is not None
     with soon(3.0):
-        assert sum(1 for _ in model.references()) == 20_000
+        assert model.references() == {("texture", "a.png"): "a.png"}
+
+
+def many_meshes(folder: Path, names: Iterable[str], meshdir: str) -> None:
+    """A model that names so many meshes, and a scene with it."""
+    meshes = "".join(f'<mesh name="m{k}" file="{name}"/>' for k, name in enumerate(names))
+    body = "<worldbody><geom size='1'/></worldbody>"
+    (folder / "thing.xml").write_text(f'<mujoco><compiler meshdir="{meshdir}"/><asset>{meshes}</asset>{body}</mujoco>')
+
+
+def test_a_long_directory_before_the_names_of_many_meshes_is_refused(tmp_path: Path) -> None:
+    """Each name was once looked up with it, folder by folder: a model of 1 MB took hours."""
+    many_meshes(tmp_path, ["a"] * 1000, "a/" * 2_049)
+    with soon(3.0), pytest.raises(MeshError, match="a meshdir of 4,098 characters, expected a path of at most 4,096") as caught:
+        MjcfText.load(Boundary(tmp_path), "thing.xml")
+    assert caught.value.code == "model_unreadable"
+    with soon(3.0):
+        (notice,) = MJCF.find(Boundary(tmp_path), ReaderOptions())
+    assert isinstance(notice, Notice)
+    with soon(3.0), pytest.raises(MeshError, match="a meshdir of 4,098 characters"):
+        collect_files(Boundary(tmp_path), "thing.xml")
+
+
+def test_a_model_in_mjcf_names_a_limited_number_of_files(tmp_path: Path) -> None:
+    """Names of one file that differ in case count too: each is looked up by itself."""
+    many_meshes(tmp_path, ("".join(letters) for letters in itertools.product(*["aA", "bB"] * 5)), "a/" * 2_000)
+    for read in (MjcfText.load, collect_files):
+        with soon(3.0), pytest.raises(MeshError, match=rf"names 1,024 files.*\(file\.max_files in {SETTING}\)") as caught:
+            read(Boundary(tmp_path), "thing.xml")
+        assert caught.value.code == "file_too_large"
+
+
+def test_the_name_of_a_file_is_looked_up_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "m.stl").write_bytes(stl(1))
+    many_meshes(tmp_path, ["m.stl"] * 200, "")
+    resolve, asked = Boundary.resolve, list[str]()
+
+    def counted(self: Boundary, reference: str, base: str = "") -> str:
+        asked.append(reference)
+        return resolve(self, reference, base)
+
+    monkeypatch.setattr(Boundary, "resolve", counted)
+    (ref,) = MJCF.find(Boundary(tmp_path), ReaderOptions())
+    assert isinstance(ref, SourceRef)
+    assert (ref.files, asked) == (("thing.xml", "m.stl"), ["m.stl"])
+    model = MjcfText.load(Boundary(tmp_path), "thing.xml")
+    assert model is not None
+    assert model.isolated(Boundary(tmp_path), 10**6).meshes == {"0.stl": stl(1)}
+    assert set(collect_files(Boundary(tmp_path), "thing.xml").contents) == {"thing.xml", "m.stl"}
+    assert asked == ["m.stl"] * 3
 
 
 @pytest.mark.parametrize(

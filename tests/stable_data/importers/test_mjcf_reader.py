@@ -139,6 +139,18 @@ def test_a_texture_without_coordinates_is_projected_as_mujoco_does(tmp_path: Pat
     assert set(np.unique(surface.corner_uv.round(9))) == {0.0, 1.0}, "each face of the box shows the whole image"
 
 
+def test_an_image_of_several_names_is_in_memory_once(tmp_path: Path) -> None:
+    (tmp_path / "t.png").write_bytes(png())
+    names = ["t.png", "./t.png", "T.PNG"]
+    assets = "".join(
+        f'<texture name="t{k}" type="2d" file="{name}"/><material name="m{k}" texture="t{k}"/>' for k, name in enumerate(names)
+    )
+    body = "".join(f'<geom type="box" size=".1 .2 .3" material="m{k}"/>' for k in range(len(names)))
+    surfaces = read_model(tmp_path, model(body, assets)).surfaces
+    assert [surface.image for surface in surfaces] == [png()] * 3
+    assert len({id(surface.image) for surface in surfaces}) == 1
+
+
 def test_colours_of_materials_and_geoms(tmp_path: Path) -> None:
     assets = (
         '<material name="m" rgba=".2 .4 .6 .5"/><texture name="t" type="2d" builtin="flat" rgb1="1 .5 0" width="9" height="9"/>'
