@@ -1,10 +1,11 @@
 """The import job: a source folder of assets becomes a run with the tables ``assets``, ``meshes`` and ``textures``."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,7 +22,7 @@ from pipelines.execution.shard_size import split_groups
 from pipelines.execution.shard_step import Shard, StepShards
 from pipelines.preprocess.plan import file_digest
 from stable_data.assets.licences import normalise_licence
-from stable_data.content_id import content_id
+from stable_data.content_id import content_id, content_id_of_items
 from stable_data.errors import ConfigError, Notice
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.conversion import ConversionContext, SetScale
@@ -93,10 +94,11 @@ class ImportJob(ShardJob):
         every = list(self.reader.find(self.boundary, self.settings.reading))
         found = tuple(each for each in every if isinstance(each, SourceRef))
         taken, lost = {ref.asset_id for ref in found}, list[Notice]()
+        numbers: defaultdict[str, Iterator[int]] = defaultdict(lambda: count(2))  # for each identifier those not tried yet
         for notice in (each for each in every if isinstance(each, Notice)):
-            # An asset may be lost because another one has its identifier.
-            names = (notice.item_id, *(f"{notice.item_id}-{number}" for number in range(2, len(every) + 2)))
-            name = next(name for name in names if name not in taken)
+            name = notice.item_id
+            while name in taken:  # an asset may be lost because another one has its identifier
+                name = f"{notice.item_id}-{next(numbers[notice.item_id])}"
             taken.add(name)
             lost.append(replace(notice, item_id=name))
         if not found:
@@ -113,13 +115,13 @@ class ImportJob(ShardJob):
             hashes = pool.map(file_digest, [self.root / file for file in files])
             return dict(zip(files, tqdm(hashes, "plan", len(files), unit="file", leave=False), strict=True))
 
-    def _content(self, refs: Sequence[SourceRef]) -> list[Any]:
+    def _content(self, refs: Sequence[SourceRef]) -> Iterator[Any]:
         """What shapes the rows of assets: what is known about them, and the hashes of their files."""
-        return [(asdict(ref), [self._digests[file] for file in ref.files]) for ref in refs]
+        return ((asdict(ref), [self._digests[file] for file in ref.files]) for ref in refs)
 
     def inputs(self) -> dict[str, Any]:
         """The kind, and a hash of all files."""
-        return {"kind": self.kind, "files": content_id(self._content(self._listing.found))}
+        return {"kind": self.kind, "files": content_id_of_items(self._content(self._listing.found))}
 
     def about(self) -> dict[str, Any]:
         """The number of assets."""
@@ -132,7 +134,7 @@ class ImportJob(ShardJob):
     def _shards(self, refs: Sequence[SourceRef], *more: Any) -> list[Shard[SourceRef]]:
         shaping = self.settings.shaping() | {"table_version": schemas.TABLE_VERSION, "code": stable_data.__version__}
         groups = split_groups(refs, self.settings.assets_per_shard)
-        return [Shard(content_id("import", shaping, self.kind, self._content(g), *more), tuple(g)) for g in groups]
+        return [Shard(content_id("import", shaping, self.kind, list(self._content(g)), *more), tuple(g)) for g in groups]
 
     @property
     def _sample(self) -> Sequence[SourceRef]:

@@ -11,6 +11,7 @@ class AssetIds:
 
     def __init__(self) -> None:
         self._given: set[str] = set()
+        self._next: dict[str, int] = {}  # the number from which a name is tried: all below are given
 
     def claim(self, asset_id: str) -> bool:
         """Takes an identifier; False if another asset has it, whatever its case: some file systems do not tell case apart."""
@@ -38,7 +39,9 @@ class AssetIds:
         for candidate in candidates:
             if self.claim(candidate):
                 return candidate
-        count = 2
-        while not self.claim(f"{candidates[0]}_{count}"):
+        name = candidates[0]
+        count = self._next.get(name.casefold(), 2)
+        while not self.claim(f"{name}_{count}"):
             count += 1
-        return f"{candidates[0]}_{count}"
+        self._next[name.casefold()] = count + 1
+        return f"{name}_{count}"

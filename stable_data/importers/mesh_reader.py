@@ -35,7 +35,7 @@ class MeshReader:
             raise ConfigError("a manifest and a preset are given, expected one of them", "options_conflict")
         if options.up and options.front and options.up[-1] == options.front[-1]:
             raise ConfigError("up and front are one axis, expected two", "options_conflict")
-        ids, licences = AssetIds(), LicenceFiles(root)
+        ids, licences, files = AssetIds(), LicenceFiles(root), dict[str, tuple[str, ...]]()
         if options.manifest:
             found: Iterator[tuple[str, str, MeshEntry] | Notice] = manifest_entries(
                 Boundary(root.root, root.limits), options.manifest
@@ -43,7 +43,7 @@ class MeshReader:
         else:
             found = preset_meshes(root, options.preset) if options.preset else plain_meshes(root)
         for item in found:
-            yield item if isinstance(item, Notice) else _ref(root, *item, ids, licences)
+            yield item if isinstance(item, Notice) else _ref(root, *item, ids, licences, files)
 
     def read(self, root: Boundary, ref: SourceRef, options: ReaderOptions) -> SourceAsset:
         """Reads a mesh file; see :class:`stable_data.importers.source.Reader`."""
@@ -79,9 +79,15 @@ class MeshReader:
 
 
 def _ref(
-    root: Boundary, path: str, wanted_id: str, entry: MeshEntry, ids: AssetIds, licences: LicenceFiles
+    root: Boundary,
+    path: str,
+    wanted_id: str,
+    entry: MeshEntry,
+    ids: AssetIds,
+    licences: LicenceFiles,
+    files: dict[str, tuple[str, ...]],
 ) -> SourceRef | Notice:
-    """A mesh file as an item, with the files beside it."""
+    """A mesh file as an item, with the files beside it; ``files`` keeps these, as rows of a manifest may name one mesh again."""
     if not is_unicode(path):
         message = f"{quote_value(path)}: the name is no UTF-8, expected letters; rename the file"
         return Notice(asset_id_of(path), "find", "name_not_unicode", message)
@@ -92,11 +98,12 @@ def _ref(
             return Notice(asset_id, "find", "asset_duplicate", message)
     else:
         asset_id = ids.of_path(entry["name"], path)
-    files = {path: None} | dict.fromkeys(files_beside(root, path))
-    if (licence := licences.nearest(path)) is not None:
+    licence = licences.nearest(path)
+    if licence is not None:
         entry["licence_file"] = licence
-        files[licence] = None
-    return SourceRef(asset_id, path, tuple(files), cast(dict[str, Any], entry))
+    if path not in files:
+        files[path] = tuple(dict.fromkeys((path, *files_beside(root, path), *((licence,) if licence is not None else ()))))
+    return SourceRef(asset_id, path, files[path], cast(dict[str, Any], entry))
 
 
 def _first(stated: str, chosen: str, options: ReaderOptions) -> str:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,9 +18,11 @@ from pipelines.asset_import.job import ImportJob, import_assets
 from pipelines.asset_import.settings import ImportSettings
 from pipelines.execution.ray_executor import WorkerPool
 from pipelines.sources.assets import AssetLibraries
-from stable_data.errors import ConfigError
+from stable_data.errors import ConfigError, Notice
+from stable_data.importers.source import SourceRef
 from stable_data.storage.run_folder import RunFolder
 from stable_data.storage.schemas import Row
+from tests.bounds import soon
 from tests.pipelines.runs import ROOT, content
 from tests.whole import check_whole
 
@@ -158,6 +161,19 @@ def test_two_assets_of_one_name_are_both_there(tmp_path: Path) -> None:
     assert run.num_rows("assets") + run.num_rows("failures") == 2
     told = run.table("warnings").to_pylist() + run.table("failures").to_pylist()
     assert any("apple" in row["message"] and row["code"] in ("asset_renamed", "asset_duplicate") for row in told)
+
+
+def test_very_many_lost_assets_of_one_name_get_different_ids_soon(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For each of them, names were once made for all."""
+    job = ImportJob("mesh", str(source), SETTINGS)
+    refs = [SourceRef("apple", "apple.obj", ("apple.obj",)), SourceRef("apple-3", "book.obj", ("book.obj",))]
+    lost = [Notice("apple", "find", "file_missing", "apple: is missing")] * 5_000
+    monkeypatch.setattr(job, "reader", SimpleNamespace(find=lambda *_: iter([*refs, *lost])))
+    with soon(1.0):
+        found = [notice.item_id for notice in job.lost()]
+    assert found[:3] == ["apple-2", "apple-4", "apple-5"]
+    assert len(set(found)) == 5_000
+    assert job.about() == {"num_assets": 5_002}
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from stable_data.errors import ConfigError, Notice
+from stable_data.importers.asset_ids import AssetIds
 from stable_data.importers.boundary import Boundary
-from stable_data.importers.mesh_files import joined_triangles
+from stable_data.importers.mesh_files import files_beside, joined_triangles
 from stable_data.importers.readers import READERS, reader_of
 from stable_data.importers.source import ReaderOptions, SourceAsset, SourceRef
 from tests.bounds import limit
@@ -260,6 +261,33 @@ def test_two_assets_of_one_identifier_are_said(tmp_path: Path) -> None:
     assert isinstance(ref, SourceRef)
     assert isinstance(notice, Notice)
     assert (notice.item_id, notice.code) == ("X", "asset_duplicate")
+
+
+def test_a_mesh_of_very_many_rows_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each row once scanned the mesh again, and sought an identifier from the first number."""
+    scans, claims = list[str](), list[str]()
+    claim = AssetIds.claim
+
+    def scanned(root: Boundary, path: str) -> tuple[str, ...]:
+        scans.append(path)
+        return files_beside(root, path)
+
+    def claimed(self: AssetIds, asset_id: str) -> bool:
+        claims.append(asset_id)
+        return claim(self, asset_id)
+
+    monkeypatch.setattr("stable_data.importers.mesh_reader.files_beside", scanned)
+    monkeypatch.setattr(AssetIds, "claim", claimed)
+    rows = "".join(f"a.obj,{'aA'[k % 2]}\n" for k in range(400))
+    write(tmp_path, {"a.obj": f"mtllib a.mtl\n{SQUARE}f 1 2 3\n", "a.mtl": "", "LICENSE": "CC0", "m.csv": f"file,name\n{rows}"})
+    refs = [ref for ref in found(tmp_path, manifest="m.csv") if isinstance(ref, SourceRef)]
+    assert [ref.asset_id for ref in refs[:2]] == ["a", "A_a"]
+    assert len({ref.asset_id.casefold() for ref in refs}) == 400
+    assert {ref.files for ref in refs} == {("a.obj", "a.mtl", "LICENSE")}
+    assert all(ref.entry["licence_file"] == "LICENSE" for ref in refs)
+    assert scans == ["a.obj"]
+    assert len(claims) <= 2_000
+    assert len({id(ref.files) for ref in refs}) == 1
 
 
 @pytest.mark.parametrize("content", [None, b"\xff\xfe", b"name,id\n1,2\n", b""])
