@@ -38,7 +38,7 @@ _SMALLEST, _LARGEST = 1e-30, 1e30  # squares and cubes of other extents leave th
 
 
 class _FilesBeside:
-    """The companions of a mesh file: read inside the boundary, refusals noted once, an image read once."""
+    """The companions of a mesh file: read inside the boundary, refusals noted once, an image read once whatever its names are."""
 
     def __init__(self, root: Boundary, path: str, asset_id: str, shown: bytes | None) -> None:
         self.root = root
@@ -48,6 +48,8 @@ class _FilesBeside:
         self.shown = shown
         self.notices: list[Notice] = []
         self._optional: dict[str, bytes | None] = {}
+        self._contents: dict[tuple[str, str], bytes] = {}
+        self._libraries: set[bytes] = set()
         self._named: set[str] = set()
 
     def image(self, reference: str) -> bytes | None:
@@ -62,8 +64,12 @@ class _FilesBeside:
             names = [reference]
         except MeshError:
             names = reference.split()  # a line may name several files, or one with spaces
-        found = [self._asked(name, "material", "its materials are left out", "max_material_bytes") for name in names]
-        return b"\n".join(content for content in found if content is not None) or None
+        found = dict.fromkeys(
+            self._asked(name, "material", "its materials are left out", "max_material_bytes") for name in dict.fromkeys(names)
+        )
+        new = [content for content in found if content is not None and content not in self._libraries]
+        self._libraries.update(new)
+        return b"\n".join(new) or None
 
     def note_lost_look(self, reason: str) -> None:
         message = (
@@ -72,6 +78,7 @@ class _FilesBeside:
         self.notices.append(Notice(self.asset_id, "read", "material_invalid", message))
 
     def part(self, reference: str) -> bytes:
+        self._check_count(reference)
         try:
             return self.root.read_bytes(self.root.resolve(reference, self.folder))
         except MeshError as error:
@@ -90,14 +97,16 @@ class _FilesBeside:
         if reference not in self._optional:
             self._check_count(reference)
             try:
-                content = self.root.read_bytes(self.root.resolve(reference, self.folder), limit, group)
+                path = self.root.resolve(reference, self.folder)
+                if (what, path) not in self._contents:
+                    self._contents[what, path] = self.root.read_bytes(path, limit, group)
             except MeshError as error:
                 reason = {"path_outside": "outside", "file_too_large": "too_large"}.get(error.code, "missing")
                 message = f"asset {self.asset_id}: {self.path} refers to a {what}: {error}; {effect}"
                 self.notices.append(Notice(self.asset_id, "read", f"{what}_{reason}", message))
                 self._optional[reference] = None
             else:
-                self._optional[reference] = content
+                self._optional[reference] = self._contents[what, path]
         return self._optional[reference]
 
 

@@ -150,6 +150,8 @@ class _Packing:
         self.document = document
         self.binary = binary
         self.files = files
+        self.parts: dict[str, bytes] = {}  # by address; many entries may have one
+        self.images: dict[str, bytes | None] = {}
         self.chunks: list[bytes] = []
         self.size = 0
 
@@ -212,7 +214,9 @@ class _Packing:
             if index or self.binary is None:
                 self.fail(f"buffer {index} has no content", "a uri, or a GLB with a binary chunk; export it again")
             return self.binary
-        return _of_data_address(uri) if uri.startswith("data:") else self.companions.part(uri)
+        if uri not in self.parts:
+            self.parts[uri] = _of_data_address(uri) if uri.startswith("data:") else self.companions.part(uri)
+        return self.parts[uri]
 
     def _moved(self, view: dict[str, Any], starts: list[int], sizes: list[int]) -> dict[str, Any]:
         """A view of a buffer as a view of the one chunk."""
@@ -226,7 +230,9 @@ class _Packing:
         uri = image.get("uri")
         if not isinstance(uri, str):
             return image
-        content = _of_data_address(uri) if uri.startswith("data:") else self.companions.image(uri)
+        if uri not in self.images:
+            self.images[uri] = _of_data_address(uri) if uri.startswith("data:") else self.companions.image(uri)
+        content = self.images[uri]
         left = {key: value for key, value in image.items() if key != "uri"}
         if content is None:
             return left

@@ -47,7 +47,10 @@ class Companions(Protocol):
         ...
 
     def material_library(self, reference: str) -> bytes | None:
-        """Returns the content of a file of materials; None if it is missing or refused, which is noted."""
+        """Returns the content of the files of materials that a line names; without what was returned before.
+
+        None if nothing is left, or all are missing or refused, which is noted.
+        """
         ...
 
     def note_lost_look(self, reason: str) -> None:

@@ -115,10 +115,9 @@ def read_obj(content: bytes, path: str, companions: Companions, *, max_faces: in
             elif word == "mtllib":
                 libraries.append(rest[0].strip())
         rows, uv = vertices.array(), coordinates.array()
-        materials = _materials(libraries, companions)
+        materials, colours = _materials(libraries, companions), _vertex_colours(rows)
         surfaces = [
-            _surface(faces, rows[:, :3], _vertex_colours(rows), uv, materials.get(name), path, companions)
-            for name, faces in groups.items()
+            _surface(faces, rows[:, :3], colours, uv, materials.get(name), path, companions) for name, faces in groups.items()
         ]
     return MeshFile(tuple(surfaces))
 

@@ -16,6 +16,7 @@ import pytest
 from stable_data.errors import MeshError, Notice
 from stable_data.importers import sdformat, urdf
 from stable_data.importers.boundary import Boundary
+from stable_data.importers.formats.obj import _parse_library, _vertex_colours
 from stable_data.importers.formats.xml_text import parse_xml
 from stable_data.importers.mesh_files import files_beside, read_mesh_file
 from stable_data.importers.mjcf.reader import READER as MJCF
@@ -26,6 +27,7 @@ from stable_data.importers.source import ReaderOptions, SourceRef
 from stable_data.importers.usd.layers import LayerLoader, check_prims
 from stable_data.importers.usd.shapes import triangulate
 from stable_data.limits import LIMITS, SETTING, FileLimits, GltfLimits
+from stable_data.scene import FloatArray
 from tests.bounds import limit, soon
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -55,11 +57,94 @@ def test_an_obj_names_a_limited_number_of_files(names: str, tmp_path: Path) -> N
         assert files_beside(Boundary(tmp_path), "thing.obj") == ()
 
 
+def test_a_file_of_materials_is_read_and_parsed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line of 1 MB that names one file of 8 MB was once 170,000 copies of it."""
+    parsed = list[bytes]()
+
+    def parse(content: bytes) -> Any:
+        parsed.append(content)
+        return _parse_library(content)
+
+    monkeypatch.setattr("stable_data.importers.formats.obj._parse_library", parse)
+    (tmp_path / "a.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    (tmp_path / "b.mtl").write_text("newmtl b\nKd 0 1 0\nnewmtl a\nKd 0 0 1\n")
+    names = f"mtllib {'a.mtl ' * 1000}\nmtllib a.mtl b.mtl\nmtllib ./a.mtl A.mtl b.mtl\nmtllib b.mtl\n"
+    (tmp_path / "thing.obj").write_text(names + TRIANGLE.replace("f ", "usemtl a\nf ") + "usemtl b\nf 1 2 3\n")
+    found, notices = read_mesh_file(Boundary(tmp_path), "thing.obj", "thing", max_faces=2)
+    assert [surface.colour for surface in found.surfaces] == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
+    assert not notices
+    assert parsed == [(tmp_path / name).read_bytes() for name in ("a.mtl", "b.mtl")]
+
+
+def test_colours_of_vertices_are_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once for each material, they took minutes for 1 MB of vertices and 1 MB of materials."""
+    calls = list[int]()
+
+    def colours(rows: FloatArray) -> FloatArray | None:
+        calls.append(len(rows))
+        return _vertex_colours(rows)
+
+    monkeypatch.setattr("stable_data.importers.formats.obj._vertex_colours", colours)
+    faces = "".join(f"usemtl m{k}\nf 1 2 3\n" for k in range(50))
+    (tmp_path / "thing.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\n" + faces)
+    found, _ = read_mesh_file(Boundary(tmp_path), "thing.obj", "thing", max_faces=50)
+    assert [surface.corner_colours is not None for surface in found.surfaces] == [True] * 50
+    assert calls == [3]
+
+
+def test_an_image_of_many_names_is_in_memory_once(tmp_path: Path) -> None:
+    names = ["i.png", "./i.png", "I.png", "x%2F..%2Fi.png", *("./" * k + "i.png" for k in range(2, 50))]
+    (tmp_path / "x").mkdir()
+    (tmp_path / "i.png").write_bytes(bytes(100_000))
+    (tmp_path / "m.mtl").write_text("".join(f"newmtl m{k}\nmap_Kd {name}\n" for k, name in enumerate(names)))
+    faces = "".join(f"usemtl m{k}\nf 1/1 2/1 3/1\n" for k in range(len(names)))
+    (tmp_path / "thing.obj").write_text("mtllib m.mtl\nvt 0 0\n" + TRIANGLE + faces)
+    found, notices = read_mesh_file(Boundary(tmp_path), "thing.obj", "thing", max_faces=100)
+    images = [surface.image for surface in found.surfaces if surface.image is not None]
+    assert (len(images), len({id(image) for image in images}), notices) == (len(names), 1, ())
+
+
 def test_a_gltf_names_a_limited_number_of_images(tmp_path: Path) -> None:
     images = ",".join(f'{{"uri": "i{k}.png"}}' for k in range(5_000))
     refused(
         tmp_path, "thing.gltf", f'{{"asset": {{"version": "2.0"}}, "images": [{images}]}}', "file_too_large", "file.max_files"
     )
+
+
+def test_a_gltf_names_a_limited_number_of_buffers(tmp_path: Path) -> None:
+    (tmp_path / "a.bin").write_bytes(bytes(4))
+    buffers = ",".join(f'{{"uri": "{prefix}a.bin"}}' for prefix in ("./" * k for k in range(501)))
+    text = f'{{"asset": {{"version": "2.0"}}, "buffers": [{buffers}]}}'
+    refused(tmp_path, "thing.gltf", text, "file_too_large", "file.max_files")
+
+
+def test_the_files_of_a_gltf_are_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each entry once read its file again: 1 MB of them took more than a minute."""
+    read, opened = Boundary.read_bytes, list[str]()
+
+    def counted(self: Boundary, path: str, *limits: Any) -> bytes:
+        opened.append(path)
+        return read(self, path, *limits)
+
+    monkeypatch.setattr(Boundary, "read_bytes", counted)
+    (tmp_path / "a.bin").write_bytes(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes())
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": "a-rigid"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 199, "byteLength": 36}],
+        "buffers": [{"uri": "a.bin", "byteLength": 36}] * 200,
+        "images": [{"uri": "none.png"}] * 200,
+    }
+    (tmp_path / "thing.gltf").write_text(json.dumps(document))
+    found, notices = read_mesh_file(Boundary(tmp_path), "thing.gltf", "thing", max_faces=1)
+    assert len(found.surfaces) == 1
+    assert (opened, [notice.code for notice in notices]) == (["thing.gltf", "a.bin"], ["texture_missing"])
+    opened.clear()
+    scene = read_gltf_scene(Boundary(tmp_path), "thing.gltf")
+    assert (opened, [notice.code for notice in scene.file.notices].count("file_missing")) == (["thing.gltf", "a.bin"], 1)
 
 
 def many_nodes(count: int, extras: str = "") -> bytes:
