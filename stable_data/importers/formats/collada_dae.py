@@ -44,9 +44,15 @@ def read_dae(content: bytes, path: str, companions: Companions, *, max_faces: in
     with parsing(path, "a COLLADA document"):
         _check_positions(tree, path)
         document = _opened(content, tree, path, companions)
-        surfaces, names, num_faces, cut = [], [], 0, dict[int, Any]()
+        surfaces, names, num_primitives, num_faces = [], [], 0, 0
+        looks, cut = dict[int, dict[str, Any]](), dict[int, Any]()
         for node, matrix, called in _placed(document.scene.nodes, path):
-            materials = {material.symbol: material.target for material in node.materials}
+            num_primitives += len(node.geometry.primitives)
+            if num_primitives > LIMITS.mesh.max_primitives:
+                most = at_most(LIMITS.mesh, "max_primitives")
+                raise MeshError(f"{path}: shows more primitives, expected {most}; simplify it", "mesh_too_large")
+            if id(node) not in looks:  # others may show it again
+                looks[id(node)] = {material.symbol: material.target for material in node.materials}
             for primitive in node.geometry.primitives:
                 if id(primitive) not in cut:  # many nodes may show one geometry
                     cut[id(primitive)] = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
@@ -54,7 +60,7 @@ def read_dae(content: bytes, path: str, companions: Companions, *, max_faces: in
                 if isinstance(triangles, collada.triangleset.TriangleSet) and len(triangles.index):
                     num_faces += len(triangles.index)
                     check_face_count(path, num_faces, max_faces)
-                    surfaces.append(_surface(triangles, matrix, materials, path, companions))
+                    surfaces.append(_surface(triangles, matrix, looks[id(node)], path, companions))
                     names.append(frozenset(name for name in (*called, node.geometry.name, node.geometry.id) if name))
         asset = document.assetInfo
         contributor = asset.contributors[0] if asset.contributors else None

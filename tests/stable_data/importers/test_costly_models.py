@@ -5,7 +5,7 @@ import itertools
 import json
 import struct
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,6 +16,7 @@ import pytest
 from stable_data.errors import MeshError, Notice
 from stable_data.importers import sdformat, urdf
 from stable_data.importers.boundary import Boundary
+from stable_data.importers.formats.collada_dae import _placed
 from stable_data.importers.formats.obj import _parse_library, _vertex_colours
 from stable_data.importers.formats.xml_text import parse_xml
 from stable_data.importers.mesh_files import files_beside, read_mesh_file
@@ -237,6 +238,40 @@ def test_a_geometry_of_many_vertices_is_not_converted_as_often_as_it_is_shown(tm
     with soon(15.0):
         found, _ = read_mesh_file(Boundary(tmp_path), "thing.dae", "thing", max_faces=10_000)
     assert len(found.surfaces) == 1000
+
+
+def test_primitives_of_a_geometry_count_as_often_as_it_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """1,200 primitives that 10,000 nodes show were once 12 million surfaces."""
+    limit(monkeypatch, "mesh", max_primitives=100)
+    geometry = triangle(3)
+    more = geometry[geometry.index("<triangles") :]
+    (tmp_path / "thing.dae").write_text(dae(geometry + more * 9, '<node><instance_geometry url="#g"/></node>' * 10))
+    found, _ = read_mesh_file(Boundary(tmp_path), "thing.dae", "thing", max_faces=1000)
+    assert len(found.surfaces) == 100
+    text = dae(geometry + more * 10, '<node><instance_geometry url="#g"/></node>' * 10)
+    refused(tmp_path, "thing.dae", text, "mesh_too_large", "mesh.max_primitives")
+
+
+def test_materials_of_a_node_are_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not as often as other nodes show it."""
+    lists = list[object]()
+
+    class Materials(list[Any]):
+        def __iter__(self) -> Iterator[Any]:
+            lists.append(self)
+            return super().__iter__()
+
+    def placed(*scene: Any) -> Iterator[Any]:
+        for node, *more in _placed(*scene):
+            node.materials = node.materials if isinstance(node.materials, Materials) else Materials(node.materials)
+            yield node, *more
+
+    monkeypatch.setattr("stable_data.importers.formats.collada_dae._placed", placed)
+    text = dae(triangle(3), '<node><instance_node url="#n"/><instance_node url="#n"/></node>')
+    library = '<library_nodes><node id="n"><instance_geometry url="#g"/></node></library_nodes><library_visual_scenes>'
+    (tmp_path / "thing.dae").write_text(text.replace("<library_visual_scenes>", library))
+    found, _ = read_mesh_file(Boundary(tmp_path), "thing.dae", "thing", max_faces=2)
+    assert (len(found.surfaces), len(lists)) == (2, 1)
 
 
 def test_nodes_that_show_each_other_twice_are_counted(tmp_path: Path) -> None:
