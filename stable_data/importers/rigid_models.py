@@ -33,6 +33,7 @@ _PARTS = ("link", "joint", "frame", "model", "include")
 _TORSIONAL, _ROLLING = 0.005, 0.0001  # m; MuJoCo's defaults: neither format states friction of these kinds in its units
 _WELD = 1e-6  # corners nearer than this share of the largest extent are one vertex
 _IS_MOVABLE_TO_NOTHING = ("floating", "free")
+_STATED_IMAGE = b"\0the image that the model states"  # stands for it in a file that many shapes show with images of their own
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,13 +245,15 @@ def _connections(model: RigidModel, asset_id: str) -> tuple[int, bool]:
 
 @dataclass(slots=True)
 class _Reading:
-    """Reads shapes; every mesh file once."""
+    """Reads shapes: every mesh file once, and once more if the model states an image for it."""
 
     root: Boundary
     asset_id: str
     max_faces: int
     notices: list[Notice]
-    files: dict[tuple[str, str], MeshFile] = field(default_factory=dict)
+    files: dict[tuple[str, bool], MeshFile] = field(default_factory=dict)  # by path, and whether it shows _STATED_IMAGE
+    images: dict[str, bytes | None] = field(default_factory=dict)
+    divided: dict[tuple[str, bool], int] = field(default_factory=dict)  # triangles of files of which a shape shows a part
 
     def note(self, code: str, message: str) -> None:
         self.notices.append(Notice(self.asset_id, "read", code, f"asset {self.asset_id}: {message}"))
@@ -273,11 +276,17 @@ class _Reading:
 
     def _mesh(self, shape: LinkShape, is_turned: bool) -> tuple[Surface, ...]:
         geometry = shape.geometry
-        file = self._file(geometry.path, shape.image)
+        image = self._image(shape.image) if shape.image else None
+        place = geometry.path, image is not None
+        file = self._file(*place)
         turn = z_up(file.up) if is_turned != _is_gltf(geometry.path) else np.eye(4)
         scale = np.diag((*(factor * (file.unit_m or 1.0) for factor in geometry.scale), 1.0))
         surfaces = file.surfaces
         if geometry.submesh:
+            self.divided[place] = sum(len(surface.triangles) for surface in surfaces)
+            check_face_count(
+                f"asset {self.asset_id}: meshes that are shown in part", sum(self.divided.values()), self.max_faces
+            )
             surfaces = tuple(s for s, names in zip(surfaces, file.names, strict=False) if geometry.submesh in names)
             if not surfaces:
                 message = f"{geometry.path}: has no part {geometry.submesh}, expected the submesh that the model names"
@@ -287,20 +296,27 @@ class _Reading:
             points = joined_triangles(surfaces).reshape(-1, 3)
             matrix = matrix.copy()
             matrix[:3, 3] = -(matrix[:3, :3] @ ((points.min(axis=0) + points.max(axis=0)) / 2))
-        return transformed(surfaces, matrix)
+        moved = transformed(surfaces, matrix)
+        return tuple(replace(surface, image=image) if surface.image == _STATED_IMAGE else surface for surface in moved)
 
-    def _file(self, path: str, image: str) -> MeshFile:
-        if (path, image) not in self.files:
-            shown = None
-            if image:
-                try:
-                    shown = self.root.read_bytes(image)
-                except MeshError as error:
-                    self.note("texture_missing", f"texture {image}: {error}; the surface is drawn without it")
+    def _file(self, path: str, has_stated_image: bool) -> MeshFile:
+        key = path, has_stated_image
+        if key not in self.files:
+            shown = _STATED_IMAGE if has_stated_image else None
             file, notices = read_mesh_file(self.root, path, self.asset_id, max_faces=self.max_faces, image=shown)
             self.notices += notices
-            self.files[path, image] = file
-        return self.files[path, image]
+            self.files[key] = file
+        return self.files[key]
+
+    def _image(self, path: str) -> bytes | None:
+        """The content of an image that the model states; None if it cannot be read, which is noted."""
+        if path not in self.images:
+            try:
+                self.images[path] = self.root.read_bytes(path)
+            except MeshError as error:
+                self.note("texture_missing", f"texture {path}: {error}; the surface is drawn without it")
+                self.images[path] = None
+        return self.images[path]
 
     def other_axis(self, shapes: Sequence[tuple[Link, LinkShape]]) -> str:
         """The first file of shapes whose upward axis can be read in two ways; empty if there is none."""

@@ -60,6 +60,7 @@ _OF_A_MODEL = (
 )
 _REFUSED = ("plane", "heightmap", "polyline", "image", "cone")
 _MODEL = "__model__"
+_MOST_NAME = 1_000  # characters of a name with those of the models around it
 
 
 class SdformatReader:
@@ -176,6 +177,7 @@ class _SdfFile:
     trail: tuple[str, ...]
     notices: list[Notice] = field(default_factory=list)
     read: list[int] = field(default_factory=list)  # bytes of the files that were read for the whole model, one for each time
+    configs: dict[str, str] = field(default_factory=dict)  # a model.config that was read -> the file that it names
 
     def fail(self, found: str, expected: str, code: str = "model_unreadable") -> MeshError:
         return MeshError(f"{self.path}: {found}, expected {expected}", code)
@@ -217,10 +219,14 @@ class _SdfFile:
         if PurePosixPath(uri).suffix.lower() in (".sdf", ".urdf"):
             path = _included(self.root, uri, self.path)
         else:
-            path = _Config.read(self.root, _included(self.root, f"{uri.rstrip('/')}/{CONFIG}", self.path)).model
+            config = _included(self.root, f"{uri.rstrip('/')}/{CONFIG}", self.path)
+            if config not in self.configs:
+                self.configs[config] = _Config.read(self.root, config).model
+            path = self.configs[config]
         if not path.lower().endswith(".sdf"):
             raise self.fail(f"includes {path}", "an .sdf file; other formats are not read here")
-        model = _SdfFile(self.root, path, self.asset_id, (*self.trail, self.path), read=self.read).model()
+        trail = (*self.trail, self.path)
+        model = _SdfFile(self.root, path, self.asset_id, trail, read=self.read, configs=self.configs).model()
         is_static = _is_true(text_of(include, "static")) or model.is_static
         return replace(model, name=text_of(include, "name") or model.name, is_static=is_static)
 
@@ -239,6 +245,8 @@ class _ModelElement:
         self.element = element
         self.frames: dict[str, _Frame] = {}
         self.nested: list[tuple[str, RigidModel]] = []
+        self.num_nested_links = 0
+        self.attached = {frame.get("name", ""): frame.get("attached_to", "") for frame in element.findall("frame")}
 
     def model(self) -> RigidModel:
         for link in self.element.findall("link"):
@@ -254,15 +262,20 @@ class _ModelElement:
             self._add_nested(_ModelElement(self.file, inner).model(), inner)
         links = [self._link(link) for link in self.element.findall("link")]
         joints = [self._joint(joint) for joint in self.element.findall("joint")]
-        if len(links) + sum(len(model.links) for _, model in self.nested) > LIMITS.model.max_links:
-            raise self.file.fail("has more links with its parts", at_most(LIMITS.model, "max_links"), "mesh_too_large")
+        self._check_links(len(links))
         notices: list[Notice] = []
         is_static = _is_true(text_of(self.element, "static"))
         for name, model in self.nested:
             matrix = self._in_model(name, ())
-            links += [replace(k, name=f"{name}::{k.name}", model_from_link=matrix @ k.model_from_link) for k in model.links]
+            links += [
+                replace(k, name=self._inner_name(name, k.name), model_from_link=matrix @ k.model_from_link) for k in model.links
+            ]
             joints += [
-                replace(j, parent=j.parent if j.parent == WORLD else f"{name}::{j.parent}", child=f"{name}::{j.child}")
+                replace(
+                    j,
+                    parent=j.parent if j.parent == WORLD else self._inner_name(name, j.parent),
+                    child=self._inner_name(name, j.child),
+                )
                 for j in model.joints
             ]
             notices += model.notices
@@ -275,7 +288,20 @@ class _ModelElement:
     def _add_nested(self, model: RigidModel, element: ET.Element) -> None:
         name = element.get("name") or model.name
         self.nested.append((name, model))
+        self.num_nested_links += len(model.links)
+        self._check_links(0)  # before more of them are read
         self.frames[name] = self._frame_of(element, _MODEL)
+
+    def _check_links(self, num_own: int) -> None:
+        if num_own + self.num_nested_links > LIMITS.model.max_links:
+            raise self.file.fail("has more links with its parts", at_most(LIMITS.model, "max_links"), "mesh_too_large")
+
+    def _inner_name(self, model: str, name: str) -> str:
+        """The name of a part of a nested model. A long one would be copied for every link and both ends of every joint."""
+        if len(model) + len(name) > _MOST_NAME:
+            found = f"has a part with a name of {len(model) + len(name)} characters in its model {quote_value(model)}"
+            raise self.file.fail(found, f"at most {_MOST_NAME}; rename it")
+        return f"{model}::{name}"
 
     def _add_frame(self, element: ET.Element, default: str) -> None:
         name = element.get("name", "")
@@ -445,10 +471,9 @@ class _ModelElement:
     def _link_of(self, name: str) -> str:
         """The link to which a frame belongs; a name of a link or of the world stays as it is."""
         seen = set[str]()
-        frames = {frame.get("name", ""): frame.get("attached_to", "") for frame in self.element.findall("frame")}
-        while name in frames and name not in seen:
+        while name in self.attached and name not in seen:
             seen.add(name)
-            name = frames[name]
+            name = self.attached[name]
         return name
 
 

@@ -95,6 +95,7 @@ class _UrdfFile:
     notices: list[Notice] = field(default_factory=list)
     materials: dict[str, ET.Element] = field(default_factory=dict)
     friction: dict[str, float] = field(default_factory=dict)
+    colours: dict[ET.Element, tuple[tuple[float, float, float] | None, float]] = field(default_factory=dict)  # of materials
 
     def fail(self, found: str, expected: str, code: str = "model_unreadable") -> MeshError:
         return MeshError(f"{self.path}: {found}, expected {expected}", code)
@@ -196,13 +197,19 @@ class _UrdfFile:
         if material is None:
             return None, "", 1.0
         material = material if len(material) else self.materials.get(material.get("name", ""), material)
-        rgba, texture = material.find("color"), material.find("texture")
-        text = "" if rgba is None else rgba.get("rgba", "")
+        if material not in self.colours:  # many visuals may name one whose text is very long
+            self.colours[material] = self._colour(material.find("color"))
+        texture, (colour, opacity) = material.find("texture"), self.colours[material]
+        return colour, self._image("" if texture is None else texture.get("filename", "")), opacity
+
+    def _colour(self, element: ET.Element | None) -> tuple[tuple[float, float, float] | None, float]:
+        """Linear colour and opacity that a material states."""
+        text = "" if element is None else element.get("rgba", "")
         words = text.split()
         opacity = 1.0
         if len(words) == 4:
             opacity = min(max(float(numbers(words[3], 1, "the opacity of a colour", self.path)[0]), 0.0), 1.0)
-        return linear_colour(text), self._image("" if texture is None else texture.get("filename", "")), opacity
+        return linear_colour(text), opacity
 
     def _image(self, reference: str) -> str:
         """File of a texture; empty if it is missing or refused, which is noted."""

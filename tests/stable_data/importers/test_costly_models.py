@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from stable_data.errors import MeshError, Notice
-from stable_data.importers import sdformat, urdf
+from stable_data.importers import rigid_models, sdformat, urdf
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.collada_dae import _placed
 from stable_data.importers.formats.obj import _parse_library, _vertex_colours
@@ -29,7 +29,7 @@ from stable_data.importers.usd.layers import LayerLoader, check_prims
 from stable_data.importers.usd.shapes import triangulate
 from stable_data.limits import LIMITS, SETTING, FileLimits, GltfLimits
 from stable_data.scene import FloatArray
-from tests.bounds import limit, soon
+from tests.bounds import limit, little_memory, soon
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -332,6 +332,120 @@ def test_a_file_that_is_included_often_counts_as_often(tmp_path: Path, monkeypat
     (tmp_path / "whole.sdf").write_text(f"<sdf version='1.7'><model name='m'>{includes}</model></sdf>")
     with pytest.raises(MeshError, match=rf"\(file\.max_nested_bytes in {SETTING}\)") as caught:
         sdformat.read_model(Boundary(tmp_path), "whole.sdf", "thing")
+    assert caught.value.code == "mesh_too_large"
+
+
+def sdf(body: str) -> str:
+    return f"<sdf version='1.9'><model name='m'>{body}</model></sdf>"
+
+
+JOINTS = "".join(f"<joint name='j{k}' type='fixed'><parent>world</parent><child>f</child></joint>" for k in range(1000))
+LINKS = "".join(f"<link name='l{k}'/>" for k in range(300))
+LONG = "A" * 300_000
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        f"<model name='{LONG}'>{LINKS}</model>",
+        f"<model name='n'><frame name='f' attached_to='{LONG}'/>{JOINTS}</model>",
+        f"<model name='{'n' * 600}'><model name='{'n' * 600}'>{LINKS}</model></model>",
+    ],
+)
+def test_a_long_name_is_not_copied_for_each_link_or_joint_of_a_nested_model(body: str, tmp_path: Path) -> None:
+    (tmp_path / "m.sdf").write_text(sdf(body))
+    with little_memory(2 * 10**7), pytest.raises(MeshError, match="expected at most 1000") as caught:
+        sdformat.read_model(Boundary(tmp_path), "m.sdf", "thing")
+    assert (caught.value.code, len(str(caught.value)) < 300) == ("model_unreadable", True)
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, module: Any, name: str, position: int) -> list[Any]:
+    """Lists an argument of all calls of a function."""
+    calls, function = [], getattr(module, name)
+
+    def called(*arguments: Any, **more: Any) -> Any:
+        calls.append(arguments[position])
+        return function(*arguments, **more)
+
+    monkeypatch.setattr(module, name, called)
+    return calls
+
+
+def test_a_model_config_is_read_once_however_often_its_model_is_included(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "leg").mkdir()
+    (tmp_path / "leg" / "model.config").write_text("<model><sdf>leg.sdf</sdf></model>")
+    (tmp_path / "leg" / "leg.sdf").write_text(sdf("<link name='l'/>"))
+    includes = "".join(f"<include><uri>model://leg</uri><name>n{k}</name></include>" for k in range(20))
+    (tmp_path / "m.sdf").write_text(sdf(includes))
+    parsed = counted(monkeypatch, sdformat, "parse_xml", 1)
+    assert len(sdformat.read_model(Boundary(tmp_path), "m.sdf", "thing").links) == 20
+    assert (parsed.count("leg/model.config"), parsed.count("leg/leg.sdf")) == (1, 20)
+
+
+def test_links_of_included_models_are_counted_before_all_of_them_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limit(monkeypatch, "model", max_links=300)
+    (tmp_path / "part.sdf").write_text(sdf(LINKS))
+    includes = "".join(f"<include><uri>part.sdf</uri><name>n{k}</name></include>" for k in range(50))
+    (tmp_path / "m.sdf").write_text(sdf(includes))
+    parsed = counted(monkeypatch, sdformat, "parse_xml", 1)
+    with pytest.raises(MeshError, match=rf"\(model\.max_links in {SETTING}\)"):
+        sdformat.read_model(Boundary(tmp_path), "m.sdf", "thing")
+    assert parsed == ["m.sdf", "part.sdf", "part.sdf"]
+
+
+def test_frames_are_looked_for_once_and_not_for_each_joint(tmp_path: Path) -> None:
+    (tmp_path / "m.sdf").write_text(sdf("<link name='f'/>" + JOINTS + "<a/>" * 200_000))
+    with soon(3.0):
+        assert len(sdformat.read_model(Boundary(tmp_path), "m.sdf", "thing").joints) == 1000
+
+
+def test_a_long_colour_is_parsed_once_however_many_visuals_have_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    visuals = "<visual><geometry><box size='1 1 1'/></geometry><material name='a'/></visual>" * 50
+    material = "<material name='a'><color rgba='0 1 0 0.5'/></material>"
+    (tmp_path / "m.urdf").write_text(f"<robot>{material}<link name='l'>{visuals}</link></robot>")
+    parsed = counted(monkeypatch, urdf, "linear_colour", 0)
+    (link,) = urdf.read_model(Boundary(tmp_path), "m.urdf", "thing").links
+    assert {(shape.colour, shape.opacity) for shape in link.visuals} == {((0.0, 1.0, 0.0), 0.5)}
+    assert parsed == ["0 1 0 0.5"]
+
+
+TEXTURED = f"{TRIANGLE.partition('f')[0]}vt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+
+
+def test_a_mesh_that_is_shown_with_many_images_is_parsed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And once more for shapes that state no image."""
+    (tmp_path / "m.obj").write_text(TEXTURED)
+    images = [f"{k}.png" for k in range(20)]
+    for name in images:
+        (tmp_path / name).write_bytes(name.encode())
+    form = "<visual name='v'><geometry><mesh><uri>m.obj</uri></mesh></geometry>{}</visual>"
+    looks = [f"<material><pbr><metal><albedo_map>{name}</albedo_map></metal></pbr></material>" for name in images]
+    (tmp_path / "m.sdf").write_text(sdf("<link name='l'>" + "".join(map(form.format, [*looks, ""])) + "</link>"))
+    parsed = counted(monkeypatch, rigid_models, "read_mesh_file", 1)
+    boundary = Boundary(tmp_path)
+    asset = rigid_models.assemble(sdformat.read_model(boundary, "m.sdf", "thing"), boundary, "thing", max_faces=100)
+    assert [surface.image for surface in asset.surfaces] == [*(name.encode() for name in images), None]
+    assert parsed == ["m.obj", "m.obj"]
+
+
+def test_meshes_of_which_a_part_is_shown_count_whole(tmp_path: Path) -> None:
+    """They are kept whole: a file of some kilobytes may show a mesh ten thousand times."""
+    nodes = '<node name="part"><instance_geometry url="#g"/></node>' + '<node><instance_geometry url="#g"/></node>' * 9
+    shapes = ""
+    for k in range(5):
+        (tmp_path / f"{k}.dae").write_text(dae(triangle(3), nodes))
+        part = f"<mesh><uri>{k}.dae</uri><submesh><name>part</name></submesh></mesh>"
+        shapes += f"<visual name='v{k}'><geometry>{part}</geometry></visual>" * 2
+    (tmp_path / "m.sdf").write_text(sdf(f"<link name='l'>{shapes}</link>"))
+    boundary = Boundary(tmp_path)
+    model = sdformat.read_model(boundary, "m.sdf", "thing")
+    assert len(rigid_models.assemble(model, boundary, "thing", max_faces=50).surfaces) == 10
+    with pytest.raises(MeshError, match="shown in part: has 50 triangles, expected at most 49") as caught:
+        rigid_models.assemble(model, boundary, "thing", max_faces=49)
     assert caught.value.code == "mesh_too_large"
 
 
