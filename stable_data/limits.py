@@ -118,8 +118,8 @@ class ModelLimits:
     """A model of another project: COLLADA, URDF, SDFormat, MJCF, USD.
 
     Attributes:
-        max_faces: Triangles of what is seen of an asset, and of what collides (in USD: of both together); an asset with more than the
-            library keeps is reduced.
+        max_faces: Triangles of what is seen of an asset, and of what collides (in USD: of both together), and of what collides in a
+            scene of MuJoCo; an asset with more than the library keeps is reduced.
         max_collider_faces: Triangles of one collider that is cut into convex parts.
         max_links: Links, joints, frames and files of a model.
         max_shapes: What is seen and what collides of a model.

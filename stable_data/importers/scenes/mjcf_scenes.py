@@ -4,6 +4,7 @@ The shapes are those with which MuJoCo lets bodies collide: primitives, and the 
 count, because a repaired scene must be at rest in MuJoCo.
 """
 
+import functools
 import hashlib
 import re
 from collections.abc import Iterator, Sequence
@@ -94,7 +95,8 @@ def read_mjcf_scene(boundary: Boundary, path: str, key: str = "") -> MjcfScene:
     notices: list[Notice] = []
     free = _free_bodies(model, path, notices)
     bodies = tuple(_bodies(model, data, free, path, notices))
-    free = {name: index for name, index in free.items() if any(b.name == name for b in bodies)}
+    names = {body.name for body in bodies}
+    free = {name: index for name, index in free.items() if name in names}
     if not free:
         found = "has no free body with a shape that collides, expected objects with a free joint"
         raise SceneError(f"{path}: {found}; is it part of another file?", "no_free_body")
@@ -165,19 +167,29 @@ def _bodies(
     of_root = {index: name for name, index in free.items()}
     parts: dict[int, list[Mesh]] = {}
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    hfields = 0
+    shapes = _Shapes(model)
+    without_volume = set[int]()
+    num_faces = hfields = 0
     for geom in np.flatnonzero(collides):
         body = int(model.geom_bodyid[geom])
         owner = int(model.body_rootid[body]) if int(model.body_rootid[body]) in of_root else body
         hfields += model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD
         try:
-            mesh = _geom_mesh(model, int(geom))
+            mesh = shapes.of_geom(int(geom))
         except SceneError as error:
             raise SceneError(f"{path}: {body_name(model, body)}: {error}", error.code) from error
-        if mesh is None and int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_MESH):
+        is_mesh = int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_MESH)
+        if mesh is None and is_mesh and body not in without_volume:
+            without_volume.add(body)
             message = f"{path}: a mesh of {body_name(model, body)} has no volume; it is no obstacle"
             notices.append(Notice(path, "read", "mesh_empty", message))
         if mesh is not None:
+            num_faces += len(mesh.faces)
+            if num_faces > LIMITS.model.max_faces:
+                most = at_most(LIMITS.model, "max_faces")
+                raise SceneError(
+                    f"{path}: its colliders have {num_faces:,} faces or more, expected {most}; make fewer", "file_too_large"
+                )
             turn = data.xmat[owner].reshape(3, 3)
             placed = mesh.vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
             parts.setdefault(owner, []).append(Mesh((placed - data.xpos[owner]) @ turn, mesh.faces))
@@ -202,6 +214,22 @@ def _bodies(
         yield SceneBody(of_root[owner], position, quat, tuple(parts[owner]), True, mass, com, inertia, friction, known)
 
 
+class _Shapes:
+    """The convex shapes of geoms; each is made once, however many geoms have it."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self.known: dict[tuple[int, int, bytes], Mesh | None] = {}
+
+    def of_geom(self, geom: int) -> Mesh | None:
+        """The shape of a geom in its own frame; None for what is no solid."""
+        model = self.model
+        key = int(model.geom_type[geom]), int(model.geom_dataid[geom]), bytes(model.geom_size[geom])
+        if key not in self.known:
+            self.known[key] = _geom_mesh(model, geom)
+        return self.known[key]
+
+
 def _geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh | None:
     """The convex shape of a geom in its own frame; None for what is no solid."""
     kinds, size = mujoco.mjtGeom, np.array(model.geom_size[geom], np.float64)
@@ -224,10 +252,11 @@ def _geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh | None:
 
 
 def _grounds(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Ground]:
+    name_of = functools.cache(functools.partial(body_name, model))  # a body may have a long name and very many planes
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         if collides and data.geom_xmat[geom][8] >= _LEVEL:
-            yield Ground(body_name(model, int(model.geom_bodyid[geom])), float(data.geom_xpos[geom][2]))
+            yield Ground(name_of(int(model.geom_bodyid[geom])), float(data.geom_xpos[geom][2]))
 
 
 def _inertial(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[float, Vec3, FloatArray]:

@@ -6,14 +6,17 @@ from typing import Any
 import pytest
 
 from stable_data.errors import StableDataError
+from stable_data.geometry.mesh import Mesh
 from stable_data.importers.boundary import Boundary
+from stable_data.importers.scenes import convex_solids
 from stable_data.importers.scenes.gltf_nodes import PHYSICS
 from stable_data.importers.scenes.gltf_scenes import read_gltf_scene
 from stable_data.importers.scenes.mjcf_scenes import read_mjcf_scene
 from stable_data.importers.scenes.usd_scenes import read_usd_scene
-from stable_data.limits import SETTING
-from tests.bounds import limit, soon
-from tests.scene_files import cuboid, gltf_parts, write_gltf
+from stable_data.limits import SETTING, FileLimits
+from stable_data.scene import FloatArray
+from tests.bounds import limit, little_memory, soon
+from tests.scene_files import WEDGE, cuboid, gltf_parts, write_gltf
 
 
 def named(limit: str) -> str:
@@ -65,6 +68,50 @@ def test_many_bodies_and_motors_are_looked_through_once(tmp_path: Path) -> None:
     with soon(5.0):
         scene = read_mjcf_scene(Boundary(tmp_path), "scene.xml")
     assert len(scene.free_bodies) == 200
+
+
+FREE = "<body pos='0 0 9'><freejoint/><geom type='box' size='.1 .1 .1'/></body>"
+
+
+@pytest.mark.sim
+def test_shapes_of_copies_are_made_once_and_their_faces_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hull of each copy was once made anew: 100,000 spheres out of 500 bytes took 14 GB and a quarter of an hour."""
+    (tmp_path / "wedge.obj").write_text(WEDGE)
+    geoms = "<geom size='.1'/><geom type='box' size='.1 .1 .2'/><geom type='mesh' mesh='wedge'/>"
+    asset = "<asset><mesh name='wedge' file='wedge.obj'/></asset>"
+    body = f"<replicate count='100'>{geoms}</replicate>"
+    (tmp_path / "scene.xml").write_text(f"<mujoco>{asset}<worldbody>{body}{FREE}</worldbody></mujoco>")
+    made, hull_of = [], convex_solids.hull_of
+
+    def made_hull(points: FloatArray) -> Mesh | None:
+        made.append(points)
+        return hull_of(points)
+
+    monkeypatch.setattr(convex_solids, "hull_of", made_hull)
+    scene = read_mjcf_scene(Boundary(tmp_path), "scene.xml")
+    assert ([len(one.parts) for one in scene.file.bodies], len(made)) == ([300, 1], 4)
+    num_faces = sum(len(part.faces) for one in scene.file.bodies for part in one.parts)
+    limit(monkeypatch, "model", max_faces=num_faces)
+    read_mjcf_scene(Boundary(tmp_path), "scene.xml")
+    limit(monkeypatch, "model", max_faces=num_faces - 1)
+    with pytest.raises(StableDataError, match=named(r"model\.max_faces")) as caught:
+        read_mjcf_scene(Boundary(tmp_path), "scene.xml")
+    assert caught.value.code == "file_too_large"
+
+
+@pytest.mark.sim
+def test_a_long_name_of_a_body_is_not_copied_for_each_of_its_shapes(tmp_path: Path) -> None:
+    name = "A" * 100_000
+    (tmp_path / "wedge.obj").write_text(WEDGE)
+    asset = "<asset><mesh name='thread' file='wedge.obj' scale='1 1e-8 1e-8' inertia='shell'/></asset>"
+    geoms = "<geom type='plane' size='1 1 1'/><geom type='mesh' mesh='thread'/>"
+    body = f"<body name='{name}'><geom type='box' size='1 1 1'/><replicate count='300'>{geoms}</replicate></body>"
+    (tmp_path / "scene.xml").write_text(f"<mujoco>{asset}<worldbody>{body}{FREE}</worldbody></mujoco>")
+    boundary = Boundary(tmp_path, FileLimits(max_file_bytes=10**6))  # of which a buffer is reserved for each file
+    with little_memory(6 * 10**6):
+        file = read_mjcf_scene(boundary, "scene.xml").file
+    assert ({ground.owner for ground in file.grounds}, len(file.grounds)) == ({name}, 300)
+    assert [notice.code for notice in file.notices] == ["mesh_empty"]
 
 
 def test_references_that_double_at_each_level_are_refused_before_usd_composes_them(tmp_path: Path) -> None:
