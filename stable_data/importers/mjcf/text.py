@@ -1,6 +1,7 @@
 """MJCF text made safe: includes in place, and no name of a file left that MuJoCo could open by itself."""
 
 import copy
+import io
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -15,7 +16,7 @@ from stable_data.importers.formats.mesh_file import check_face_count
 from stable_data.importers.formats.xml_text import parse_xml
 from stable_data.importers.mjcf_files import FILE_ATTRIBUTES, check_names, file_reference
 from stable_data.json_text import quote_value
-from stable_data.limits import LIMITS, at_most
+from stable_data.limits import LIMITS, MIB, at_most
 
 _MODEL = re.compile(rb"<mujoco[\s/>]")
 _NOT_FINITE = re.compile(r"(?i)nan|inf")
@@ -234,13 +235,32 @@ class _Meshes:
 
 
 def _num_faces(name: str, content: bytes) -> int:
-    """Triangles of a mesh file, about, without a look at its geometry; MuJoCo has no limit."""
+    """Triangles of a mesh file, about, without a look at its geometry; MuJoCo has no limit.
+
+    MuJoCo makes a hull of vertices without faces. They count as the triangles that they could be corners of.
+    """
     suffix = PurePosixPath(name).suffix
     if suffix == ".obj":
-        return content.count(b"\nf ") + content.count(b"\nf\t")
+        return _num_obj_faces(content)
     if suffix == ".msh":
-        return int.from_bytes(content[12:16], "little")
+        return max(int.from_bytes(content[12:16], "little"), int.from_bytes(content[:4], "little") // 3)
     return max(len(content) - 84, 0) // 50  # a binary STL, the only other format that MuJoCo reads
+
+
+def _num_obj_faces(content: bytes) -> int:
+    """Triangles of an OBJ as MuJoCo reads its lines: blanks may stand before them, and each ends with any line end.
+
+    MuJoCo cuts a polygon in time that grows with the square of its corners, so a large one counts as much.
+    """
+    num_faces = num_vertices = 0
+    for line in io.BytesIO(content.replace(b"\r", b"\n")):
+        text = line.lstrip(b" \t")
+        if text.startswith((b"f ", b"f\t")):
+            num = len(text.split()) - 1 if len(text) < MIB else len(text) // 2  # a list of words takes much memory
+            num_faces += max(num - 2, num * num // 64, 1)
+        elif text.startswith((b"v ", b"v\t")):
+            num_vertices += 1
+    return max(num_faces, num_vertices // 3)
 
 
 def _is_not_finite(value: str) -> bool:

@@ -467,6 +467,50 @@ def test_the_triangles_of_a_model_are_counted_before_mujoco_reads_them(tmp_path:
     assert caught.value.code == "mesh_too_large"
 
 
+CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+FACES = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+MANY_CORNERS = "".join(f"v {k} {k * k} {k * k * k}\n" for k in range(12))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "count"),
+    [
+        ("m.obj", CORNERS + FACES, 4),
+        ("m.obj", FACES + CORNERS, 4),
+        ("m.obj", (CORNERS + FACES).replace("f ", " \t f\t"), 4),
+        ("m.obj", (CORNERS + FACES).replace("\n", "\r"), 4),
+        ("m.obj", (CORNERS + FACES).replace("\n", "\r\n"), 4),
+        ("m.obj", MANY_CORNERS, 4),
+        ("m.obj", MANY_CORNERS.replace("v ", " v\t").replace("\n", "\r"), 4),
+        ("m.obj", MANY_CORNERS + "f 1 2 3 4 5  6 \n", 4),
+        ("m.obj", "# off\n" + CORNERS + FACES + "vn 0 0 1\n" * 100 + "vt 0 0\n" * 100, 4),
+        ("m.msh", struct.pack("<4i", 12, 0, 0, 0) + bytes(12 * 12), 4),
+    ],
+)
+def test_faces_are_counted_in_every_form_that_mujoco_reads(name: str, content: str | bytes, count: int, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    meshes = "".join(f'<mesh name="m{k}" file="{name}"/>' for k in range(10))
+    (tmp_path / "thing.xml").write_text(f"<mujoco><asset>{meshes}</asset><worldbody><geom/></worldbody></mujoco>")
+    boundary = Boundary(tmp_path)
+    model = MjcfText.load(boundary, "thing.xml")
+    assert model is not None
+    model.isolated(boundary, 10 * count)
+    with pytest.raises(MeshError, match=rf"has {10 * count} triangles") as caught:
+        model.isolated(boundary, 10 * count - 1)
+    assert caught.value.code == "mesh_too_large"
+
+
+def test_a_polygon_counts_as_the_time_in_which_mujoco_cuts_it(tmp_path: Path) -> None:
+    """One of 8,000 corners takes 5 s, and a file may be named as a mesh again and again."""
+    (tmp_path / "m.obj").write_text(CORNERS + "f" + " 1 2 3 4" * 2_000 + "\n")
+    (tmp_path / "thing.xml").write_text('<mujoco><asset><mesh file="m.obj"/></asset><worldbody><geom/></worldbody></mujoco>')
+    boundary = Boundary(tmp_path)
+    model = MjcfText.load(boundary, "thing.xml")
+    assert model is not None
+    with pytest.raises(MeshError, match="has 1,000,000 triangles"):
+        model.isolated(boundary, 100_000)
+
+
 def test_a_mesh_file_is_in_memory_once(tmp_path: Path) -> None:
     (tmp_path / "m.stl").write_bytes(stl(1000))
     meshes = "".join(f'<mesh name="m{k}" file="m.stl"/>' for k in range(200))
