@@ -169,7 +169,10 @@ class _Scan:
     contents: dict[str, bytes] = field(default_factory=dict)
     tags: dict[str, tuple[StartTag, ...]] = field(default_factory=dict)
     included: dict[tuple[str, int], str] = field(default_factory=dict)
-    collected: list[str] = field(default_factory=list)  # models, each as often as it is attached
+    counted: dict[str, int] = field(default_factory=dict)  # a model that is attached -> its elements with their copies
+    files: dict[str, bytes] = field(default_factory=dict)  # by where they lie; several names may mean one
+    num_bytes: int = 0  # of contents, which are written to a folder one by one
+    num_elements: int = 0  # of all models, with what they include
 
 
 def collect_files(boundary: Boundary, path: str) -> ModelFiles:
@@ -294,10 +297,6 @@ def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> tuple[list
     Returns:
         Its elements, and their number with copies.
     """
-    scan.collected.append(path)
-    if len(scan.collected) > LIMITS.file.max_files:
-        most = at_most(LIMITS.file, "max_files")
-        raise MeshError(f"{path}: is one of the models that are attached, expected {most}", "file_too_large")
     _collect_document(scan, path, path, set(above))
     elements = merged_elements(path, scan.tags, scan.included)
     tags = [element.tag for element in elements]
@@ -316,7 +315,9 @@ def _collect_model(scan: _Scan, path: str, above: tuple[str, ...]) -> tuple[list
             attached = _place(scan, path, folder, name)
             if attached in (path, *above):
                 raise _read_twice(path, attached)
-            attached_elements = max(attached_elements, _collect_model(scan, attached, (*above, path))[1])
+            if attached not in scan.counted:
+                scan.counted[attached] = _collect_model(scan, attached, (*above, path))[1]
+            attached_elements = max(attached_elements, scan.counted[attached])
             continue
         _place(scan, path, folder, file_reference(kind, name, compiler))
     for element in elements:
@@ -363,8 +364,13 @@ def _collect_document(scan: _Scan, main: str, path: str, seen: set[str]) -> None
         most = at_most(LIMITS.file, "max_files")
         raise MeshError(f"{main}: names more XML files, expected {most}; merge them", "file_too_large")
     if path not in scan.tags:
-        scan.contents[path] = content = scan.boundary.read_bytes(path, "max_xml_bytes")
+        content = scan.boundary.read_bytes(path, "max_xml_bytes")
+        _keep(scan, path, content)
         scan.tags[path] = start_tags(content, path)
+    scan.num_elements += len(scan.tags[path])
+    if scan.num_elements > LIMITS.model.max_elements:
+        found = f"{path}: is one of the files that models include, which have {scan.num_elements} elements"
+        raise MeshError(f"{found}, expected {at_most(LIMITS.model, 'max_elements')}; make fewer", "file_too_large")
     for k, tag in enumerate(scan.tags[path]):
         if tag.name == "include":
             name = tag.attributes.get("file", "")
@@ -385,13 +391,29 @@ def _place(scan: _Scan, path: str, folder: str, reference: str, *, is_include: b
     if place.startswith("../") or place == "..":
         raise MeshError(f"{path}: {quote_value(reference)} leaves the folder, expected a path inside of it", "path_outside")
     if place not in scan.contents:
-        scan.contents[place] = content = scan.boundary.read_bytes(found)
+        if found not in scan.files:
+            scan.files[found] = scan.boundary.read_bytes(found)
+        content = scan.files[found]
+        _keep(scan, place, content)
         if _num_pixels(content) > LIMITS.image.max_pixels:
             most = at_most(LIMITS.image, "max_pixels", "pixels")
             raise MeshError(
                 f"{path}: {quote_value(reference)} has more pixels, expected {most}; make it smaller", "file_too_large"
             )
     return place
+
+
+def _keep(scan: _Scan, place: str, content: bytes) -> None:
+    """Keeps a file under a name. The boundary counts it once, although it is written once for each of its names."""
+    if place in scan.contents:
+        return
+    scan.contents[place] = content
+    scan.num_bytes += len(content)
+    limits = scan.boundary.limits
+    if len(scan.contents) > limits.max_files or scan.num_bytes > limits.max_bytes:
+        found = f"is one of {len(scan.contents)} names of files with {scan.num_bytes} bytes"
+        most = f"{at_most(limits, 'max_bytes', 'bytes')} in {at_most(limits, 'max_files')} files for an asset"
+        raise MeshError(f"{quote_value(place)} {found}, expected {most}", "file_too_large")
 
 
 def _num_pixels(content: bytes) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from stable_data.errors import MeshError, Notice
-from stable_data.importers import rigid_models, sdformat, urdf
+from stable_data.importers import mjcf_files, rigid_models, sdformat, urdf
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.formats.collada_dae import _placed
 from stable_data.importers.formats.obj import _parse_library, _vertex_colours
@@ -597,6 +597,51 @@ def test_copies_are_counted_together_and_those_of_attached_models_too(body: str,
     with soon(5.0), pytest.raises(MeshError, match=rf"\({named} in {SETTING}\)") as caught:
         collect_files(Boundary(tmp_path), "scene.xml")
     assert caught.value.code == "file_too_large"
+
+
+def test_a_file_with_many_names_is_in_memory_once_and_its_names_are_counted(tmp_path: Path) -> None:
+    """Names may differ in the case of letters alone; each becomes a file of its own for MuJoCo."""
+    size = 10**6
+    (tmp_path / "meshfile.stl").write_bytes(bytes(size))
+    names = ["".join(c.upper() if k >> n & 1 else c for n, c in enumerate("meshfile")) for k in range(100)]
+
+    def collect(**limits: int) -> None:
+        files = FileLimits(max_file_bytes=2 * size, **limits)
+        contents = collect_files(Boundary(tmp_path, files), "scene.xml").contents
+        assert (len(contents), sum(map(len, contents.values())) > 100 * size) == (101, True)
+
+    meshes = "".join(f'<mesh name="m{k}" file="{name}.stl"/>' for k, name in enumerate(names))
+    (tmp_path / "scene.xml").write_text(f"<mujoco><asset>{meshes}</asset></mujoco>")
+    with little_memory(10 * size):
+        collect(max_bytes=101 * size)
+    for limits in ({"max_bytes": 100 * size}, {"max_files": 100}):
+        with pytest.raises(MeshError, match=r"names of files with .* expected at most") as caught:
+            collect(**limits)
+        assert caught.value.code == "file_too_large"
+
+
+def test_a_model_is_walked_once_however_often_it_is_attached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "part.xml").write_text("<mujoco><worldbody><body name='b'><geom/></body></worldbody></mujoco>")
+    models = "".join(f'<model name="m{k}" file="part.xml"/>' for k in range(100))
+    (tmp_path / "scene.xml").write_text(f"<mujoco><asset>{models}</asset><worldbody/></mujoco>")
+    merged = counted(monkeypatch, mjcf_files, "merged_elements", 0)
+    assert sorted(collect_files(Boundary(tmp_path), "scene.xml").contents) == ["part.xml", "scene.xml"]
+    assert merged == ["scene.xml", "part.xml"]
+
+
+def test_elements_that_many_models_include_are_counted_before_they_are_merged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limit(monkeypatch, "model", max_elements=1_000)
+    (tmp_path / "common.xml").write_text(f"<mujocoinclude>{'<option/>' * 100}</mujocoinclude>")
+    for k in range(20):
+        (tmp_path / f"{k}.xml").write_text('<mujoco><include file="common.xml"/></mujoco>')
+    models = "".join(f'<model name="m{k}" file="{k}.xml"/>' for k in range(20))
+    (tmp_path / "scene.xml").write_text(f"<mujoco><asset>{models}</asset><worldbody/></mujoco>")
+    merged = counted(monkeypatch, mjcf_files, "merged_elements", 0)
+    with pytest.raises(MeshError, match=rf"\(model\.max_elements in {SETTING}\)") as caught:
+        collect_files(Boundary(tmp_path), "scene.xml")
+    assert (caught.value.code, len(merged)) == ("file_too_large", 10)  # the scene, and those of 102 elements before the last
 
 
 # --- USD ---
