@@ -26,7 +26,7 @@ from stable_data.importers.formats.mesh_file import parsing
 from stable_data.importers.scenes import convex_solids, gltf_nodes
 from stable_data.importers.scenes.gltf_nodes import PHYSICS
 from stable_data.importers.scenes.mesh_solids import fixed_parts, solid_parts
-from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
+from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile, check_shapes
 from stable_data.json_text import number, numbers
 from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of, rotation_matrix
@@ -199,6 +199,8 @@ class _SceneReader:
     num_cut: int = 0
     coarse: list[str] = field(default_factory=list)
     num_below: int = 0
+    solids: dict[int, Mesh | None] = field(default_factory=dict)
+    num_faces: int = 0
     bent: dict[int, bool] = field(default_factory=dict)
 
     def read(self) -> tuple[list[SceneBody], list[Ground]]:
@@ -301,6 +303,7 @@ class _SceneReader:
         wanted = [*shown.values(), *(mesh for tree in trees.values() for mesh, _ in tree)]
         self.meshes, notices = load_meshes(self.packed, self.path, wanted, limits=LIMITS.gltf_scene)
         self.notices += [Notice(self.path, "read", n.code, n.message.removeprefix("asset ")) for n in notices]
+        self.num_faces = sum(len(self.meshes[mesh].faces) for mesh in wanted if mesh in self.meshes)
         above = {node.index: node.parent for node in kept}
         made = {
             node.index: self._collider(node, trees[node.index])
@@ -382,8 +385,11 @@ class _SceneReader:
             return _Shape(node, join_meshes(parts), key, is_hull)
         if geometry is not None and "shape" in geometry:
             stated = gltf_nodes.implicit_shape(self.document, geometry["shape"], self.path)
-            solid = _implicit_solid(stated)
-            if solid is not None:
+            if geometry["shape"] not in self.solids:
+                self.solids[geometry["shape"]] = _implicit_solid(stated)
+            if (solid := self.solids[geometry["shape"]]) is not None:
+                self.num_faces += len(solid.faces)
+                check_shapes(self.path, faces=self.num_faces)
                 return _Shape(node, solid, ("shape", geometry["shape"]), is_hull=stated.get("type") != "plane")
         self._note(
             "shape_unknown", f"the collider of {self.names[node.index]} is of a kind that is not read; it is no obstacle"

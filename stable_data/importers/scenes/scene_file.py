@@ -5,13 +5,33 @@ from typing import TypeAlias
 
 import numpy as np
 
-from stable_data.errors import Notice
+from stable_data.errors import MeshError, Notice
 from stable_data.geometry.mesh import Mesh
+from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import rotation_matrix
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
 
 BodyPose: TypeAlias = tuple[Vec3, QuatXyzw]
 """Origin of a body, metres, and its rotation, in the frame of the file."""
+
+
+def check_shapes(path: str, *, faces: int, corners: int = 0) -> None:
+    """Refuses a scene whose shapes are together too large: a few bytes can show one shape as often as they like.
+
+    Args:
+        path: The scene, for the message.
+        faces: Triangles of the shapes so far, counted as often as they are shown.
+        corners: Their vertices, likewise.
+
+    Raises:
+        MeshError: ``mesh_too_large``.
+    """
+    for name, found in (("max_faces", faces), ("max_corners", corners)):
+        if found > getattr(LIMITS.gltf_scene, name):
+            what, most = name.removeprefix("max_"), at_most(LIMITS.gltf_scene, name)
+            raise MeshError(
+                f"{path}: its shapes have together {found:,} {what} or more, expected {most}; simplify it", "mesh_too_large"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

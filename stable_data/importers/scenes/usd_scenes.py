@@ -7,8 +7,9 @@ layers of a scene are listed before USD composes them, and only these are there 
 import hashlib
 import math
 import posixpath
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -25,7 +26,7 @@ from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes import convex_solids
 from stable_data.importers.scenes.formats import repaired_name
-from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile
+from stable_data.importers.scenes.scene_file import BodyPose, Ground, SceneBody, SceneFile, check_shapes
 from stable_data.importers.usd.layers import check_prims, quiet_usd, reason_of
 from stable_data.importers.usd.physics import Collider, StageFrame, inertial_of
 from stable_data.importers.usd.text_layers import check_brackets
@@ -203,6 +204,9 @@ class _StageReader:
     unit: float
     is_y_up: bool
     notices: list[Notice]
+    num_faces: int = 0
+    num_corners: int = 0
+    cut: dict[bytes, tuple[Mesh, ...]] = field(default_factory=dict)
 
     def read(self) -> tuple[list[SceneBody], list[Ground]]:
         cache = UsdGeom.XformCache()
@@ -313,13 +317,15 @@ class _StageReader:
         """The convex parts of a collider, in the frame of its body."""
         matrix = cache.GetLocalToWorldTransform(prim)
         solid = _primitive(prim)
-        triangles = _triangles(prim, self.path) if solid is None else None
+        triangles = _triangles(prim, self.path, self._count) if solid is None else None
         if solid is None and triangles is None:
             message = f"{self.path}: {prim.GetPath()} is a {prim.GetTypeName()}, which is not read; it is no obstacle"
             self.notices.append(Notice(self.path, "read", "shape_unknown", message))
             return
         local = solid if solid is not None else triangles
         assert local is not None
+        if solid is not None:
+            self._count(len(solid.faces), len(solid.vertices))
         points = rotation.inv().apply(self._points(matrix, local.vertices) - position)
         approximation = (
             UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() if triangles is not None else "convexHull"
@@ -327,9 +333,9 @@ class _StageReader:
         if solid is None and approximation not in _SINGLE and not (is_free and approximation in (None, "none")):
             middle = (points.min(axis=0) + points.max(axis=0)) / 2
             try:
-                mesh, _, _ = repair_mesh(Mesh(points - middle, local.faces), str(prim.GetPath()))
+                parts = self._cut(Mesh(points - middle, local.faces), str(prim.GetPath()))
                 # The repair moves the box to the origin; its centre is that of the points it keeps.
-                yield from (Mesh(part.vertices + middle, part.faces) for part in collider_parts(mesh))
+                yield from (Mesh(part.vertices + middle, part.faces) for part in parts)
                 return
             except MeshError as error:
                 message = f"{self.path}: {prim.GetPath()}: {error}; its convex hull counts"
@@ -337,6 +343,24 @@ class _StageReader:
         hull = convex_solids.hull_of(points)
         if hull is not None:
             yield hull
+
+    def _cut(self, mesh: Mesh, name: str) -> tuple[Mesh, ...]:
+        """The convex parts of a mesh, found once for all prims that show it in the same way."""
+        key = hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).digest()
+        if key not in self.cut:
+            repaired, _, _ = repair_mesh(mesh, name)
+            self.cut[key] = collider_parts(repaired)
+        return self.cut[key]
+
+    def _count(self, num_faces: int, num_corners: int) -> None:
+        """Counts a shape as often as prims refer to it.
+
+        Raises:
+            MeshError: All shapes together are too large (``mesh_too_large``).
+        """
+        self.num_faces += num_faces
+        self.num_corners += num_corners
+        check_shapes(self.path, faces=self.num_faces, corners=self.num_corners)
 
     def _ground(self, prim: Usd.Prim, cache: UsdGeom.XformCache) -> Ground | None:
         matrix = cache.GetLocalToWorldTransform(prim)
@@ -365,14 +389,24 @@ def _primitive(prim: Usd.Prim) -> Mesh | None:
     if prim.IsA(UsdGeom.Cube):
         return convex_solids.box(np.full(3, _number(UsdGeom.Cube(prim).GetSizeAttr(), 2.0) / 2))
     if prim.IsA(UsdGeom.Sphere):
-        return convex_solids.ellipsoid(np.full(3, _number(UsdGeom.Sphere(prim).GetRadiusAttr(), 1.0)))
+        return _round_solid(_ball, _number(UsdGeom.Sphere(prim).GetRadiusAttr(), 1.0))
     kinds = ((UsdGeom.Cylinder, convex_solids.cylinder), (UsdGeom.Capsule, convex_solids.capsule))
     for kind, make in kinds:
         if prim.IsA(kind):
             shape = kind(prim)
             radius, height = _number(shape.GetRadiusAttr(), 1.0), _number(shape.GetHeightAttr(), 2.0)
-            return _along(make(radius, height / 2), str(shape.GetAxisAttr().Get() or "Z"))
+            return _along(_round_solid(make, radius, height / 2), str(shape.GetAxisAttr().Get() or "Z"))
     return None
+
+
+@lru_cache(maxsize=64)
+def _round_solid(make: Callable[..., Mesh], *lengths: float) -> Mesh:
+    """A solid with thousands of triangles, made once for all prims that refer to it."""
+    return make(*lengths)
+
+
+def _ball(radius: float) -> Mesh:
+    return convex_solids.ellipsoid(np.full(3, radius))
 
 
 def _number(attribute: Usd.Attribute, default: float) -> float:
@@ -389,8 +423,8 @@ def _along(mesh: Mesh, axis: str) -> Mesh:
     return Mesh(np.roll(mesh.vertices, roll, axis=1), mesh.faces)
 
 
-def _triangles(prim: Usd.Prim, path: str) -> Mesh | None:
-    """The triangles of a mesh prim, in its own frame and unit; None if it is none or is empty."""
+def _triangles(prim: Usd.Prim, path: str, count: Callable[[int, int], None]) -> Mesh | None:
+    """The triangles of a mesh prim, in its own frame and unit; None if it is none or is empty. Its size is counted before they are made."""
     if not prim.IsA(UsdGeom.Mesh):
         return None
     mesh = UsdGeom.Mesh(prim)
@@ -405,11 +439,13 @@ def _triangles(prim: Usd.Prim, path: str) -> Mesh | None:
         )
     if not np.isfinite(points).all():
         raise MeshError(f"{path}: {prim.GetPath()} has points that are not finite, expected numbers", "mesh_not_finite")
-    if len(corners) - 2 * len(counts) > LIMITS.model.max_collider_faces:
+    num_faces = int(np.maximum(counts - 2, 1).sum())  # polygons of less than three corners take time, too
+    if num_faces > LIMITS.model.max_collider_faces:
         most = at_most(LIMITS.model, "max_collider_faces")
         raise MeshError(
             f"{path}: {prim.GetPath()} has more triangles, expected {most}; simplify the collider", "mesh_too_large"
         )
+    count(num_faces, len(points))
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     faces = [
         (corners[s], corners[s + k], corners[s + k + 1]) for s, n in zip(starts, counts, strict=True) for k in range(1, n - 1)

@@ -7,6 +7,7 @@ import pytest
 
 from stable_data.errors import StableDataError
 from stable_data.geometry.mesh import Mesh
+from stable_data.geometry.mesh_repair import repair_mesh
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.scenes import convex_solids
 from stable_data.importers.scenes.gltf_nodes import PHYSICS
@@ -123,6 +124,96 @@ def test_references_that_double_at_each_level_are_refused_before_usd_composes_th
     (tmp_path / "l30.usda").write_text('#usda 1.0\n(defaultPrim = "P")\ndef Cube "P" {}\n')
     with soon(8.0), pytest.raises(StableDataError, match=named(r"model\.max_prims")) as caught:
         read_usd_scene(Boundary(tmp_path), "l0.usda")
+    assert caught.value.code == "mesh_too_large"
+
+
+def references(kind: str, content: str = "", levels: int = 3) -> str:
+    """A layer of USD with a free body and a collider that is referred to 2 ** levels times."""
+    doubled = "".join(
+        f'class "L{k}" {{\ndef "a" (references = </L{k + 1}>) {{}}\ndef "b" (references = </L{k + 1}>) {{}}\n}}\n'
+        for k in range(levels)
+    )
+    return (
+        '#usda 1.0\n(defaultPrim = "W"\n metersPerUnit = 1\n upAxis = "Z")\n'
+        'def Xform "W" {\ndef Cube "free" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI"]) {}\n'
+        'def "many" (references = </L0>) {}\n}\n'
+        f'{doubled}class {kind} "L{levels}" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{\n{content}\n}}\n'
+    )
+
+
+TETRAHEDRON = (
+    "point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]\n"
+    "int[] faceVertexCounts = [3, 3, 3, 3]\nint[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2]"
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "name", "most"),
+    [
+        ("Sphere", "", "max_faces", 20_000),
+        ("Sphere", "", "max_corners", 10_000),
+        ("Mesh", TETRAHEDRON, "max_faces", 40),
+        ("Mesh", TETRAHEDRON, "max_corners", 36),
+    ],
+)
+def test_shapes_of_a_usd_scene_count_as_often_as_they_are_referred_to(
+    kind: str, content: str, name: str, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A kilobyte of references once made 100,000 spheres: 14 GB."""
+    pytest.importorskip("pxr")
+    (tmp_path / "a.usda").write_text(references(kind, content))
+    assert len(read_usd_scene(Boundary(tmp_path), "a.usda").file.bodies) == 1 + 8
+    limit(monkeypatch, "gltf_scene", **{name: most})
+    with pytest.raises(StableDataError, match=named(rf"gltf_scene\.{name}")) as caught:
+        read_usd_scene(Boundary(tmp_path), "a.usda")
+    assert caught.value.code == "mesh_too_large"
+
+
+def test_polygons_without_a_triangle_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They once made up for triangles of other polygons."""
+    pytest.importorskip("pxr")
+    content = TETRAHEDRON.replace("[3,", "[0, 0, 0, 0, 3,")
+    (tmp_path / "a.usda").write_text(references("Mesh", content))
+    limit(monkeypatch, "model", max_collider_faces=7)
+    with pytest.raises(StableDataError, match=named(r"model\.max_collider_faces")):
+        read_usd_scene(Boundary(tmp_path), "a.usda")
+
+
+def test_equal_shapes_of_a_usd_scene_are_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pxr")
+    made: list[str] = []
+
+    def noted(name: str, function: Any) -> Any:
+        def call(*arguments: Any) -> Any:
+            made.append(name)
+            return function(*arguments)
+
+        return call
+
+    monkeypatch.setattr(convex_solids, "ellipsoid", noted("ellipsoid", convex_solids.ellipsoid))
+    monkeypatch.setattr("stable_data.importers.scenes.usd_scenes.repair_mesh", noted("repair", repair_mesh))
+    (tmp_path / "a.usda").write_text(references("Sphere", "double radius = 0.0625123"))
+    (tmp_path / "b.usda").write_text(references("Mesh", TETRAHEDRON))
+    for name in ("a.usda", "b.usda"):
+        bodies = read_usd_scene(Boundary(tmp_path), name).file.bodies
+        assert len(bodies) == 1 + 8
+        assert all(len(body.parts) == 1 for body in bodies)
+    assert made == ["ellipsoid", "repair"]
+
+
+def test_implicit_shapes_of_a_gltf_scene_count_as_often_as_they_are_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have no triangles in the file, but a ball becomes a mesh of thousands."""
+    ball: dict[str, Any] = {"extensions": {PHYSICS: {"collider": {"geometry": {"shape": 0}}}}}
+    root: dict[str, Any] = {"name": "free-rigid", "mesh": 0, "children": list(range(1, 9))}
+    shapes = {"KHR_implicit_shapes": {"shapes": [{"type": "sphere", "sphere": {"radius": 0.1}}]}}
+    write_gltf(tmp_path / "a.gltf", *gltf_parts([cuboid(1, 1, 1)], [root, *[ball] * 8], extensions=shapes))
+    (body,) = read_gltf_scene(Boundary(tmp_path), "a.gltf").file.bodies
+    assert len(body.parts) == 8
+    limit(monkeypatch, "gltf_scene", max_faces=20_000)
+    with pytest.raises(StableDataError, match=named(r"gltf_scene\.max_faces")) as caught:
+        read_gltf_scene(Boundary(tmp_path), "a.gltf")
     assert caught.value.code == "mesh_too_large"
 
 
