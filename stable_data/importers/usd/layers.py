@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -28,6 +29,7 @@ SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 # The exceptions of reading values of other types than the schemas demand.
 _PARSE_ERRORS = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 _OUT_OF_MEMORY = "std::bad_alloc"  # what USD says then
+_MOST_PATH = 4096  # characters of the path of a prim, which all prims below it repeat
 _MEMBER = b"PK\x01\x02"  # what the entry of a member in the list of a package begins with
 
 
@@ -290,24 +292,39 @@ def check_prims(layer: Any, path: str, layers: Mapping[str, Any]) -> None:
         layers: The layers that it composes, by the names with which layers refer to each other.
 
     Raises:
-        MeshError: ``mesh_too_large``, or ``model_unreadable`` where prims nest too deep.
+        MeshError: ``mesh_too_large``, or ``model_unreadable`` where prims nest too deep or their paths are too long.
     """
-    _PrimCount(layers).check(layer, path)
+    _PrimCount(path, layers).check(layer)
+
+
+def _check_length(path: str, length: int) -> None:
+    """Refuses a long path: thousands of prims below it would each take as much memory."""
+    if length > _MOST_PATH:
+        found = f"{quote_value(path)} composes a prim whose path has {length:,} characters"
+        raise MeshError(f"{found}, expected at most {_MOST_PATH:,}; rename it", "model_unreadable")
 
 
 @dataclass(slots=True)
 class _PrimCount:
-    """Estimates the prims of a stage from above."""
+    """Estimates the prims of a stage, and their longest path, from above."""
 
+    path: str
     by_name: Mapping[str, Any]
-    known: dict[tuple[str, str], int] = field(default_factory=dict)
+    known: dict[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
     stacks: dict[str, list[Any]] = field(default_factory=dict)
 
-    def check(self, layer: Any, path: str) -> None:
-        num = sum(self._below(layer, prim) for prim in self._roots(layer))
+    def check(self, layer: Any) -> None:
+        num = 0
+        for prim in self._roots(layer):
+            below, rest = self._below(layer, prim)
+            num += below
+            _check_length(prim, len(prim) + rest)
         if num > LIMITS.model.max_prims:
-            most = at_most(LIMITS.model, "max_prims")
-            raise MeshError(f"{quote_value(path)} composes more prims, expected {most}; simplify it", "mesh_too_large")
+            raise self._too_many()
+
+    def _too_many(self) -> MeshError:
+        most = at_most(LIMITS.model, "max_prims")
+        return MeshError(f"{quote_value(self.path)} composes more prims, expected {most}; simplify it", "mesh_too_large")
 
     def _stack(self, layer: Any) -> list[Any]:
         """A layer with its sublayers and theirs, each as often as it is named."""
@@ -324,25 +341,32 @@ class _PrimCount:
     def _roots(self, layer: Any) -> list[str]:
         return sorted({str(prim.path) for one in self._stack(layer) for prim in one.rootPrims})
 
-    def _below(self, layer: Any, path: str, depth: int = 0) -> int:
-        """Prims at and below a path of a layer with its sublayers; at most a little more than the limit."""
+    def _below(self, layer: Any, path: str, depth: int = 0) -> tuple[int, int]:
+        """Prims at and below a path of a layer with its sublayers, at most a little more than the limit; and how long their paths go on."""
+        _check_length(path, len(path))
         key = layer.identifier, path
         if key in self.known:
             return self.known[key]
+        if len(self.known) > 2 * LIMITS.model.max_prims:  # nearly all of them count
+            raise self._too_many()
         if depth > LIMITS.model.max_prim_levels:
             most = at_most(LIMITS.model, "max_prim_levels", "levels")
             raise MeshError(f"{quote_value(path)} is nested too deep, expected {most}", "model_unreadable")
-        self.known[key] = 0  # a circle adds nothing
+        self.known[key] = 0, 0  # a circle adds nothing
         specs = [spec for one in self._stack(layer) if (spec := one.GetPrimAtPath(path)) is not None]
         above = path.rpartition("/")[0]
-        num = 1 if specs or not above else self._below(layer, above, depth + 1)  # what it is comes from a reference above
+        # Without a spec, what it is comes from a reference above.
+        num, rest = (1, 0) if specs or not above else self._below(layer, above, depth + 1)
         for spec in specs:
             variants = [variant.primSpec for choices in spec.variantSets for variant in choices.variants]
             for part in (spec, *variants):
-                num += sum(self._below(layer, str(child.path), depth + 1) for child in part.nameChildren)
-                num += sum(self._below(*target, depth + 1) for target in self._targets(layer, part))
-        self.known[key] = num = min(num, LIMITS.model.max_prims + 1)
-        return num
+                children = ((layer, str(child.path), len(child.name) + 1) for child in part.nameChildren)
+                targets = ((*target, 0) for target in self._targets(layer, part))
+                for owner, place, length in chain(children, targets):
+                    more, longer = self._below(owner, place, depth + 1)
+                    num, rest = num + more, max(rest, length + longer)
+        self.known[key] = min(num, LIMITS.model.max_prims + 1), rest
+        return self.known[key]
 
     def _targets(self, layer: Any, spec: Any) -> Iterator[tuple[Any, str]]:
         for arc in (*spec.referenceList.GetAddedOrExplicitItems(), *spec.payloadList.GetAddedOrExplicitItems()):

@@ -678,6 +678,34 @@ def test_prims_that_refer_to_each_other_twice_are_counted() -> None:
     assert caught.value.code == "mesh_too_large"
 
 
+def opened(text: str) -> Any:
+    layer = pytest.importorskip("pxr.Sdf").Layer.CreateAnonymous(".usda")
+    layer.ImportFromString("#usda 1.0\n" + text)
+    return layer
+
+
+def test_long_paths_of_prims_are_refused() -> None:
+    """A name of half a megabyte once was repeated for each of 40,000 prims below it."""
+    children = "".join(f'def "a{k}" {{}}\n' for k in range(200))
+    check_prims(opened(f'def "{"x" * 1_500}" {{\n{children}}}'), "thing.usda", {})
+    alone = opened(f'def "{"x" * 10_000}" {{\n{children}}}')
+    nested = "".join(f'class "l{k}" {{\ndef "{"x" * 1_500}" (references = </l{k + 1}>) {{}}\n}}\n' for k in range(3))
+    composed = opened(f'{nested}class "l3" {{\n{children}}}\n')
+    for layer in (alone, composed):
+        with little_memory(400_000), pytest.raises(MeshError, match="characters, expected at most 4,096") as caught:
+            check_prims(layer, "thing.usda", {})
+        assert caught.value.code == "model_unreadable"
+
+
+def test_prims_are_counted_no_further_than_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paths of all were once kept until all were counted."""
+    children = "".join(f'def "a{k}" {{}}\n' for k in range(2_000))
+    layer = opened(f'def "{"x" * 4_000}" {{\n{children}}}')
+    limit(monkeypatch, "model", max_prims=50)
+    with little_memory(1_600_000), pytest.raises(MeshError, match=r"^'thing\.usda' composes more prims"):
+        check_prims(layer, "thing.usda", {})
+
+
 def test_the_list_of_a_package_is_not_read_if_it_is_very_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pxr")
     stream = io.BytesIO()
