@@ -14,6 +14,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 from torch.nn.modules.module import (
     register_module_buffer_registration_hook,
+    register_module_module_registration_hook,
     register_module_parameter_registration_hook,
 )
 from torch.overrides import TorchFunctionMode
@@ -24,6 +25,7 @@ from stable_data.errors import ConfigError
 T = TypeVar("T")
 
 _MAX_LISTED = 6  # mismatches that a message lists
+_OF_MODULE = 1000  # numbers that a module counts for, however small: its objects take some kilobytes
 _SLACK = 1 << 20  # numbers of a network that its file need not have, such as buffers
 
 
@@ -106,7 +108,7 @@ def fill_network(path: Path, network: nn.Module) -> None:
 
 
 def build_no_larger_than(path: Path, build: Callable[[], T]) -> T:
-    """Builds the network that a file describes, which must not have more numbers than the file has bytes.
+    """Builds the network that a file describes, which must not have more numbers than the file has bytes; a module counts for some.
 
     The notes of a file from elsewhere, or the shapes of its tensors, may describe a network of any size, and its tensors are
     compared only when it is built. It is first built without memory for its numbers.
@@ -123,17 +125,27 @@ def build_no_larger_than(path: Path, build: Callable[[], T]) -> T:
     """
     left = path.stat().st_size + _SLACK
 
-    def count(module: nn.Module, name: str, tensor: Tensor | None) -> None:
+    def count(num: int) -> None:
         nonlocal left
-        left -= 0 if tensor is None else tensor.numel()
+        left -= num
         if left < 0:
             raise ConfigError(
-                f"{path}: it describes a network with more numbers than the file has bytes, expected the network of its tensors; "
-                "do not trust it",
+                f"{path}: it describes a network with more numbers than the file has bytes, or too many modules for these numbers, "
+                "expected the network of its tensors; do not trust it",
                 "weights_invalid",
             )
 
-    hooks = [register_module_parameter_registration_hook(count), register_module_buffer_registration_hook(count)]
+    def count_tensor(module: nn.Module, name: str, tensor: Tensor | None) -> None:
+        count(0 if tensor is None else tensor.numel())
+
+    def count_module(module: nn.Module, name: str, part: nn.Module | None) -> None:
+        count(0 if part is None else _OF_MODULE)
+
+    hooks = [
+        register_module_parameter_registration_hook(count_tensor),
+        register_module_buffer_registration_hook(count_tensor),
+        register_module_module_registration_hook(count_module),
+    ]
     try:
         with torch.device("meta"), _NoDraws():
             build()

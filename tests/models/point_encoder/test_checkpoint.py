@@ -239,6 +239,19 @@ def test_a_file_cannot_describe_a_network_that_is_larger_than_it(tmp_path: Path)
         assert caught.value.code == "weights_invalid"
 
 
+def test_a_small_file_cannot_describe_a_network_of_very_many_modules(tmp_path: Path) -> None:
+    """Modules of one channel have few numbers, but each takes kilobytes and time."""
+    _, notes = read_weights(DEFAULT_WEIGHTS)
+    none: dict[str, Any] = {"dec_depths": [], "dec_channels": [], "dec_heads": []}
+    narrow = json.loads(notes["config"]) | none | {"enc_channels": [1], "enc_heads": [1]}
+    for depth, code in ((10, "weights_mismatch"), (300, "weights_invalid")):
+        path = tmp_path / "w.safetensors"
+        save_weights(path, {"a": torch.zeros(1)}, notes | {"config": json.dumps(narrow | {"enc_depths": [depth]})})
+        with pytest.raises(ConfigError) as caught:
+            load(path)
+        assert caught.value.code == code
+
+
 def test_a_published_checkpoint_cannot_describe_a_network_that_is_larger_than_it(tmp_path: Path) -> None:
     """A tensor in a file may have any shape: steps of zero repeat its numbers."""
     wide = {"enc.enc0.block0.norm1.0.weight": torch.zeros(1).expand(10**6)}
