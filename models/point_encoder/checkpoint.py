@@ -23,6 +23,7 @@ from models.point_encoder.serialization import CURVES
 from models.point_encoder.transformer import TransformerConfig
 from models.training.weights_file import build_no_larger_than, read_weights, save_weights
 from stable_data.errors import ConfigError
+from stable_data.limits import is_out_of_memory
 
 FORMAT = "stable-data point encoder 1"
 
@@ -34,6 +35,7 @@ _NOT_ENCODING = re.compile(r"(seg_head|cls_head)\.|embedding\.mask_token$")  # t
 _HEAD_CHANNELS = 16  # channels of an attention head, in all published models
 _WRONG_VALUES = (ValueError, LookupError, AttributeError, TypeError)  # what reading raises for content that is none
 _ARCHIVE = b"PK\x03\x04"
+_END, _END_64, _LOCATOR_64 = 22, 56, 20  # bytes of the records at the end of an archive
 _MAX_LISTED = 12  # names that a message lists
 
 
@@ -113,6 +115,8 @@ def _build(path: Path, read_shape: Callable[[], tuple[TransformerConfig, Preproc
     except ConfigError:
         raise
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        if is_out_of_memory(error):
+            raise
         message = f"{path}: its configuration cannot be read ({error!s:.300}), expected that of this version; train or convert it again"
         raise ConfigError(message, "weights_invalid") from error
 
@@ -137,6 +141,8 @@ def _read(path: Path) -> Mapping[str, Any]:
         BadZipFile,
         *_WRONG_VALUES,
     ) as error:
+        if is_out_of_memory(error):
+            raise
         # torch's own message for a file with code explains how to execute the code.
         what = "more than data" if isinstance(error, pickle.UnpicklingError) else f"{str(error).partition(chr(10))[0]:.300}"
         message = f"{path}: found {what}, expected a checkpoint of tensors and plain values alone"
@@ -150,7 +156,7 @@ def _check_archive(path: Path) -> None:
     """Refuses a file of a format that torch no longer writes, and an archive that unpacks to more than its size.
 
     Raises:
-        ConfigError: A member is packed, or members share their bytes (``weights_invalid``).
+        ConfigError: A member is packed, members share their bytes, or there are two lists of members (``weights_invalid``).
         BadZipFile: It is no archive.
     """
     with path.open("rb") as file:
@@ -158,6 +164,11 @@ def _check_archive(path: Path) -> None:
             raise BadZipFile("no archive as torch.save writes it since version 1.6")
     with ZipFile(path) as archive:
         members = archive.infolist()
+        if not _is_list_where_stated(path, archive):
+            raise ConfigError(
+                f"{path}: its end names another list of members than the one before it, expected one list; it is damaged",
+                "weights_invalid",
+            )
     if packed := next((member for member in members if member.compress_type != ZIP_STORED), None):
         raise ConfigError(
             f"{path}: its member {packed.filename!r:.120} is packed, expected members as torch.save stores them; unpack and save it again",
@@ -168,6 +179,22 @@ def _check_archive(path: Path) -> None:
             f"{path}: its members state {size:,} bytes, expected at most the {there:,} of the file; it is damaged",
             "weights_invalid",
         )
+
+
+def _is_list_where_stated(path: Path, archive: ZipFile) -> bool:
+    """Whether torch reads the list of members that Python reads: torch goes where the end of a file says, Python looks just before it."""
+    end = path.stat().st_size - _END - len(archive.comment)
+    with path.open("rb") as file:
+        file.seek(max(end - _LOCATOR_64 - _END_64, 0))
+        before = file.read(end - file.tell())
+        record = file.read(_END)
+    stated = record[16:20]
+    if before[-_LOCATOR_64:].startswith(b"PK\x06\x07"):
+        longer, locator = before[:-_LOCATOR_64], before[-_LOCATOR_64:]
+        if not longer.startswith(b"PK\x06\x06") or int.from_bytes(locator[8:16], "little") != end - _LOCATOR_64 - _END_64:
+            return False
+        stated = longer[48:56]
+    return int.from_bytes(stated, "little") == archive.start_dir
 
 
 def _encoder_part(content: Mapping[str, Any], origin: str) -> dict[str, Tensor]:

@@ -191,6 +191,43 @@ def test_a_checkpoint_whose_members_share_their_bytes_is_refused(tmp_path: Path)
         load_published(path, MODELNET)
 
 
+def test_an_archive_with_two_lists_of_members_is_refused(tmp_path: Path) -> None:
+    """torch reads the list that the end of a file names, Python the one before the end: one could be checked and the other read."""
+    path = written(tmp_path, weights(FIRST))
+    with ZipFile(path) as archive:
+        start = archive.start_dir
+    content = path.read_bytes()
+    listed, longer, locator, end = content[start:-98], content[-98:-42], content[-42:-22], content[-22:]
+    moved = longer[:48] + (start + len(listed) + len(longer)).to_bytes(8, "little")
+    later = locator[:8] + (start + 2 * len(listed)).to_bytes(8, "little") + locator[16:]
+    twice = {
+        "plain": content[:start] + listed + listed + end,
+        "long": content[:start] + listed + listed + longer + later + end,
+        "two long ends": content[:start] + listed + longer + listed + moved + locator + end,
+    }
+    for name, both in twice.items():
+        path.write_bytes(both)
+        assert torch.load(path, weights_only=True).keys() == weights(FIRST).keys(), name
+        with pytest.raises(ConfigError, match="names another list of members"):
+            load_published(path, MODELNET)
+    path.write_bytes(content[:start] + listed + end)
+    assert load_published(path, MODELNET).config == FIRST
+
+
+def test_a_lack_of_memory_is_no_fault_of_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the job would count a sound file as broken."""
+    path = written(tmp_path, {"embedding.stem.conv.weight": torch.zeros(20_000_000)})
+    with pytest.raises(MemoryError), memory_limited(30 * MIB):
+        load_published(path, MODELNET)
+
+    def build(*_: object) -> None:
+        raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 4 bytes")
+
+    monkeypatch.setattr("models.point_encoder.checkpoint.build_no_larger_than", build)
+    with pytest.raises(RuntimeError, match="can't allocate memory"):
+        load_published(written(tmp_path, weights(FIRST)), MODELNET)
+
+
 @pytest.mark.parametrize("content", [b"PK\x03\x04", b"PK\x03\x04" + b"PK\x05\x06" * 9, b"PK\x05\x06" + b"\0" * 18])
 def test_a_checkpoint_that_is_no_archive_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "model.pth"
