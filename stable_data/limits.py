@@ -78,7 +78,7 @@ class FileLimits:
 
 @dataclass(frozen=True, slots=True)
 class GltfLimits:
-    """A scene in a glTF file.
+    """A scene in a glTF file; faces and corners also those of what collides in a USD scene.
 
     Attributes:
         max_json_bytes: Size of the JSON chunk of a GLB.

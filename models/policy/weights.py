@@ -12,6 +12,7 @@ from models.settings import fill_settings
 from models.training.weights_file import build_no_larger_than, read_weights, save_weights
 from stable_data.errors import ConfigError
 from stable_data.json_text import number, quote_value
+from stable_data.limits import is_out_of_memory
 from stable_data.robot.episodes import EpisodeFeatures
 
 FILE = "weights/policy.safetensors"
@@ -73,6 +74,8 @@ def load_policy(path: Path) -> PolicyWeights:
         network = build_no_larger_than(path, lambda: PolicyNetwork(shape))
         network.load_state_dict(tensors)
     except (ArithmeticError, LookupError, TypeError, ValueError, RuntimeError) as error:
+        if is_out_of_memory(error):
+            raise
         line = " ".join(str(error).split())[:200]
         raise ConfigError(
             f"{path}: {line}; expected the file of a policy of this version, see train-policy; train again if it is older",

@@ -257,9 +257,8 @@ class _StageReader:
         num = 0
         for prim in prims_of(root):
             if prim.IsA(UsdGeom.Mesh):
-                mesh = UsdGeom.Mesh(prim)
-                counts = mesh.GetFaceVertexCountsAttr().Get(time) or ()
-                num += len(mesh.GetFaceVertexIndicesAttr().Get(time) or ()) - 2 * len(counts)
+                counts = np.asarray(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get(time) or (), np.int64)
+                num += int(np.maximum(counts - 2, 0).sum())  # faces of fewer corners do not make up for others
             elif prim.IsA(UsdGeom.Gprim):
                 num += _OF_A_SHAPE
             if num > self.options.max_faces:

@@ -200,6 +200,11 @@ def test_meshes_with_too_many_triangles_are_refused(tmp_path: Path) -> None:
     save(stage)
     assert refusal(tmp_path, max_faces=11).code == "mesh_too_large"
     assert len(read(tmp_path, max_faces=12).surfaces) == 1
+    empty = UsdGeom.Mesh.Define(stage, "/Thing/empty")
+    empty.CreateFaceVertexCountsAttr([0] * 100)
+    empty.CreateFaceVertexIndicesAttr([])
+    save(stage)
+    assert refusal(tmp_path, max_faces=11).code == "mesh_too_large"  # faces without corners do not make up for others
 
 
 @pytest.mark.parametrize(
