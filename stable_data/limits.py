@@ -78,7 +78,7 @@ class FileLimits:
 
 @dataclass(frozen=True, slots=True)
 class GltfLimits:
-    """A scene in a glTF file; faces and corners also those of what collides in a USD scene.
+    """A scene in a glTF file.
 
     Attributes:
         max_json_bytes: Size of the JSON chunk of a GLB.
@@ -118,8 +118,8 @@ class ModelLimits:
     """A model of another project: COLLADA, URDF, SDFormat, MJCF, USD.
 
     Attributes:
-        max_faces: Triangles of what is seen of an asset, and of what collides (in USD: of both together), and of what collides in a
-            scene of MuJoCo; an asset with more than the library keeps is reduced.
+        max_faces: Triangles of what is seen of an asset, and of what collides (in USD: of both together); an asset with more than the
+            library keeps is reduced. Also triangles, and vertices, of what collides in a scene of others, counted as often as it is shown.
         max_collider_faces: Triangles of one collider that is cut into convex parts.
         max_links: Links, joints, frames and files of a model.
         max_shapes: What is seen and what collides of a model.
@@ -298,7 +298,7 @@ class WorkLimits:
 
     Attributes:
         max_audit_triangles: Work of the exact tests of one scene, in triangles: about 25 s. The fullest of 120 real ones needs 7 million.
-            A scene with more triangles than this is refused.
+        max_scene_corners: Vertices of the meshes of one scene; those of a mesh count for each object that has it.
         max_repair_parts: Parts of a mesh that is repaired, and its holes.
         max_repair_pairs: Pairs of parts whose boxes overlap, and pairs of a face and a hole.
         max_repair_sums: Faces that are summed for winding numbers over all points.
@@ -306,6 +306,7 @@ class WorkLimits:
     """
 
     max_audit_triangles: int = 300_000_000
+    max_scene_corners: int = 50_000_000
     max_repair_parts: int = 20_000
     max_repair_pairs: int = 1_000_000
     max_repair_sums: int = 15_000_000

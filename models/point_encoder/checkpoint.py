@@ -115,7 +115,7 @@ def _build(path: Path, read_shape: Callable[[], tuple[TransformerConfig, Preproc
     except ConfigError:
         raise
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
-        if is_out_of_memory(error):
+        if isinstance(error, RuntimeError) and is_out_of_memory(error):  # as torch says it
             raise
         message = f"{path}: its configuration cannot be read ({error!s:.300}), expected that of this version; train or convert it again"
         raise ConfigError(message, "weights_invalid") from error
@@ -141,7 +141,7 @@ def _read(path: Path) -> Mapping[str, Any]:
         BadZipFile,
         *_WRONG_VALUES,
     ) as error:
-        if is_out_of_memory(error):
+        if isinstance(error, RuntimeError) and is_out_of_memory(error):  # as torch says it
             raise
         # torch's own message for a file with code explains how to execute the code.
         what = "more than data" if isinstance(error, pickle.UnpicklingError) else f"{str(error).partition(chr(10))[0]:.300}"
@@ -188,6 +188,8 @@ def _is_list_where_stated(path: Path, archive: ZipFile) -> bool:
         file.seek(max(end - _LOCATOR_64 - _END_64, 0))
         before = file.read(end - file.tell())
         record = file.read(_END)
+    if not record.startswith(b"PK\x05\x06"):  # there is more after it
+        return False
     stated = record[16:20]
     if before[-_LOCATOR_64:].startswith(b"PK\x06\x07"):
         longer, locator = before[:-_LOCATOR_64], before[-_LOCATOR_64:]

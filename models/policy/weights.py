@@ -74,7 +74,7 @@ def load_policy(path: Path) -> PolicyWeights:
         network = build_no_larger_than(path, lambda: PolicyNetwork(shape))
         network.load_state_dict(tensors)
     except (ArithmeticError, LookupError, TypeError, ValueError, RuntimeError) as error:
-        if is_out_of_memory(error):
+        if isinstance(error, RuntimeError) and is_out_of_memory(error):
             raise
         line = " ".join(str(error).split())[:200]
         raise ConfigError(

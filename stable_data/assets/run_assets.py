@@ -327,15 +327,15 @@ class RunTextures:
         if sha256 not in self._recent:
             if self._files is None or sha256 not in self._group_of:
                 return None
-            group = self._group_of.pop(sha256)  # put back if the image is sound: another one is not looked at again
+            group = self._group_of[sha256]
             if self._read is None or self._read[0] != group:
                 self._read = group, self._files.read([group])
             rows = self._read[1]
             for row in rows_from_table(rows.filter(pc.equal(rows["sha256"], sha256)).slice(0, 1)):
                 if row["image"] is None or hashlib.sha256(row["image"]).hexdigest() != sha256:
+                    del self._group_of[sha256]  # it is not looked at again
                     return None
                 self._recent[sha256] = row
-            self._group_of[sha256] = group
         self._recent.move_to_end(sha256)
         found = self._recent[sha256]
         while len(self._recent) > 1 and sum(len(row["image"]) for row in self._recent.values()) > _TEXTURE_BYTES:

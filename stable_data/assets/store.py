@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from stable_data.assets.physics import AssetPhysics
-from stable_data.errors import MeshError, Notice
+from stable_data.errors import MeshError, Notice, SceneError
 from stable_data.geometry.gltf_reader import load_colliders, load_glb, load_stored_mesh, load_surfaces
 from stable_data.geometry.images import texture_pixels
 from stable_data.geometry.mesh import Mesh
@@ -22,6 +22,7 @@ from stable_data.geometry.sdf.build import build_grid
 from stable_data.geometry.sdf.grid import SdfGrid
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface import Surface
+from stable_data.limits import LIMITS, at_most
 from stable_data.position_convention import (
     PositionConvention,
     has_size,
@@ -277,10 +278,18 @@ class AssetStore:
             The scene with every position at the centre of the object's box in the yaw frame, and with the scales of the shapes
             (``source`` still has those of the file); the geometry of its objects, in order; and notices with the scene as
             ``item_id``.
+
+        Raises:
+            SceneError: ``scene_too_big``: its meshes have too many vertices together.
         """
         objects, shapes, notices = [], [], []
+        num_corners = 0
         for o in scene.objects:
             shape, scale, found = self._shape_and_scale(o)
+            num_corners += len(shape.vertices)
+            if num_corners > LIMITS.work.max_scene_corners:  # each object has a copy at its pose
+                most = at_most(LIMITS.work, "max_scene_corners")
+                raise SceneError(f"{scene.scene_id}: its meshes have more vertices, expected {most}", "scene_too_big")
             if scale != o.scale:
                 o = replace(o, scale=scale)
             if convention is PositionConvention.MESH_CENTRE:

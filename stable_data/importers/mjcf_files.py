@@ -360,9 +360,6 @@ def _collect_document(scan: _Scan, main: str, path: str, seen: set[str]) -> None
     if path in seen:  # MuJoCo refuses it too
         raise _read_twice(main, path)
     seen.add(path)
-    if len(scan.tags) > LIMITS.file.max_files:
-        most = at_most(LIMITS.file, "max_files")
-        raise MeshError(f"{main}: names more XML files, expected {most}; merge them", "file_too_large")
     if path not in scan.tags:
         content = scan.boundary.read_bytes(path, "max_xml_bytes")
         _keep(scan, path, content)

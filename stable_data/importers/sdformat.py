@@ -245,7 +245,7 @@ class _ModelElement:
         self.element = element
         self.frames: dict[str, _Frame] = {}
         self.nested: list[tuple[str, RigidModel]] = []
-        self.num_nested_links = 0
+        self.num_nested_links = self.num_nested_joints = 0
         self.attached = {frame.get("name", ""): frame.get("attached_to", "") for frame in element.findall("frame")}
 
     def model(self) -> RigidModel:
@@ -289,12 +289,15 @@ class _ModelElement:
         name = element.get("name") or model.name
         self.nested.append((name, model))
         self.num_nested_links += len(model.links)
+        self.num_nested_joints += len(model.joints)
         self._check_links(0)  # before more of them are read
         self.frames[name] = self._frame_of(element, _MODEL)
 
     def _check_links(self, num_own: int) -> None:
-        if num_own + self.num_nested_links > LIMITS.model.max_links:
-            raise self.file.fail("has more links with its parts", at_most(LIMITS.model, "max_links"), "mesh_too_large")
+        if max(num_own + self.num_nested_links, self.num_nested_joints) > LIMITS.model.max_links:
+            raise self.file.fail(
+                "has more links or joints with its parts", at_most(LIMITS.model, "max_links"), "mesh_too_large"
+            )
 
     def _inner_name(self, model: str, name: str) -> str:
         """The name of a part of a nested model. A long one would be copied for every link and both ends of every joint."""

@@ -15,10 +15,9 @@ from functools import cached_property
 import networkx as nx
 import numpy as np
 
-from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.geometry.surface_sampling import bottom_points
-from stable_data.limits import LIMITS, at_most
+from stable_data.limits import LIMITS
 from stable_data.metrics.bounds import enters_zone, leaves_table
 from stable_data.metrics.collision import LEVELS, NEAR, penetration
 from stable_data.metrics.support import carries, distance_to_surface
@@ -41,15 +40,9 @@ class PosedScene:
         scene: The scene.
         shapes: The geometry of each object, in the scene's order.
         most: Penetrations over this one, metres, are not measured: they are infinite. For the audit, all must be measured.
-
-    Raises:
-        SceneError: ``scene_too_big``: its meshes have too many triangles together.
     """
 
     def __init__(self, scene: Scene, shapes: Sequence[Shape], most: float = LEVELS[-1]) -> None:
-        if (triangles := sum(len(shape.faces) for shape in shapes)) > LIMITS.work.max_audit_triangles:  # each object is a copy
-            expected = at_most(LIMITS.work, "max_audit_triangles", "triangles")
-            raise SceneError(f"{scene.scene_id}: its meshes have {triangles:,}, expected {expected}", "scene_too_big")
         self.scene, self.shapes, self._most = scene, shapes, most
         self.instances = [o.instance for o in scene.objects]
         self.vertices = [shape.posed(pose) for shape, pose in zip(shapes, scene.poses(), strict=True)]

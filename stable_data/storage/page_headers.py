@@ -10,6 +10,7 @@ Parquet's, ``FileMetaData`` and ``PageHeader``, in the compact protocol of Thrif
 """
 
 import mmap
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,35 +26,32 @@ _LONGEST = 10  # bytes of a number
 _MOST_PAGE_VALUES = 100  # of the header of a page, which has about twenty
 _TAIL = 8  # the length of the footer and a mark, after the footer
 
-# Numbers of the fields that are read.
-_SCHEMA, _ROW_GROUPS = 2, 4  # of FileMetaData
-_TYPE, _TYPE_LENGTH, _REPETITION, _NUM_CHILDREN = 1, 2, 3, 5  # of SchemaElement
-_COLUMNS, _BYTES, _NUM_ROWS = 1, 2, 3  # of RowGroup
-_METADATA = 3  # of ColumnChunk
-_PATH, _CODEC, _NUM_VALUES, _COLUMN_BYTES, _COMPRESSED_BYTES, _DATA_START, _DICTIONARY_START = (
-    3,
-    4,
-    5,
-    6,
-    7,
-    9,
-    11,
-)  # of ColumnMetaData
-_PAGE_KIND, _PAGE_BYTES, _COMPRESSED_PAGE_BYTES = 1, 2, 3  # of PageHeader
-_DATA, _DICTIONARY, _DATA_2 = 0, 2, 3  # kinds of pages
-_ABOUT = {_DATA: 5, _DICTIONARY: 7, _DATA_2: 8}  # of PageHeader, by its kind
-_PAGE_VALUES, _ENCODING = 1, {_DATA: 2, _DATA_2: 4}  # of these
+# Numbers of the fields that are read: of FileMetaData,
+_SCHEMA, _ROW_GROUPS = 2, 4
+# of SchemaElement,
+_TYPE, _TYPE_LENGTH, _REPETITION, _NUM_CHILDREN = 1, 2, 3, 5
+# of RowGroup and ColumnChunk,
+_COLUMNS, _BYTES, _NUM_ROWS, _METADATA = 1, 2, 3, 3
+# of ColumnMetaData,
+_PATH, _CODEC, _NUM_VALUES, _COLUMN_BYTES, _COMPRESSED_BYTES = 3, 4, 5, 6, 7
+_DATA_START, _DICTIONARY_START = 9, 11
+# of PageHeader, in which the number of the kind tells where more about a page is,
+_PAGE_KIND, _PAGE_BYTES, _COMPRESSED_PAGE_BYTES = 1, 2, 3
+_DATA, _DICTIONARY, _DATA_2 = 0, 2, 3
+_ABOUT = {_DATA: 5, _DICTIONARY: 7, _DATA_2: 8}
+# and of what is there.
+_PAGE_VALUES, _ENCODING = 1, {_DATA: 2, _DATA_2: 4}
 
 _REPEATED = 2  # a kind of repetition
 _TEXT, _FIXED = 6, 7  # types of values of any length, and of one length
 _WIDTHS = {1: 4, 2: 8, 3: 12, 4: 4, 5: 8, _TEXT: 4}  # bytes of a value of the other types, of a text those of its offset
-_LEVELS = 4  # bytes of the levels of a value
-_DICTIONARIES, _PREFIXES = (
-    (2, 8),
-    7,
-)  # encodings: numbers of values of a dictionary; the letters of a text after those of the one before
-_LARGEST_DICTIONARY = 1 << 24  # bytes of one that is looked at; writers end one at a megabyte
+_LEVEL = 8  # bytes that each list around a value may take for it: levels, offset and validity
+_DICTIONARIES = (2, 8)  # encodings by numbers of values of a dictionary
+_PREFIXES = 7  # that of the letters of a text after those of the one before
 _CODECS = {1: "snappy", 2: "gzip", 4: "brotli", 6: "zstd", 7: "lz4_raw"}
+_PART = 64  # dictionaries are looked at where lists may need more than this part of the limit
+_LARGEST_DICTIONARY = 1 << 24  # bytes of one that is looked at; writers end one at a megabyte
+_MOST_LOOKED_AT = 20_000_000  # texts of dictionaries that are looked at for a file, some seconds; 64 bytes count as one
 
 _Content = mmap.mmap | bytes
 _Struct = dict[int, Any]
@@ -64,21 +62,24 @@ class _Leaf:
     """A column.
 
     Attributes:
-        is_repeated: Whether a row may have several values.
+        levels: Lists around each value; without one, a row has one value.
         type: Number of the type of its values.
-        width: Bytes of a value when it is read; for texts, without its letters.
+        width: Bytes of a value when it is read, with the lists around it; of a text, without its letters.
     """
 
-    is_repeated: bool
+    levels: int
     type: int
     width: int
 
 
-def check_pages(file: Path | bytes) -> None:
+def check_pages(file: Path | bytes) -> int:
     """Refuses a file in which a column states more bytes than its row group, pages more than their column, or values are too many.
 
     Args:
         file: The file, or its content, which Arrow has opened.
+
+    Returns:
+        The most bytes that the lists of all row groups take when they are read.
 
     Raises:
         pyarrow.ArrowInvalid: A column or a page states too many bytes, values are too many, or the footer or the header of a page
@@ -86,14 +87,14 @@ def check_pages(file: Path | bytes) -> None:
         OSError: The file cannot be read.
     """
     if isinstance(file, bytes):
-        _check_content(file)
-    else:
-        with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            _check_content(data)
+        return _check_content(file)
+    with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return _check_content(data)
 
 
-def _check_content(data: _Content) -> None:
-    end, num_pages = len(data) - _TAIL, 0
+def _check_content(data: _Content) -> int:
+    end, num_pages, num_bytes = len(data) - _TAIL, 0, 0
+    dictionaries = _Dictionaries(data)
     try:
         start = end - int.from_bytes(data[end : end + 4], "little")
         footer = _Reader(data, start, LIMITS.table.max_footer_values, at_most(LIMITS.table, "max_footer_values")).struct()
@@ -106,29 +107,30 @@ def _check_content(data: _Content) -> None:
             for column in columns:
                 pages.append(_read_pages(data, column, LIMITS.table.max_pages - num_pages))
                 num_pages += len(pages[-1])
-            _check_values(data, group[_NUM_ROWS], list(zip(leaves, columns, pages, strict=True)))
+            num_bytes += _check_values(dictionaries, group[_NUM_ROWS], list(zip(leaves, columns, pages, strict=True)))
     except pa.ArrowInvalid:
         raise
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise pa.ArrowInvalid(f"its metadata cannot be read: {error!r}") from error
+    return num_bytes
 
 
 def _leaves(schema: list[_Struct]) -> list[_Leaf]:
     """The columns of a file, whose schema lists each group before what is within it."""
     leaves = list[_Leaf]()
-    groups = list[list[int]]()  # of each group that is open, its children to come and whether it is repeated
+    groups = list[list[int]]()  # of each group that is open, its children to come and the lists around them
     for element in schema:
         while groups and not groups[-1][0]:
             groups.pop()
-        is_repeated = element.get(_REPETITION) == _REPEATED or bool(groups and groups[-1][1])
+        levels = (groups[-1][1] if groups else 0) + (element.get(_REPETITION) == _REPEATED)
         if groups:
             groups[-1][0] -= 1
         if not groups or element.get(_NUM_CHILDREN):  # the first one is the group of all columns
-            groups.append([element.get(_NUM_CHILDREN, 0), is_repeated])
+            groups.append([element.get(_NUM_CHILDREN, 0), levels])
         else:
             kind = element[_TYPE]
             width = max(element[_TYPE_LENGTH], 1) if kind == _FIXED else _WIDTHS.get(kind, 1)
-            leaves.append(_Leaf(is_repeated, kind, width + _LEVELS))
+            leaves.append(_Leaf(levels, kind, width + levels * _LEVEL))
     return leaves
 
 
@@ -168,24 +170,26 @@ def _read_pages(data: _Content, column: _Struct, most_pages: int) -> list[_Page]
     return pages
 
 
-def _check_values(data: _Content, num_rows: int, columns: list[tuple[_Leaf, _Struct, list[_Page]]]) -> None:
-    """Refuses a row group with more values than rows in a column without lists, or whose lists take too many bytes."""
+def _check_values(dictionaries: "_Dictionaries", num_rows: int, columns: list[tuple[_Leaf, _Struct, list[_Page]]]) -> int:
+    """Refuses a row group with more values than rows in a column without lists, or whose lists take too many bytes; returns these."""
     for leaf, column, pages in columns:
         num_values = _num_values(column, pages)
-        if num_values > num_rows and not leaf.is_repeated:
+        if num_values > num_rows and not leaf.levels:
             raise pa.ArrowInvalid(
                 f"column {_name(column)}: has {num_values:,} values, expected one for each of {num_rows:,} rows"
             )
-    lists = [each for each in columns if each[0].is_repeated]
+    lists = [each for each in columns if each[0].levels]
     limit = LIMITS.table.max_decoded_bytes
     # That each text may be as long as the dictionary needs no look at it, and is mostly little enough.
-    if sum(_num_bytes(data, *each, is_quick=True) for each in lists) <= limit:
-        return
-    if (most := sum(_num_bytes(data, *each, is_quick=False) for each in lists)) > limit:
+    most = sum(_num_bytes(*each, lambda _, page: page.size) for each in lists)
+    if most > limit // _PART:
+        most = sum(_num_bytes(*each, dictionaries.longest_text) for each in lists)
+    if most > limit:
         raise pa.ArrowInvalid(
             f"the lists of a row group may need {most:,} bytes, expected {at_most(LIMITS.table, 'max_decoded_bytes', 'bytes')}; "
             "the file may be malicious; if you trust it, write its rows to several row groups"
         )
+    return most
 
 
 def _num_values(column: _Struct, pages: list[_Page]) -> int:
@@ -193,12 +197,12 @@ def _num_values(column: _Struct, pages: list[_Page]) -> int:
     return int(max(column[_NUM_VALUES], sum(page.num_values for page in pages if page.kind != _DICTIONARY)))
 
 
-def _num_bytes(data: _Content, leaf: _Leaf, column: _Struct, pages: list[_Page], *, is_quick: bool) -> int:
-    """The most bytes that the values of a column take when they are read."""
+def _num_bytes(leaf: _Leaf, column: _Struct, pages: list[_Page], longest_text: Callable[[_Struct, _Page], int]) -> int:
+    """The most bytes that the values of a column take when they are read, with the bytes of the longest text of a dictionary."""
     found = leaf.width * _num_values(column, pages)
     if leaf.type == _TEXT:
         dictionary = next((page for page in pages if page.kind == _DICTIONARY), None)
-        longest = 0 if dictionary is None else dictionary.size if is_quick else _longest_text(data, column, dictionary)
+        longest = 0 if dictionary is None else longest_text(column, dictionary)
         for page in pages:
             if page.kind not in _ENCODING:
                 continue
@@ -209,20 +213,26 @@ def _num_bytes(data: _Content, leaf: _Leaf, column: _Struct, pages: list[_Page],
     return found
 
 
-def _longest_text(data: _Content, column: _Struct, page: _Page) -> int:
-    """The bytes of the longest text of a dictionary; of one that is large or cannot be read, its own."""
-    if page.size > _LARGEST_DICTIONARY:
-        return page.size
-    content, codec = data[page.start : page.end], column[_CODEC]
-    if codec:
-        if codec not in _CODECS or not pa.Codec.is_available(_CODECS[codec]):
+class _Dictionaries:
+    """Looks at the dictionaries of a file, of which there may be very many: row groups may name the same pages again and again."""
+
+    def __init__(self, data: _Content) -> None:
+        self._data, self._left = data, _MOST_LOOKED_AT
+
+    def longest_text(self, column: _Struct, page: _Page) -> int:
+        """The bytes of the longest text of a dictionary; of one that is large or cannot be read, or after very many, its own."""
+        self._left -= page.num_values + page.size // 64
+        codec = column[_CODEC]
+        if page.size > _LARGEST_DICTIONARY or self._left < 0 or (codec and codec not in _CODECS):
             return page.size
-        content = pa.Codec(_CODECS[codec]).decompress(content, page.size, asbytes=True)
-    at, longest = 0, 0
-    while at + 4 <= len(content):
-        length = int.from_bytes(content[at : at + 4], "little")
-        at, longest = at + 4 + length, max(longest, length)
-    return min(longest, page.size)
+        content = self._data[page.start : page.end]
+        if codec:
+            content = pa.Codec(_CODECS[codec]).decompress(content, page.size, asbytes=True)
+        at, longest = 0, 0
+        for _ in range(page.num_values):
+            length = int.from_bytes(content[at : at + 4], "little")
+            at, longest = at + 4 + length, max(longest, length)
+        return min(longest, page.size)
 
 
 def _name(column: _Struct) -> str:

@@ -14,7 +14,7 @@ from stable_data.errors import ConfigError
 from stable_data.limits import LIMITS, at_most
 from stable_data.storage.page_headers import check_pages
 
-_CHECKED: set[tuple[str, int, int, int]] = set()
+_CHECKED: dict[tuple[str, int, int, int], int] = {}  # the most bytes of the lists of files
 _MOST_CHECKED = 10_000  # files that a process remembers
 _PARTS = 8  # a batch has an eighth of the memory that rows may have: those who look at it make copies
 _Rows = TypeVar("_Rows", pa.RecordBatch, pa.Table)
@@ -41,15 +41,16 @@ def open_parquet(source: Any, **options: Any) -> pq.ParquetFile:
     return file
 
 
-def _check_once(path: str) -> None:
-    """Checks the pages of a local file, unless this process has checked it as it is now."""
+def _check_once(path: str) -> int:
+    """Checks the pages of a local file, unless this process has checked it as it is now; returns the most bytes of its lists."""
     about = Path(path).stat()
     key = (path, about.st_ino, about.st_size, about.st_mtime_ns)
     if key not in _CHECKED:
-        check_pages(Path(path))
+        num_bytes = check_pages(Path(path))
         if len(_CHECKED) >= _MOST_CHECKED:
             _CHECKED.clear()
-        _CHECKED.add(key)
+        _CHECKED[key] = num_bytes
+    return _CHECKED[key]
 
 
 def read_row_groups(
@@ -105,9 +106,8 @@ def bounded_batches(
         footer = file.metadata.row_group(group)
         if (stated := footer.total_byte_size) > limit:
             raise _too_big(path, "one row group")
-        rows = limit // max(
-            stated, 1
-        )  # no value is larger than the bytes of its row group, and the values of lists are counted
+        # No value is larger than the bytes of its row group, and the values of lists are counted.
+        rows = limit // max(stated, 1)
         if most_rows is None and footer.num_rows <= rows:
             batches = iter(file.read_row_group(group, columns, use_threads=use_threads).to_batches())  # faster than in steps
         else:
@@ -135,7 +135,7 @@ def is_small(fragment: ds.ParquetFileFragment) -> bool:
     """
     most = sum(group.num_rows * group.total_byte_size for group in fragment.row_groups)
     if isinstance(fragment.filesystem, pafs.LocalFileSystem):
-        _check_once(fragment.path)
+        most += _check_once(fragment.path)
     return bool(most <= LIMITS.table.max_decoded_bytes)
 
 

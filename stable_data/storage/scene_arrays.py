@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from stable_data.errors import ConfigError
+from stable_data.limits import LIMITS, at_most
 from stable_data.scene import FloatArray, IntArray, Relation, RelationKind, Scene, SceneObject, Stage, Tabletop
 from stable_data.storage.schemas import OBJECT, TASK
 from stable_data.storage.table_rows import ROW_ERRORS, surface_from_row, task_from_row
@@ -92,6 +93,8 @@ def _scenes(table: pa.Table) -> list[Scene]:
     surfaces = [surface_from_row(row) for row in table["surface"].to_pylist()]
     tables = map(Tabletop, _texts(table["table_type"]), sizes, zones, (clearance for _, clearance in surfaces))
     tasks = (task_from_row(None if task is None else {"source_json": None, **task}) for task in table["task"].to_pylist())
+    if (most := pc.max(pc.list_value_length(table["objects"])).as_py() or 0) > LIMITS.table.max_objects:
+        raise ValueError(f"a scene of {most:,} objects, expected {at_most(LIMITS.table, 'max_objects')}")
     objects = _split(_objects(_flat(table["objects"])), table["objects"])
     related = table["relations"]  # null in a run that was made before there were any
     relations = _split(_relations(related.combine_chunks().flatten()), related)

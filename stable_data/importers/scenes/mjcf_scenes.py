@@ -18,7 +18,7 @@ from stable_data.geometry.mesh import Mesh
 from stable_data.importers.boundary import Boundary
 from stable_data.importers.mjcf_files import ModelFiles, collect_files, compile_model, read_spec
 from stable_data.importers.scenes import convex_solids
-from stable_data.importers.scenes.scene_file import Ground, SceneBody, SceneFile
+from stable_data.importers.scenes.scene_file import Ground, SceneBody, SceneFile, check_shapes
 from stable_data.limits import LIMITS, at_most
 from stable_data.rotations import quat_of
 from stable_data.scene import FloatArray, QuatXyzw, Vec3
@@ -185,11 +185,7 @@ def _bodies(
             notices.append(Notice(path, "read", "mesh_empty", message))
         if mesh is not None:
             num_faces += len(mesh.faces)
-            if num_faces > LIMITS.model.max_faces:
-                most = at_most(LIMITS.model, "max_faces")
-                raise SceneError(
-                    f"{path}: its colliders have {num_faces:,} faces or more, expected {most}; make fewer", "file_too_large"
-                )
+            check_shapes(path, faces=num_faces)
             turn = data.xmat[owner].reshape(3, 3)
             placed = mesh.vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
             parts.setdefault(owner, []).append(Mesh((placed - data.xpos[owner]) @ turn, mesh.faces))

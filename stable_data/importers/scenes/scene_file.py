@@ -26,12 +26,12 @@ def check_shapes(path: str, *, faces: int, corners: int = 0) -> None:
     Raises:
         MeshError: ``mesh_too_large``.
     """
-    for name, found in (("max_faces", faces), ("max_corners", corners)):
-        if found > getattr(LIMITS.gltf_scene, name):
-            what, most = name.removeprefix("max_"), at_most(LIMITS.gltf_scene, name)
-            raise MeshError(
-                f"{path}: its shapes have together {found:,} {what} or more, expected {most}; simplify it", "mesh_too_large"
+    for what, found in (("triangles", faces), ("vertices", corners)):
+        if found > LIMITS.model.max_faces:
+            message = (
+                f"{path}: its shapes have together {found:,} {what} or more, expected {at_most(LIMITS.model, 'max_faces')}"
             )
+            raise MeshError(f"{message}; simplify it", "mesh_too_large")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

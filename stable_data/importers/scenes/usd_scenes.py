@@ -206,7 +206,7 @@ class _StageReader:
     notices: list[Notice]
     num_faces: int = 0
     num_corners: int = 0
-    cut: dict[bytes, tuple[Mesh, ...]] = field(default_factory=dict)
+    cut: dict[bytes, tuple[Mesh, ...] | MeshError] = field(default_factory=dict)
 
     def read(self) -> tuple[list[SceneBody], list[Ground]]:
         cache = UsdGeom.XformCache()
@@ -348,9 +348,14 @@ class _StageReader:
         """The convex parts of a mesh, found once for all prims that show it in the same way."""
         key = hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).digest()
         if key not in self.cut:
-            repaired, _, _ = repair_mesh(mesh, name)
-            self.cut[key] = collider_parts(repaired)
-        return self.cut[key]
+            try:
+                repaired, _, _ = repair_mesh(mesh, name)
+                self.cut[key] = collider_parts(repaired)
+            except MeshError as error:
+                self.cut[key] = error
+        if isinstance(found := self.cut[key], MeshError):
+            raise found
+        return found
 
     def _count(self, num_faces: int, num_corners: int) -> None:
         """Counts a shape as often as prims refer to it.

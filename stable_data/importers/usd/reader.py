@@ -258,7 +258,7 @@ class _StageReader:
         for prim in prims_of(root):
             if prim.IsA(UsdGeom.Mesh):
                 counts = np.asarray(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get(time) or (), np.int64)
-                num += int(np.maximum(counts - 2, 0).sum())  # faces of fewer corners do not make up for others
+                num += int(np.maximum(counts - 2, 1).sum())  # faces of fewer corners take time, too
             elif prim.IsA(UsdGeom.Gprim):
                 num += _OF_A_SHAPE
             if num > self.options.max_faces:

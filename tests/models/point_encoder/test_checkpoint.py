@@ -212,6 +212,11 @@ def test_an_archive_with_two_lists_of_members_is_refused(tmp_path: Path) -> None
             load_published(path, MODELNET)
     path.write_bytes(content[:start] + listed + end)
     assert load_published(path, MODELNET).config == FIRST
+    path.write_bytes(
+        content[:start] + listed + end + bytes(16) + end[16:20] + bytes(2)
+    )  # Python reads on over what comes after
+    with pytest.raises(ConfigError, match="names another list of members"):
+        load_published(path, MODELNET)
 
 
 def test_a_lack_of_memory_is_no_fault_of_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

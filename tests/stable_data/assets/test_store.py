@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stable_data.assets.store import AssetStore, fitted_scale
-from stable_data.errors import MeshError
+from stable_data.errors import MeshError, SceneError
 from stable_data.geometry.gltf_writer import write_glb
 from stable_data.geometry.mesh import Mesh
 from stable_data.geometry.sdf.aspects import ASPECT_STEP, aspect_of, aspect_steps
 from stable_data.geometry.shape import Shape
 from stable_data.mesatask import PositionConvention
 from stable_data.scene import UPRIGHT, QuatXyzw, Scene, SceneObject, Tabletop, Vec3
+from tests.bounds import limit
 from tests.scenes import ball, bowl, box, sheet
 
 ON_ITS_SIDE: QuatXyzw = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
@@ -331,3 +332,16 @@ def test_a_fit_that_would_flatten_the_mesh_is_uniform() -> None:
     mesh = Mesh(box(1, 1, 1).vertices, box(1, 1, 1).faces)
     scale = fitted_scale(mesh, UPRIGHT, (0.1, 0.1, 0.001))
     assert scale == pytest.approx((0.1, 0.1, 0.1))
+
+
+def test_a_scene_of_too_many_vertices_is_refused(store: AssetStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its objects may all have one mesh, of which each has a copy at its pose."""
+    objects = tuple(replace(BLOCK, instance=f"{k}_block_0") for k in range(3))
+    scene = Scene("scene", Tabletop("desk", (1.2, 0.6)), objects)
+    num = 3 * len(store.shape(BLOCK)[0].vertices)
+    limit(monkeypatch, "work", max_scene_corners=num)
+    store.resolved(scene)
+    limit(monkeypatch, "work", max_scene_corners=num - 1)
+    with pytest.raises(SceneError, match=f"scene: its meshes have more vertices, expected at most {num - 1} ") as caught:
+        store.resolved(scene)
+    assert caught.value.code == "scene_too_big"

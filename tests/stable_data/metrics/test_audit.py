@@ -6,13 +6,11 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from stable_data.errors import SceneError
 from stable_data.geometry.shape import Shape
 from stable_data.metrics.audit import PosedScene, _mark_support_cycles, audit_posed_scene, audit_scene
 from stable_data.metrics.triangle_intersection import MeshPair
 from stable_data.metrics.verdicts import TOLERANCE, Audit, ObjectVerdict, PairVerdict
 from stable_data.scene import Scene
-from tests import bounds
 from tests.scenes import Placed, ball, ball_in_bowl, bowl, box, box_on_table, leaning_plate, overlapping_balls, scene_of
 
 CUBE = box(0.1, 0.1, 0.1)
@@ -349,14 +347,6 @@ def test_what_is_beyond_the_budget_of_work_is_unknown_and_said() -> None:
     [notice] = part.notices
     assert (notice.step, notice.code) == ("audit", "audit_cut_short")
     assert f"{sum(depth is None for depth in found.values())} pairs of objects unknown" in notice.message
-
-
-def test_a_scene_of_too_many_triangles_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, shapes = overlapping_balls(0.004)
-    num = sum(len(shape.faces) for shape in shapes)
-    bounds.limit(monkeypatch, "work", max_audit_triangles=num - 1)
-    with pytest.raises(SceneError, match=f"its meshes have {num:,}, expected at most"):
-        PosedScene(scene, shapes)
 
 
 def test_an_audit_that_was_cut_short_passes_nothing() -> None:

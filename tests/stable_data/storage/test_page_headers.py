@@ -1,15 +1,17 @@
 """Pages of Parquet files: honest ones of any writer pass, and one that states more bytes than its column is refused unread."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import polars as pl
 import pyarrow as pa
+import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 import pytest
 
+from stable_data.storage import page_headers
 from stable_data.storage.page_headers import check_pages
-from stable_data.storage.parquet_files import open_parquet, read_row_groups
+from stable_data.storage.parquet_files import is_small, open_parquet, read_row_groups
 from tests.bounds import limit
 
 ROWS = 5000
@@ -119,6 +121,41 @@ def test_lists_of_different_texts_pass(codec: str, tmp_path: Path, monkeypatch: 
     lists = [[f"{(20 * row + k) % 999:050}" for k in range(20)] for row in range(1000)]
     pq.write_table(pa.table({"list": lists}), tmp_path / "file.parquet", compression=codec)
     assert open_parquet(tmp_path / "file.parquet").read()["list"].to_pylist() == lists
+
+
+def test_lists_within_lists_take_bytes_for_each_level(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kind, value = pa.float64(), cast(Any, [[0.0]] * 20_000)
+    for _ in range(30):
+        kind = pa.list_(kind)
+    for _ in range(28):
+        value = [value]
+    pq.write_table(pa.table({"list": pa.array([value], kind)}), tmp_path / "file.parquet")
+    limit(monkeypatch, "table", max_decoded_bytes=4_000_000)
+    with pytest.raises(
+        pa.ArrowInvalid, match=r"the lists of a row group may need \d,\d{3},\d{3} bytes, expected at most 4,000,000"
+    ):
+        open_parquet(tmp_path / "file.parquet")
+
+
+def test_small_lists_of_many_row_groups_are_counted_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file.parquet"
+    pq.write_table(pa.table({"list": [[0.0] * 1000] * 100}), path, row_group_size=1)
+    limit(monkeypatch, "table", max_decoded_bytes=1_000_000)
+    [fragment] = ds.dataset(path).get_fragments()
+    assert not is_small(fragment)
+    limit(monkeypatch, "table", max_decoded_bytes=3_000_000)
+    assert is_small(fragment)
+
+
+def test_dictionaries_are_looked_at_a_limited_number_of_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Very many row groups may name the same large dictionary."""
+    path = tmp_path / "file.parquet"
+    pq.write_table(pa.table({"list": [[f"{k:05}" for k in range(1000)]] * 10}), path, row_group_size=1)
+    limit(monkeypatch, "table", max_decoded_bytes=50_000)
+    check_pages(path)
+    monkeypatch.setattr(page_headers, "_MOST_LOOKED_AT", 5000)
+    with pytest.raises(pa.ArrowInvalid, match="the lists of a row group may need"):
+        check_pages(path)
 
 
 def test_more_values_than_rows_are_refused(tmp_path: Path) -> None:
