@@ -117,7 +117,8 @@ def _arranged_anew(
         moves, candidate = dict(carried), whole
         for name, place in places.items():
             group = SupportTree(carriers).with_descendants({name})
-            moves[name] = next(r for r in stated if group & set(members(r)))
+            # Of alike objects, a broken relation may name another one than the stated relation.
+            moves[name] = next(r for r in (*stated, *broken) if group & set(members(r)))
             candidate = _with_moved(candidate, name, place, carriers)
         yield moves, candidate
 

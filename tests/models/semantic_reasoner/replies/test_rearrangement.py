@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.semantic_reasoner.language.interpreter import compare_with_instruction, relations_of_task
-from models.semantic_reasoner.replies.checks import ReplyCheck
+from models.semantic_reasoner.replies.checks import ReplyCheck, ReplyFault
 from models.semantic_reasoner.replies.rearrangement import rearrangements
 from models.semantic_reasoner.replies.relation_repair import repair_relations
 from models.semantic_reasoner.text.prompt import ReasonerQuestion
@@ -58,6 +58,23 @@ def test_objects_are_moved_together_where_one_move_after_the_other_fails(
     assert reply is not None
     assert not CHECK(reply, said)
     assert [o.instance for o in reply.objects] == [o.instance for o in objects]
+
+
+def test_a_broken_relation_may_name_another_one_of_alike_objects() -> None:
+    """The check compares what is said with the objects that fit best; what is stated is known by the names of before."""
+    said = ask("Take the mug.")
+    reply = LayoutReply((thing("mug_0", 60, 30), thing("mug_1", 100, 30), thing("cup_0", 30, 15)))
+    fault = ReplyFault("relation_not_held", "", is_hard=False, relation=Relation("mug_1", RelationKind.IS_AT, "left"))
+    checked = list[LayoutReply]()
+
+    def check(candidate: LayoutReply, question: ReasonerQuestion) -> list[ReplyFault]:
+        checked.append(candidate)
+        return [fault] if len(checked) < 40 else []
+
+    stated = [Relation("cup_0", LEFT, "mug_0"), Relation("mug_0", RelationKind.IS_AT, "left")]
+    found = repair_relations(reply, [fault], said, check, stated)
+    assert len(checked) > 1
+    assert found is None or "mug_1 is moved so that mug_1 is at left" in found[1][0].message
 
 
 def places(
