@@ -352,7 +352,7 @@ class _StageReader:
                 repaired, _, _ = repair_mesh(mesh, name)
                 self.cut[key] = collider_parts(repaired)
             except MeshError as error:
-                self.cut[key] = error
+                self.cut[key] = error.with_traceback(None)  # which would keep the mesh in memory
         if isinstance(found := self.cut[key], MeshError):
             raise found
         return found
